@@ -1,4 +1,4 @@
-"""Cache of values that are made once, by their keys and within a limit of bytes."""
+"""Cache of computed values by key, limited in bytes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ V = TypeVar("V")
 
 
 class _Key:
-    """A key that is hashed once: hashes of scenes and plans go through all that is in them."""
+    """A key whose hash is computed once: hashing a scene or a plan walks through all of its values."""
 
     __slots__ = ("hashed", "value")
 
@@ -26,12 +26,12 @@ class _Key:
 
 
 class Cache:
-    """A table of values within a limit of bytes: the least recently used ones go. Safe to share between threads.
+    """A table of values with a limit on their bytes; the least recently used ones are evicted. Threads may share it.
 
     Parameters
     ----------
     limit : int
-        Most bytes of all values; a larger value is not kept.
+        Most bytes of all values together; a larger value is not cached.
     """
 
     def __init__(self, limit: int) -> None:
@@ -41,19 +41,19 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
-        """The value of a key.
+        """The value of a key, computed if it is not cached.
 
         Parameters
         ----------
         key : hashable
         make : callable
-            Makes the value, where it is not there; two threads may do so at the same time, and get one value.
+            Computes a missing value; two threads may call it at the same time, and get the same value.
         size : callable
             Bytes of a value.
 
         Returns
         -------
-        The value, which nobody may change.
+        The value, which callers must not change.
         """
         place = _Key(key)
         with self._lock:
@@ -76,16 +76,16 @@ class Cache:
 
     @property
     def bytes(self) -> int:
-        """Size of all values that are kept."""
+        """Size of all cached values."""
         return self._bytes
 
     def forget(self, key: Hashable) -> None:
-        """Let go of the value of a key, where there is one."""
+        """Remove the value of a key, if it is cached."""
         with self._lock:
             self._bytes -= self._values.pop(_Key(key), (None, 0))[1]
 
     def clear(self) -> None:
-        """Let go of all values."""
+        """Remove all values."""
         with self._lock:
             self._values.clear()
             self._bytes = 0

@@ -1,7 +1,7 @@
-"""Numbers that host and kernels, or device and reference, must agree on: each stands here, and kernels have them by -D.
+"""Constants shared by host and kernels, or by device and reference; kernels get them as -D options.
 
 Every program is compiled with all of them (`clsco.opencl.program.build`), so each name has one meaning in all kernels.
-What only kernels know is a `#define` there; what differs from program to program is a feature.
+A constant that only kernels use is a `#define` there; a value that differs from program to program is a feature.
 """
 
 from __future__ import annotations
@@ -149,5 +149,5 @@ FSE_BEFORE = (FSE_SIDE - FSE_BLOCK) // 2  # px of a window before its block, alo
 
 
 def definitions() -> dict[str, int | float]:
-    """Name -> value of all constants of this module, for the compiler of kernels."""
+    """All constants of this module by name, for the kernels' compiler."""
     return {name: value for name, value in globals().items() if name.isupper()}

@@ -1,4 +1,4 @@
-"""Errors that clsco raises on purpose: faults that the user can mend, reported in one line each."""
+"""Errors that clsco raises on purpose: faults that the user can correct, each reported in one line."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class KernelError(ClscoError):
 
 
 def import_extra(where: object, module: str, extra: str) -> Any:
-    """Import a module that an extra of clsco brings.
+    """Import a module that an extra of clsco installs.
 
     Parameters
     ----------
     where : object
-        File or option that needs it, for the message.
+        File or option that needs the module, for the message.
     module, extra : str
 
     Returns
@@ -91,14 +91,14 @@ def require_extra(where: object, module: str, extra: str) -> None:
 
 
 def visible(text: str, lines: bool = False) -> str:
-    r"""A text with escapes in place of all that is neither seen nor a space, such as control characters, those that
-    turn the direction of writing, and halves of surrogates: names of files, and texts in them, may be anybody's.
+    r"""A text with escapes in place of invisible characters other than spaces, such as control characters, marks of
+    writing direction, and lone surrogates, because names of files and texts in them may be untrusted.
 
     Parameters
     ----------
     text : str
     lines : bool
-        Ends of lines and tabs stay.
+        Leave ends of lines and tabs unchanged.
 
     Returns
     -------

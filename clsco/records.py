@@ -1,4 +1,4 @@
-"""Structs shared with the device: NumPy dtypes, from which the C typedefs are generated."""
+"""Structs shared with the device: NumPy dtypes, which the C typedefs are generated from."""
 
 from __future__ import annotations
 
@@ -19,22 +19,21 @@ REAL_BYTES = 8  # planned for a number on the device, in either precision
 
 @cache
 def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
-    """C name -> dtype of every struct, in the order in which they are declared.
+    """Dtype of every struct by its C name, in order of declaration.
 
-    grid_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top:
-    first row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step:
+    grid_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top: first
+    row of the strip; guard: apron columns, above: apron rows before the first row; width, height of the grid; step:
     slope between neighboring rays on the axis, rest_step: in the reference pose; radial, tangential, reach: see
-    `clsco.optics.distortion.Distortion`, start, newton: first guess of its inverse, and steps to it. lens_t: see
-    `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack.
-    texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t:
-    see `clsco.optics.motion.Pose`; step: slope between neighboring rays then. exposure_t: see
-    `clsco.optics.still.Exposed`; still: 1 where still sources are made, and 0 where the others are, in the window.
-    group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
-    psf_t:
-    how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them
-    radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in
-    lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column, per_row: cells
-    of `clsco.optics.field.SeidelField`, and such per px; stride, sub_stride: see `clsco.optics.psf_tables.PsfTable`.
+    `clsco.optics.distortion.Distortion`, start, newton: first guess of its inverse, and number of Newton steps. lens_t:
+    see `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the
+    stack. texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`.
+    pose_t: see `clsco.optics.motion.Pose`; step: slope between neighboring rays at that time. exposure_t: see
+    `clsco.optics.still.Exposed`; still: 1 to make still sources, 0 to make the others, in the window. group_t: see
+    `clsco.optics.visibility.OcclusionGroup`; count: of all objects. psf_t: conversion of a blur radius to a table
+    coordinate, the intervals that the tables hold (first, count), and the range that radii are clamped to (low to end -
+    1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in lens radii; rim_distance, rim_radius: see
+    `clsco.optics.point_spread.Rim`; across, down, per_column, per_row: cells of `clsco.optics.field.SeidelField`, and
+    cells per px; stride, sub_stride: see `clsco.optics.psf_tables.PsfTable`.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     grid: list[Any] = [
@@ -73,12 +72,12 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
 
 
 def _reals(real: Real, **shapes: tuple[int, ...]) -> list[Any]:
-    """Fields for real numbers and arrays (n,) of them."""
+    """Struct fields for real numbers, and for arrays (n,) of real numbers."""
     return [(name, REAL[real], shape) for name, shape in shapes.items()]
 
 
 def filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
-    """Struct `name` with these values, and 0 elsewhere."""
+    """Struct `name` with these values, and 0 in the other fields."""
     record = np.zeros((), structs(real)[name])
     for field, value in values.items():
         record[field] = value
@@ -86,6 +85,6 @@ def filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
 
 
 def flat(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """Channel planes (channels, rows, columns) of an image (rows, columns[, channels]), packed."""
+    """Packed channel planes (channels, rows, columns) of an image (rows, columns[, channels])."""
     planes = values[None] if values.ndim == 2 else np.moveaxis(values, -1, 0)
     return np.ascontiguousarray(planes, dtype=dtype)

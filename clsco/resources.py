@@ -1,5 +1,6 @@
-"""Resources of the machine: folders that are shipped, those of the user's cache, temporary ones; processes, processors;
-and regular files, opened so that no link, pipe or device can stand in for one."""
+"""Resources of the machine: shipped, cache and temporary folders, processes, processors, and safe opening of regular
+files, which rejects links, pipes and devices.
+"""
 
 from __future__ import annotations
 
@@ -43,8 +44,8 @@ _PLACES: dict[Kind, tuple[str, str]] = {
 def folder(name: str) -> Traversable:
     """The shipped folder `name` ("kernels" or "examples"), installed or in a source tree.
 
-    An installed package carries it as `clsco.<name>`. In a source tree it lies beside the package, which then
-    shadows an installed one. Raises FileNotFoundError when it is in neither place.
+    An installed package contains it as `clsco.<name>`. In a source tree it is beside the package, and has priority over
+    an installed one. Raises FileNotFoundError if it is in neither place.
     """
     beside = Path(__file__).resolve().parent.parent / name
     if (beside.parent / "pyproject.toml").is_file() and beside.is_dir():
@@ -56,8 +57,9 @@ def folder(name: str) -> Traversable:
 
 
 def code_digest(*modules: ModuleType) -> str:
-    """SHA-256 of the source files of modules, and of all in a package: what they compute, kept on disk, is anew when
-    they change."""
+    """SHA-256 of the source files of modules and packages, as part of cache keys: results cached on disk are computed
+    again when the code changes.
+    """
     digest = hashlib.sha256()
     for module in modules:
         path = Path(str(module.__file__))
@@ -67,7 +69,7 @@ def code_digest(*modules: ModuleType) -> str:
 
 
 class ExposedFolderError(Exception):
-    """Another user could put files into a folder of the cache; `folder`: the first such one."""
+    """Another user could put files into a cache folder; `folder`: the topmost such folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -75,17 +77,17 @@ class ExposedFolderError(Exception):
 
 
 def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: Kind = "cache") -> Path:
-    """A folder in the user's cache or state folder that nobody else can write to; it is made where it is not there.
+    """A folder in the user's cache or state folder that nobody else can write to, created if necessary.
 
     Parameters
     ----------
     *names : str
-        Names of the folder and those above it, from the top.
+        Names of nested folders, outermost first.
     environ : mapping
         XDG_CACHE_HOME names the cache folder, by default ~/.cache; XDG_STATE_HOME that of state, by default
         ~/.local/state.
     kind : {"cache", "state"}
-        State is what cannot be computed again.
+        State is data that cannot be computed again.
 
     Returns
     -------
@@ -94,7 +96,7 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: K
     Raises
     ------
     ExposedFolderError
-        Another user owns it or one above it that is made here, or may write there.
+        Another user owns the folder or one of its parents created here, or may write to it.
     OSError, RuntimeError
         It cannot be made, or the user has no home.
     """
@@ -110,7 +112,9 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: K
 
 
 def _exposed(root: Path, *ours: Path) -> Path | None:
-    """The first folder in which another user could put kernels; `ours`: those that are made in `root`, from its top."""
+    """The topmost folder in which another user could put kernels; `ours`: folders created in `root`, outermost
+    first.
+    """
     if not hasattr(os, "geteuid"):
         return None
     user = os.geteuid()
@@ -126,15 +130,15 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 
 
 def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False) -> BufferedReader:
-    """Open a regular file to be read; nothing else is opened for longer than it takes to see its kind.
+    """Open a regular file for reading; anything else is opened only briefly, to determine its kind.
 
     Parameters
     ----------
     path : path
     most : int, optional
-        Bytes that it may have. A file can grow while it is read: `read_regular` holds that, too.
+        Most bytes of the file. A file can grow while it is read: `read_regular` enforces the limit then, too.
     follow : bool
-        The file may be a symbolic link, as what a user names may be one. Links of folders above it are followed always.
+        Allow a symbolic link, as users may name one. Links among its parent folders are always followed.
 
     Returns
     -------
@@ -143,8 +147,8 @@ def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follo
     Raises
     ------
     OSError
-        It cannot be opened, is something else, or is larger; `strerror` says what it is in place of a regular file, as
-        in "a device or a pipe".
+        It cannot be opened, is not a regular file, or is too large; `strerror` says what it is, as in "a device or a
+        pipe".
 
     Examples
     --------
@@ -189,9 +193,9 @@ def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
 
 
 def temporary_folder(name: str) -> Path:
-    """A new folder that nobody else reads, for this process and its children; it is removed when the process ends.
+    """A new private folder for this process and its children; it is removed when the process ends.
 
-    Where that was killed, the next one that asks for a folder of this name removes it. Raises OSError.
+    If the process is killed, the next call with this name removes it. Raises OSError.
     """
     base = Path(tempfile.gettempdir())
     remove_left(base, f"clsco-{name}")
@@ -202,16 +206,17 @@ def temporary_folder(name: str) -> Path:
 
 
 def work_name(prefix: str, more: str = "") -> str:
-    """The name of a file or folder of this process that is unfinished or temporary; see `remove_left`.
+    """Name for an unfinished or temporary file or folder of this process; see `remove_left`.
 
-    more: hexadecimal digits where there are several of one prefix.
+    more: hexadecimal digits to distinguish several with one prefix.
     """
     return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}{more and '-'}{more}.part"
 
 
 def remove_left(folder: Path, prefix: str = "") -> None:
-    """Remove temporary files and folders of processes that are gone: of this machine by their number, of others by
-    their age; without a prefix all hidden ones."""
+    """Remove temporary files and folders of ended processes: of this machine by process id, of others by age; without a
+    prefix all hidden ones.
+    """
     for path in folder.glob(f"{prefix}.*.part"):
         with suppress(OSError, ValueError):
             host, process, run, *_ = path.name.split(".")[-2].split("-")
@@ -229,10 +234,10 @@ def remove_left(folder: Path, prefix: str = "") -> None:
 
 
 def process_began(process: int) -> float | None:
-    """Start of a process, for comparison with others of this machine; None where no such process runs, any more.
+    """Start time of a process, comparable with others of this machine; None if no such process is running.
 
-    Linux tells it in ticks since its own start, which no change of the clock moves (proc(5)); on other systems psutil
-    does, in seconds of the clock.
+    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems psutil's, in seconds of
+    the clock.
     """
     if not (PROC / "self").exists():
         return _began_by_psutil(process)
@@ -244,7 +249,7 @@ def process_began(process: int) -> float | None:
 
 
 def process_is_gone(process: int) -> bool:
-    """Test whether a process of this machine has ended, also where nobody has asked yet how."""
+    """True if a process of this machine has ended, even if its parent has not waited for it yet."""
     if os.name == "posix":  # on Windows 0 is no question, but Ctrl-C
         try:
             os.kill(process, 0)
@@ -256,7 +261,7 @@ def process_is_gone(process: int) -> bool:
 
 
 def _stat(process: int) -> list[str]:
-    """Fields of a process that Linux tells, from its state on; raises OSError where there is none."""
+    """Fields of a process in Linux's /proc, from its state on; raises OSError if there is no such process."""
     return (PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
 
 
@@ -271,7 +276,7 @@ def _began_by_psutil(process: int) -> float | None:
 
 
 def read_at(file: BinaryIO, size: int, place: int) -> bytes:
-    """So many bytes from a place of a file, or those up to its end."""
+    """Up to `size` bytes of a file from an offset, fewer at its end."""
     file.seek(place)
     return file.read(size)
 
@@ -283,7 +288,7 @@ def _now(folder: Path) -> float:
 
 
 def resident_bytes() -> int:
-    """Memory of this process."""
+    """Resident memory of this process, bytes."""
     if (PROC / "self").exists():
         return int((PROC / "self" / "statm").read_bytes().split()[1]) * mmap.PAGESIZE
     import psutil
@@ -292,7 +297,7 @@ def resident_bytes() -> int:
 
 
 def machine_bytes(*, free: bool = False) -> int:
-    """Memory of this machine, or what of it is free."""
+    """Memory of this machine, in all or free, bytes."""
     if (PROC / "self").exists():
         lines = (PROC / "meminfo").read_text("ascii").splitlines()
         amounts = {name: int(amount.split()[0]) for name, _, amount in (line.partition(":") for line in lines)}
@@ -304,9 +309,9 @@ def machine_bytes(*, free: bool = False) -> int:
 
 
 def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")) -> int:
-    """Processors that this process may use: those it is bound to, as far as the quotas of its control groups go.
+    """Number of processors that this process may use: limited by its affinity and by the quotas of its control groups.
 
-    groups, mounted: where Linux lists a process' groups, and has their settings, of either version.
+    groups, mounted: files in which Linux lists a process's groups, and their settings, in version 1 or 2.
     """
     if hasattr(os, "process_cpu_count"):  # Python 3.13
         bound = os.process_cpu_count()
@@ -318,7 +323,7 @@ def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/
 
 
 def _quotas(groups: Path, mounted: Path) -> list[int]:
-    """Processors, rounded up, that each of the groups, and of those above them, lets a process use."""
+    """Processors, rounded up, allowed by each of the groups and their parents."""
     found = []
     with suppress(OSError, ValueError):
         for line in groups.read_text("utf-8").splitlines():

@@ -1,4 +1,4 @@
-"""The device against the NumPy reference: errors per output, and the time of each."""
+"""Comparison of the device with the NumPy reference: errors per output, and both times."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ LEAST_AGREEING = 500
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of an output from the reference's.
+    """Difference of an output from that of the reference.
 
-    largest, rms: in `unit`; row, column: of the largest; count: pixels above `figure`; pixels: of the frame; allowed:
-    pixels that may be above.
+    largest, rms: errors in `unit`; row, column: pixel of the largest error; count: pixels whose error exceeds `figure`;
+    pixels: pixels of the frame; allowed: largest `count` that passes.
     """
 
     output: str
@@ -43,14 +43,15 @@ class Difference:
 
     @property
     def agrees(self) -> bool:
-        """True if no more pixels are above than may be."""
+        """True if at most `allowed` pixels exceed the tolerance."""
         return self.count <= self.allowed
 
 
 @dataclass(frozen=True)
 class Checked:
-    """One frame, or one view of a stereo pair (`eye`): its differences, and seconds in kernels, of the whole call, and
-    of the reference; and itself."""
+    """Comparison of one frame, or of one view of a stereo pair (`eye`): the differences, the seconds in kernels, of the
+    whole call and of the reference, and the frame.
+    """
 
     index: int
     eye: str
@@ -64,8 +65,9 @@ class Checked:
 
 
 def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: bool = False) -> Difference:
-    """Compare two arrays (rows, columns[, channels]); equal infinities agree, and NaN never does. single: the
-    precision."""
+    """Compare two arrays (rows, columns[, channels]); equal infinities agree, NaN never does. single: True for single
+    precision.
+    """
     about = OUTPUTS[output]
     unit, figure = about.measure or about.unit, about.figure * (10.0 if single else 1.0)
     values, exact = np.asarray(got, np.float64), np.asarray(expected, np.float64)
@@ -85,7 +87,7 @@ def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: b
 
 
 def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
-    """Differences of color and of all truth that `frame` has."""
+    """Differences of color and of every ground-truth output of `frame`."""
     single = frame.metadata.get("precision") == "single"
     return tuple(
         difference(name, getattr(frame, name), getattr(exact, name), single)
@@ -95,7 +97,7 @@ def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
 
 
 def _sensor_of(scene: Scene, frame: Frame) -> Frame:
-    """Outputs of the reference's sensor for the light of a frame."""
+    """Outputs of the reference's sensor model for the irradiance of a frame."""
     light = np.atleast_3d(frame.color)
     model = sensor_model(scene, light.shape[2])
     camera = camera_word(frame.index, "right" if frame.eye == "right" else "left")
@@ -103,10 +105,11 @@ def _sensor_of(scene: Scene, frame: Frame) -> Frame:
 
 
 def compare_frames(scene: Scene, device: str | None, precision: str | None) -> Iterator[Checked]:
-    """Render each frame, of a stereo pair each view, on the device and with the reference. Raises as `clsco.render`.
+    """Render each frame, or both views of each stereo pair, on the device and with the reference. Raises as
+    `clsco.render`.
 
-    Of a scene with a sensor the light is compared, and what the sensor makes of it with what the reference's makes of
-    the device's light: a code changes with the last bit of its light.
+    With a sensor, the irradiance is compared, and the codes are compared with those that the reference's sensor makes
+    from the device's irradiance: one code changes with the last bit of the irradiance.
     """
     plain = scene.model_copy(update={"sensor": None})
     frames, exacts = render(plain, device=device, precision=precision), reference.render(plain)

@@ -1,4 +1,4 @@
-"""The command `clsco check`: frames against the reference and against rays, as tables, and as a file."""
+"""The command `clsco check`: compares frames with the reference and with rays, and writes tables or a file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def require_report(out: Path) -> None:
-    """Raise ClscoError for a file of another kind."""
+    """Raise ClscoError if `out` is not a type of file that a report can have."""
     if out.suffix.lower() not in (".json", ".png"):
         raise ClscoError(f"-o: must be a file .json or .png; got {out}")
 
@@ -28,9 +28,9 @@ def require_report(out: Path) -> None:
 def check_scene(
     path: Path, scene: Scene, extent: tuple[int, float], out: Path | None, device: str | None, precision: str | None
 ) -> None:  # fmt: skip
-    """Print how every view of a scene differs from the reference and from rays, and write that to `out`.
+    """Print how every view of a scene differs from the reference and from rays, and write the report to `out`.
 
-    extent: most rays of a pixel, and seconds for all of them. Raises ClscoError where either differs by too much.
+    extent: most rays per pixel, and seconds for all of them. Raises ClscoError if a difference is too large.
     """
     rays, seconds = extent
     why = "no rays were asked for" if not rays else None
@@ -61,8 +61,9 @@ def check_scene(
 
 
 def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
-    """Write all figures to a JSON file, or the tried pixels of all views, one below the other, on frames that are dark:
-    red where they are too bright, blue where too dark, and green where they agree; full from 0.01 of white on."""
+    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames of all views, one below the
+    other: red if too bright, blue if too dark, green if they agree; colors saturate at 0.01 of white.
+    """
     if out.suffix.lower() == ".json":
         values = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
         write_json(out, {"not_judged": why, "views": values})

@@ -108,7 +108,7 @@ base_option = click.option(
 def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **options: Any) -> None:
     """Make a data set of scenes drawn from a DISTRIBUTION file.
 
-    The same file, seed and version give the same bytes on devices of a family, whatever makes them.
+    The same file, seed and version give the same bytes on all devices of a family.
     """
     from clsco.data import creation
     from clsco.data.record import parse_stored

@@ -1,4 +1,4 @@
-"""The command `clsco defocus`: an image and its depth map to scenes, and one image file."""
+"""Implementation of `clsco defocus`: makes scenes from an image and its depth map, and writes one image file."""
 
 from __future__ import annotations
 
@@ -31,14 +31,13 @@ def scenes_from_files(
     image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = (),
     layers: tuple[str | None, str | None] = (None, None),
 ) -> Sweep:  # fmt: skip
-    """The scene of an image that has the depths of a map; several where keys of the camera have several values.
+    """Scenes that show an image at the depths of a depth map, one for each combination of values of camera keys.
 
-    image, depth: files of the same size. options: value by key, of the depth map (unit, scale, baseline, offset,
-    near, far, depth_kind, no_depth, soft_edges) or of [camera] (focal_length, f_number, focus_distance, pixel_pitch);
-    None stands for a key that is not given.
-    overrides: as of `clsco.load_sweep`, after the options. layers: of the image and of the depth, where they are EXR
-    files with several.
-    Returns scenes with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
+    image, depth: files of the same size. options: values by key, of the depth map (unit, scale, baseline, offset, near,
+    far, depth_kind, no_depth, soft_edges) or of [camera] (focal_length, f_number, focus_distance, pixel_pitch); None
+    for a missing key. overrides: as for `clsco.load_sweep`, applied after the options. layers: of the image and of the
+    depth, for EXR files with several layers. Each scene has one object of shape depth_map, and absolute paths. Raises
+    SceneError with one line per fault.
     """
     item: dict[str, Any] = {"shape": "depth_map", "name": "image"}
     item |= {"texture": str(image.absolute()), "depth": str(depth.absolute())}
@@ -53,7 +52,7 @@ def scenes_from_files(
 
 
 def check_pair(scene: Scene) -> None:
-    """Read an image and its depth map. Raises FileError where one cannot be read, or where they differ in size."""
+    """Read an image and its depth map. Raises FileError if either cannot be read, or if their sizes differ."""
     for item in scene.objects:
         if isinstance(item, DepthMap):
             rows, columns = shared_files().depth(item.inputs()["depth"]).shape
@@ -63,7 +62,9 @@ def check_pair(scene: Scene) -> None:
 
 
 def is_image_file(out: Path) -> bool:
-    """True if OUT names an image file and no folder; raises FileError for an image that cannot be written."""
+    """True if OUT names an image file, False for a folder; raises FileError for an image format that cannot be
+    written.
+    """
     suffix = out.suffix.lower()
     if out.is_dir():
         return False
@@ -73,10 +74,10 @@ def is_image_file(out: Path) -> bool:
 
 
 def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
-    """Make the folder of an image file, and prove that the file can be written.
+    """Make the folder of an image file, and check that the file can be written.
 
-    scenes: those to be rendered. Raises SceneError where they have more than one image, FileError where OUT is what
-    the image is made of, an extra of clsco is missing, or the folder cannot be written.
+    scenes: scenes to render. Raises SceneError if they have more than one image; FileError if OUT is one of the input
+    files, an extra of clsco is missing, or the folder is not writable.
     """
     count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
     if count != 1:
@@ -92,9 +93,9 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
     """Write the color of a frame to one file, in the format of its extension. Raises FileError.
 
-    bits: of the image that was blurred, 8, 16 or 32. A format holds codes of as many bits, at most its own; where it
-    can, 32 bits are linear float32. transfer: curve of codes. color: color space of the image that was blurred, and so
-    of the file; its curve takes the place of "srgb".
+    bits: bits per value of the source image, 8, 16 or 32; a format gets at most as many bits as it can hold, and 32
+    bits are linear float32 if it has floats. transfer: transfer curve of the codes. color: color space of the source
+    image, and so of the file; its curve replaces "srgb".
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)

@@ -1,4 +1,4 @@
-"""The demonstration: which examples it renders, and the labeled sheet of their images and ground truth."""
+"""The demonstration: a list of examples, and a labeled contact sheet of their images and ground truth."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
 
 
 def views(frames: Sequence[Frame]) -> dict[str, Picture]:
-    """Pictures (rows, columns, 3) of a frame, or of a stereo pair, by a label that says the range of each.
+    """Pictures (rows, columns, 3) of a frame or a stereo pair, by a label with the range of values.
 
-    frames: one, or the left and the right view; with all truth.
+    frames: one frame, or the left and the right view; with all ground truth.
     """
     frame = frames[0]
     assert frame.depth is not None
@@ -59,9 +59,9 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
 
 
 def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) -> Picture:
-    """Draw frames by their labels, and below all views of others; returns (rows, columns, 3).
+    """Draw labeled frames, and below them all outputs of the detailed frames; returns (rows, columns, 3).
 
-    detailed: frames, or stereo pairs, with all truth.
+    shown: frames by label; detailed: frames, or stereo pairs, with all ground truth.
     """
     photographs = [(_fitted(codes_to_show(frame.color), WIDE), label) for label, frame in shown.items()]
     details = [[(_fitted(picture, NARROW), label) for label, picture in views(frames).items()] for frames in detailed]
@@ -77,7 +77,8 @@ def _fitted(picture: Picture, side: int) -> Picture:
 
 
 def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write the sheet of all EXAMPLES as a PNG: frames, or stereo pairs, by name. Raises FileError where it cannot be
-    written."""
+    """Write the contact sheet of all EXAMPLES as a PNG; `frames` has a frame or a stereo pair by name. Raises FileError
+    if it cannot be written.
+    """
     shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
     write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))

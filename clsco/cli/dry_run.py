@@ -12,7 +12,7 @@ BAR = 40  # characters of the longest bar
 
 
 def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
-    """Tables of a data set to be made: parameters, measures of samples, size and time."""
+    """Tables of a planned data set: parameters, measures of samples, size and time."""
     parameters = [
         (one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in dry_run.parameters
     ]
@@ -48,7 +48,7 @@ def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
 
 
 def print_dry_run(dry_run: DryRun) -> None:
-    """Print `dry_run_tables`, the messages of samples that failed, and where the contact sheet is."""
+    """Print `dry_run_tables`, messages of failed samples, and the path of the contact sheet."""
     print_tables(*dry_run_tables(dry_run), *dry_run.failed)
     if dry_run.sheet is not None:
         print_tables(f"{dry_run.sheet}: pictures of some samples")

@@ -19,7 +19,7 @@ THESIS = "thesis/"  # beginning of the names of figures of the thesis, which are
 
 
 def _files(place: Path) -> dict[str, Path]:
-    """The example files in a folder, by their names."""
+    """The example files in a folder, by name."""
     files = {str(path.relative_to(place).with_suffix("")): path for path in sorted(place.rglob("*.toml"))}
     return files | {path.stem: path for path in sorted(place.glob("*.png")) if _mask(path).is_file()}
 
@@ -70,7 +70,7 @@ def _title(path: Path) -> str:
 
 
 def _named(path: Path) -> list[Path]:
-    """Files that a file names, beside it; the mask of an image."""
+    """Files that a file refers to, in the same folder; for an image its mask."""
     if path.suffix != ".toml":
         return [_mask(path)]
     names = {text for text in _texts(_content(path)) if "/" not in text}
@@ -86,7 +86,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a file; one that is there must be the same."""
+    """Copy a file; an existing target must have the same content."""
     from clsco.files.atomic import atomic_write, raise_file_error
 
     data = source.read_bytes()

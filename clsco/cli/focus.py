@@ -36,7 +36,7 @@ focus_depth_option = click.option(
 
 
 def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None:
-    """Focus that the options ask for, None where neither is given. Raises click.UsageError for both."""
+    """Focus that the options ask for, or None without either option. Raises click.UsageError if both are given."""
     if at is not None and share is not None:
         raise click.UsageError("--focus-at: goes without --focus-depth; got both")
     on = share if at is None else at
@@ -50,10 +50,10 @@ def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None
 def focus_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], focus: Focus | None
 ) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
-    """Scenes with the lens focused so; those of a file that has a fault, and all without `focus`, stay as they are.
+    """Scenes with the lens focused as asked; without `focus`, and for files with faults, they stay unchanged.
 
-    In place of scenes that cannot be focused is a SceneError, as of `clsco.inputs.focus.focus_scene`, or where the
-    scenes of a file have several focus distances.
+    A scene that cannot be focused is replaced by a SceneError, as of `clsco.inputs.focus.focus_scene`; so is a file
+    whose scenes have several focus distances.
     """
     if focus is None:
         return loaded

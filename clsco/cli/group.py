@@ -1,4 +1,4 @@
-"""A group of commands that turns errors into messages and exit statuses."""
+"""A click group that turns errors into messages and exit statuses."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ USER_ERROR, NO_DEVICE, INTERRUPTED, TERMINATED = 1, 3, 130, 143
 
 
 class _TerminatedError(KeyboardInterrupt):
-    """SIGTERM, which ends a command as Ctrl-C does."""
+    """SIGTERM arrived; it ends a command as Ctrl-C does."""
 
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Have SIGTERM end the block as Ctrl-C does, so that nothing is left half-written."""
+    """Make SIGTERM end the block as Ctrl-C does, so that no file is left half-written."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -38,7 +38,7 @@ def _terminable() -> Iterator[None]:
 
 
 class Commands(click.Group):
-    """A group whose commands end with one line per error and the exit status that belongs to it."""
+    """A group whose commands report an error in one line and exit with its status."""
 
     def make_context(self, *args: Any, **options: Any) -> click.Context:
         """Parse a command line."""
@@ -46,7 +46,7 @@ class Commands(click.Group):
             return super().make_context(*args, **options)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; what the user can mend, Ctrl-C and SIGTERM end it without a traceback."""
+        """Run a command; user errors, Ctrl-C and SIGTERM end it without a traceback."""
         try:
             with visible_usage(), _terminable():
                 return super().invoke(ctx)

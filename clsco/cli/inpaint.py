@@ -1,4 +1,4 @@
-"""Implementation of `clsco inpaint`: an image and its mask from files, and the filled image to one."""
+"""Implementation of `clsco inpaint`: reads an image and its mask, and writes the filled image."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from clsco.inpainting.rules import MeanMedian
 def read_pair(
     image: Path, mask: Path, threshold: float | None = None, layer: str | None = None
 ) -> tuple[Picture, NDArray[np.bool_]]:  # fmt: skip
-    """Read an image (rows, columns[, 3]) as stored, and which of its pixels are missing (rows, columns).
+    """Read an image (rows, columns[, 3]) as stored, and a mask (rows, columns) that is True for missing pixels.
 
-    Missing is where the mask is white: 255, 65535, or 1.0 in floats; where it is 0 all is known. threshold: what is
-    missing from there on, in the mask's values; then any others may occur as well. What missing pixels of a float image
-    hold may also be no number. Raises FileError where the files cannot be read or differ in size, where the mask has
-    colors or other values, where it leaves nothing known, and for a threshold that is no number.
+    A pixel is missing where the mask is white (255, 65535, or 1.0 in floats) and known where it is 0. threshold: mask
+    values from it on are missing; then the mask may have any values. Missing pixels of a float image may be NaN. Raises
+    FileError if a file cannot be read, the sizes differ, the mask has colors or other values, no pixel is known, or the
+    threshold is not a number.
     """
     if threshold is not None and not math.isfinite(threshold):
         raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
@@ -66,9 +66,9 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
 
 
 def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> ImageWriter:
-    """Writer for OUT, after a proof that it can hold the image and that its folder can be written.
+    """Writer for OUT, after a check that the format can hold the image and the folder is writable.
 
-    is_float: whether the image has floats and no codes, once that is known. Raises FileError.
+    is_float: True for float images, False for codes, None while unknown. Raises FileError.
     """
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
@@ -92,7 +92,7 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
 
 
 def mean_median_options(method: str, options: Mapping[str, Any]) -> MeanMedian | None:
-    """Constants of mean-median where any is given, None else. Raises SceneError with the name of the option."""
+    """Constants of mean-median if any option is given, else None. Raises SceneError with the name of the option."""
     from clsco.inpainting.methods import THESIS
 
     constants = {name: value for name, value in options.items() if value is not None}

@@ -1,4 +1,4 @@
-"""Reports of commands before they render: colors, depth maps and what the lens makes of these, and samples."""
+"""Messages of commands before they render: about colors, depth maps, their blur, and samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def first_scene(
     path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None, aside: bool = False
 ) -> Prepared:  # fmt: skip
-    """A file's only scene; of several the first one, whose label is printed; aside: on stderr."""
+    """The only scene of a file, or the first of several, whose label is printed; aside: print it to stderr."""
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
@@ -38,8 +38,9 @@ def first_scene(
 
 
 def report_inputs(planned: Sequence[PreparedFile]) -> None:
-    """Say on stderr what is to be known of the images of scenes; for each depth map whether it may not be upright,
-    which of its pixels have no depth, and what the lens makes of it; and which samples are taken with a tolerance."""
+    """Print notes on the images of scenes to stderr: whether a depth map may be upside down, which of its pixels have
+    no depth, how far the lens blurs it, and which samples a tolerance selects.
+    """
     from clsco.scene.model import DepthMap
 
     for path, labels, prepared in planned:
@@ -62,9 +63,10 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
 
 
 def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared], close: bool = False) -> None:
-    """Say on stderr which images of the scenes of a file are stretched, once per size of the frame, and what of them is
-    not in sight or black, each line of the first scene that it is of; close: also of a focus so close that sizes are
-    not those of textbooks."""
+    """Print to stderr which images are stretched, once per size of the frame, and which parts are out of sight or
+    black, each line for the first scene that it applies to; close: also if a close focus makes sizes differ from the
+    usual formulas.
+    """
     from clsco.inputs.textures import find_stretched
     from clsco.plan.notes import close_focus_note, sight_notes
     from clsco.plan.predict import without_lens
@@ -86,13 +88,13 @@ def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared
 
 
 def report_notes(path: str, notes: Iterable[str]) -> None:
-    """Say on stderr what is to be known of an image, as `clsco.files.images.Picture.notes` gives it."""
+    """Print notes on an image, as `clsco.files.images.Picture.notes` gives them, to stderr."""
     for note in notes:
         echo(f"{path}: {note}", err=True)
 
 
 def report_loss(out: Path, color: Color) -> None:
-    """Say on stderr that a file has no place for a color profile."""
+    """Print to stderr that a file cannot store a color profile."""
     from clsco.files.images import WRITERS
 
     if loss := WRITERS[out.suffix.lower()].loss(color):

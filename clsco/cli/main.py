@@ -1,4 +1,5 @@
-"""The command `clsco`: words to calls, results to tables, errors to one line each and an exit status.
+"""The command `clsco`: parses arguments, prints results as tables, and turns each error into one line and an exit
+status.
 
 Exit status: 0 done; 1 a user's error, reported on stderr; 2 wrong usage; 3 no usable device; 130 interrupted, 143
 terminated.
@@ -47,7 +48,7 @@ class _LazyCommands(Commands):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, name: str) -> Any:
-        """Command of this name; None where there is none."""
+        """The command of this name; None if there is none."""
         del ctx
         if name not in COMMANDS:
             return None

@@ -26,9 +26,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it takes none
-    """Names that a shell completes; the command checks them.
+    """Names that the shell completes and the command checks.
 
-    source: gives the names; it is called where a shell asks, as finding them takes imports. many: several, with commas
+    source: returns the names; called only for completion, because it imports modules. many: several names with commas
     between them.
     """
 
@@ -38,15 +38,16 @@ class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it ta
         self.source, self.many = source, many
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Names that begin as the last one does."""
+        """Completions of the last name."""
         del ctx, param
         head, comma, last = incomplete.rpartition(",") if self.many else ("", "", incomplete)
         return [CompletionItem(f"{head}{comma}{name}") for name in self.source() if name.startswith(last)]
 
 
 def attribute(place: str) -> Callable[[], Iterable[str]]:
-    """Names in an object of a module, such as the keys of "clsco.files.video:PRESETS"; of a field of a model, as
-    "clsco.scene.shapes:DepthMap.unit", the values that it can have."""
+    """Function that returns the names in an object of a module, such as the keys of "clsco.files.video:PRESETS", or the
+    values allowed in a model's field, as "clsco.scene.shapes:DepthMap.unit".
+    """
     module, _, path = place.partition(":")
 
     def names() -> Iterable[str]:
@@ -72,12 +73,12 @@ def _types() -> list[str]:
 
 
 def usage_error(error: SceneError) -> click.UsageError:
-    """Error of usage for messages on values of options, which begin with the options' names."""
+    """Usage error for messages about option values, which begin with the options' names."""
     return click.UsageError("; ".join(f"--{message}" for message in error.messages))
 
 
 def _files(truth: str, formats: str, types: str) -> tuple[TruthFile, ...]:
-    """Files of ground truth that options ask for."""
+    """Files of ground truth that the options ask for."""
     if not (truth or formats or types):
         return ()
     from clsco.frame.files import files_of
@@ -90,7 +91,7 @@ def _files(truth: str, formats: str, types: str) -> tuple[TruthFile, ...]:
 
 class _Preset(Names):
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The name of a video preset; click fails for none."""
+        """The name of a video preset; click fails for an unknown one."""
         if value not in (known := list(self.source())):
             self.fail(f"must be one of {', '.join(known)}; got {value}", param, ctx)
         return value
@@ -118,7 +119,7 @@ def parse_memory(text: str) -> int:
 
 @dataclass(frozen=True)
 class Computation:
-    """Place and method of computing frames: options of `render` and `defocus`."""
+    """Place and method of the computation: options of `render` and `defocus`."""
 
     device: str | None
     precision: str | None
@@ -132,7 +133,7 @@ def require_opencl() -> None:
 
 
 def require_device(name: str | None) -> None:
-    """Fail before anything is written where there is no device, or none of this name."""
+    """Fail, before any file is written, if no device exists or none has this name."""
     require_opencl()
     from clsco.opencl.device import choose
 
@@ -140,10 +141,10 @@ def require_device(name: str | None) -> None:
 
 
 class _Path(click.Path):
-    """A path that is not empty: Path("") would be the current folder."""
+    """A path that is not empty, as Path("") would mean the current folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path; click fails for none."""
+        """The path; click fails for an empty one."""
         if os.fspath(value) == "":
             self.fail('must be a path; got ""', param, ctx)
         return super().convert(value, param, ctx)
@@ -177,7 +178,7 @@ types_option = click.option(
 
 
 def truth_options(command: Command) -> Command:
-    """Give a command the argument `files`, the files of ground truth that are asked for."""
+    """Decorate a command with options of ground truth, passed as its argument `files`."""
 
     @wraps(command)
     def call(truth: str, formats: str, types: str, **values: Any) -> Any:
@@ -215,7 +216,7 @@ def _progress_form(ctx: click.Context, param: click.Parameter, value: str) -> No
 
 
 def quiet_option(command: Command) -> Command:
-    """Give a command the argument `quiet`, and its progress the form of --progress."""
+    """Decorate a command with the argument `quiet` and the option --progress."""
     quiet = click.option("--quiet", is_flag=True, help="Show no progress.")
     form = click.option(
         "--progress", type=click.Choice(["bar", "json"]), default="bar", expose_value=False, callback=_progress_form,
@@ -225,7 +226,7 @@ def quiet_option(command: Command) -> Command:
 
 
 def computation_options(command: Command) -> Command:
-    """Give a command the argument `computation`, a Computation of its options."""
+    """Decorate a command with the options of a Computation, passed as its argument `computation`."""
     names = [field.name for field in fields(Computation)]
 
     @wraps(command)

@@ -1,4 +1,4 @@
-"""Text for the terminal, which may come from files of strangers: what a terminal would obey is shown as its escape."""
+"""Text for the terminal that may come from untrusted files: control characters are shown as escapes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from clsco.errors import visible
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print text to stdout, or to stderr; nl: end with the end of a line."""
+    """Print text to stdout, or to stderr with `err`; nl: end the line."""
     click.echo(visible(text, lines=True), err=err, nl=nl)
 
 
 def show_log(verbose: int) -> None:
-    """Print messages of the logger "clsco" to stderr, of other levels than warnings as well: 1 for what is done, 2 for
-    all details."""
+    """Print messages of the logger "clsco" to stderr besides warnings: progress at 1, all details at 2."""
     import logging
 
     class Stderr(logging.Handler):
@@ -31,7 +30,7 @@ def show_log(verbose: int) -> None:
 
 @contextmanager
 def visible_usage() -> Iterator[None]:
-    """Errors of usage from inside have no characters that a terminal obeys: arguments may be names of files."""
+    """Escape control characters in usage errors, because arguments may be names of untrusted files."""
     try:
         yield
     except click.UsageError as error:

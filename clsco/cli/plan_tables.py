@@ -23,11 +23,11 @@ if TYPE_CHECKING:  # what needs OpenCL
 def plan_tables(
     plans: Sequence[Plan], device: str, time: FrameTime | None, cheaper: Sequence[tuple[Setting, float]]
 ) -> list[RenderableType]:
-    """Tables of a plan: its passes, the parts that it leaves out, its costs and what would cost less, and keys of the
-    scene that it has no use for.
+    """Tables of a plan: its passes, the features it leaves out, its costs, cheaper settings, and unused keys of the
+    scene.
 
-    plans: one, or those of the left and the right view of a stereo pair; device: that is used, or why there is none;
-    time: of a frame, None where it is not known; cheaper: settings and their seconds.
+    plans: one, or those of the left and the right view; device: the device in use, or the reason why there is none;
+    time: time of a frame, or None if unknown; cheaper: settings with their seconds.
     """
     plan = plans[0]
     scene = plan.scene
@@ -59,7 +59,7 @@ def plan_tables(
 def planned_values(
     plans: Sequence[Plan], device: str, time: FrameTime | None, cheaper: Sequence[tuple[Setting, float]]
 ) -> dict[str, Any]:
-    """The figures of `plan_tables` for programs: bytes, px, seconds of a frame; null for what is not known."""
+    """The figures of `plan_tables` for programs: bytes, px, seconds per frame; null if unknown."""
     first = plans[0]
     views = []
     for plan, seconds in zip(plans, ({},) * len(plans) if time is None else time.views, strict=True):
@@ -84,7 +84,7 @@ def planned_values(
 
 
 def duration(seconds: float) -> str:
-    """A predicted time for people: two digits."""
+    """A predicted time with two digits and a unit."""
     for unit, size in (("h", 3600.0), ("min", 60.0), ("s", 1.0), ("ms", 1e-3)):
         if seconds >= 1.5 * size or unit == "ms":
             break
@@ -93,7 +93,7 @@ def duration(seconds: float) -> str:
 
 
 def _of_lines(plan: Plan) -> str:
-    """Time samples of each line under a rolling shutter, after the number of all."""
+    """Text after the number of time samples: how many each line has under a rolling shutter."""
     sequence = plan.scene.sequence
     line = "column" if sequence.by_columns else "row"
     text = f": {plan.samples} while a {line} is exposed"
@@ -103,7 +103,7 @@ def _of_lines(plan: Plan) -> str:
 
 
 def _times(plan: Plan, kind: Kind) -> int:
-    """Number of times that a frame has passes of this kind."""
+    """Number of passes of this kind in a frame."""
     members = sum(each.kind == kind for each in plan.passes)
     return members if kind in ONCE_A_FRAME else members * plan.subframes
 
@@ -117,8 +117,9 @@ def _time(time: FrameTime | None) -> str:
 
 
 def _passes(plans: Sequence[Plan], time: FrameTime | None) -> list[tuple[str, ...]]:
-    """Rows of what is run, those of all occlusion groups together; of a stereo pair, of each view. A buffer counts for
-    the first pass that works with it."""
+    """Rows of the passes, all occlusion groups together; for a stereo pair, rows of each view. A buffer counts for the
+    first pass that uses it.
+    """
     rows: list[tuple[str, ...]] = []
     views = ({},) * len(plans) if time is None else time.views
     for plan, seconds in zip(plans, views, strict=True):
@@ -153,7 +154,7 @@ def _figures(plan: Plan) -> list[tuple[str, str]]:
 
 
 def _exposure(plan: Plan) -> list[tuple[str, str]]:
-    """The light of the frame, where it goes by the aperture's area."""
+    """Rows on the exposure, if it depends on the aperture's area."""
     aperture = plan.scene.aperture
     if aperture.exposure == "normalized":
         return []
@@ -169,7 +170,7 @@ def _strips(plan: Plan) -> str:
 
 
 def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]]:
-    """Rows of all views in the order of the first one: once where they agree, else with the name of the view."""
+    """Rows of all views in the order of the first view: once if all agree, else with the view's name."""
     if len(rows) == 1:
         return list(rows[0])
     views = [dict(one) for one in rows]

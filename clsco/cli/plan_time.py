@@ -1,4 +1,4 @@
-"""Predicted time of a scene's frames, and of settings that take less, with the error that the documentation has."""
+"""Predicted time of a scene's frames and of cheaper settings, with the errors that the documentation lists."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ WORTH = 0.7  # of the time, that a setting may take at most to be named
 
 @dataclass(frozen=True)
 class Setting:
-    """A value of a key that costs less.
+    """A cheaper value of a key.
 
     Attributes
     ----------
     key : str
     value : object
     error : str
-        PSNR against a ray-traced lens, and of what.
+        PSNR against a ray-traced lens, and of which scene.
     page : str
         Page of the documentation that has its table.
     """
@@ -35,7 +35,7 @@ class Setting:
 
     @property
     def text(self) -> str:
-        """As a scene file has it."""
+        """Text of the value as in a scene file."""
         return f'{self.key} = "{self.value}"' if isinstance(self.value, str) else f"{self.key} = {self.value}"
 
 
@@ -49,20 +49,20 @@ SETTINGS = (
 
 
 def cheaper_settings(session: Session, prepared: Prepared, time: FrameTime) -> list[tuple[Setting, float]]:
-    """Settings by which a frame takes less, with the seconds that it then takes.
+    """Settings that make a frame cheaper, with the seconds that it then takes.
 
     Parameters
     ----------
     session : Session
     prepared : Prepared
     time : FrameTime
-        Time of the scene as it is.
+        Time of the scene as given.
 
     Returns
     -------
     list of (Setting, float)
-        Settings of `SETTINGS` that the scene has not, can have, and that take at most WORTH of the time, and of another
-        value of the same key that is nearer to the lens; none of a frame that is shorter than SHORT.
+        Settings of `SETTINGS` that the scene does not have but could, and that take at most WORTH of the time; of
+        several values of a key, the most accurate. Empty if a frame takes less than SHORT.
     """
     if time.seconds < SHORT:
         return []

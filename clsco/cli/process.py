@@ -1,4 +1,4 @@
-"""The command as a process of its own, which starts fast, and ends as soon as its work is done."""
+"""The command as a process: starts fast, and exits as soon as its work is done."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ _OBJECTS = 100_000
 def run() -> None:
     """Run the command line.
 
-    Modules are imported when a command needs them. Meanwhile Python would look for garbage a hundred times, and
-    pydantic for plug-ins in all installed packages; at the end Python would look through all that was imported once
-    more, which takes a fifth of a short command's time (docs/lessons.md).
+    Modules are imported only when a command needs them. During imports, garbage collection and pydantic's search for
+    plug-ins are off, and at exit Python frees no objects: together a fifth of a short command's time (docs/lessons.md).
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what the terminal has no letter for is shown as its escape

@@ -1,4 +1,4 @@
-"""Progress of work: a bar on a terminal, or on request lines of JSON on stderr, for programs."""
+"""Progress: a bar on a terminal, or, on request, lines of JSON on stderr for programs."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ LINES_S = 0.2  # between lines of JSON
 
 @contextmanager
 def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; gives a function to call after each of `what`."""
+    """Show a bar on a terminal, nothing in a pipe; yields a function to call after each item (`what`)."""
     with _bar(total, quiet, what, None) as advance:
         yield advance
 
 
 @contextmanager
 def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Callable[[], object]]:
-    """A bar as of `progress` that shows where in a frame the device is, too, and the time that is left."""
+    """Bar as of `progress` that also shows the device's position within a frame and the time left."""
     if not _is_shown(total, quiet):
         with _bar(total, quiet, "frames", None) as advance:
             yield advance
@@ -53,9 +53,9 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
 
 
 def position(here: Progress, done: float, total: int, elapsed: float) -> str:
-    """Say what is done in a frame, how much of it where it takes long, of which time sample, and the time left.
+    """Text of the position: frame, share of it if it takes long, time sample, and time left.
 
-    done: frames of `total`; elapsed: s. What is left is known when a time sample is done.
+    done: finished frames of `total`; elapsed: seconds. The time left is known after the first time sample.
     """
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
@@ -76,7 +76,7 @@ def _is_in_lines() -> bool:
 
 @contextmanager
 def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
-    """Print a line of JSON at the beginning, at the end, and meanwhile every LINES_S seconds."""
+    """Print a line of JSON at the beginning, every LINES_S seconds, and at the end."""
     done, printed, last = 0, -1, 0.0
 
     def print_line() -> None:
@@ -103,7 +103,7 @@ def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
 def _bar(
     total: int, quiet: bool, what: str, after_bar: Callable[[float, float], str] | None
 ) -> Iterator[Callable[[], object]]:
-    """Show a bar, and after it the text of `after_bar`, given the number done and the seconds since it began."""
+    """Show a bar, followed by the text that `after_bar` returns for the number done and the seconds elapsed."""
     if _is_in_lines():
         with _lines(total, what) as advance:
             yield advance
@@ -132,7 +132,7 @@ def _bar(
 
 @contextmanager
 def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
-    """A bar as of `progress` for work that reports the share that is done, from 0 to 1."""
+    """Bar as of `progress` for work that reports a fraction from 0 to 1."""
     shown = 0
     with progress(100, quiet, "percent") as advance:
 

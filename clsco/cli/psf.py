@@ -64,7 +64,7 @@ def psf(
 ) -> None:
     """Write the point spread functions of a scene's lens: the weights that its frames are made with.
 
-    They are those of a source that is seen whole, over depth on both sides of the focal surface. Needs no OpenCL.
+    The functions are for a source that is not occluded, at depths on both sides of the focal surface. Needs no OpenCL.
     """
     if out.suffix.lower() not in SUFFIXES:
         raise ClscoError(f"{click.format_filename(out)}: must end in {' or '.join(SUFFIXES)}")

@@ -1,4 +1,4 @@
-"""The picture of `clsco psf`: point spread functions side by side from near to far."""
+"""The picture of `clsco psf`: point spread functions side by side, from near to far."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ EMPTY = (12, 12, 16)
 
 
 def sheet(stack: PsfStack) -> NDArray[np.uint8]:
-    """Draw a stack: rows for each channel and place, and a column for each depth; returns (rows, columns, 3).
+    """Draw a stack with a row for each channel and place and a column for each depth; returns (rows, columns, 3).
 
-    Each is as bright as its largest weight, w, which is written below. All have the same scale.
+    Each cell is scaled to its largest weight, w, written below it. All cells have the same scale in px.
     """
     channels, places, depths, side, _ = stack.weights.shape
     rows = []
@@ -34,7 +34,9 @@ def sheet(stack: PsfStack) -> NDArray[np.uint8]:
 
 
 def _cell(weights: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """A point spread function as a picture of CELL px a side, its pixels as several whole ones if there is room."""
+    """A point spread function as a picture of CELL px a side; its pixels are enlarged by a whole factor if there is
+    room.
+    """
     shown = np.round(255.0 * np.clip(weights / max(float(weights.max()), 1e-30), 0.0, 1.0)).astype(np.uint8)
     side = shown.shape[0]
     if side > CELL:  # the largest weight of each pixel of the picture, so that points are seen

@@ -1,4 +1,4 @@
-"""The command `clsco render`, and what it shares with `clsco defocus`."""
+"""Implementation of `clsco render`, and functions shared with `clsco defocus`."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def render(
 
 
 def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
-    """Fail where --no-color is given and files need the image, or there are none."""
+    """Fail if --no-color is given and the files need the image, or no files are asked for."""
     if not no_color:
         return
     if not files:
@@ -106,7 +106,7 @@ def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
 
 
 def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
-    """Request for these files of ground truth: the outputs in them, or without such files none."""
+    """Request for the outputs in these files of ground truth; without files, for no outputs."""
     from clsco.plan.request import Request
 
     if computation is not None:
@@ -131,7 +131,7 @@ def render_to_folders(
     color: bool = True,
     check: bool = False,
 ) -> None:
-    """Plan scenes, and render those of each file into its folder."""
+    """Plan scenes, and render the scenes of each file into its folder."""
     if files:
         from clsco.frame.files import require_truth_formats
 

@@ -108,7 +108,9 @@ def plan(
 
 
 def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
-    """The session that a plan is measured in, with the device; or none, and why, where no device was asked for."""
+    """The session with the device that measures the plan; or, if no device was asked for and none works, None and the
+    reason.
+    """
     try:
         require_opencl()
         from clsco.opencl.session import session_for

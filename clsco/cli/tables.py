@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Group:
-    """A table of plain text; columns named in `right` hold numbers."""
+    """A table of plain text; columns named in `right` are aligned right, as numbers."""
     body = Table(box=SIMPLE, pad_edge=False)
     for name in columns:
         body.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
@@ -34,7 +34,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], rig
 
 
 def check_tables(checked: Checked) -> list[RenderableType]:
-    """Differences of one frame from the reference, and the time of each."""
+    """Differences of one frame from the reference, and both times."""
     columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
     rows = [
         (d.output, f"{d.largest:.2e}", f"{d.rms:.2e}", d.unit, f"{d.row}", f"{d.column}", f"{d.count}", f"{d.figure:g}")
@@ -52,8 +52,9 @@ def check_tables(checked: Checked) -> list[RenderableType]:
 
 
 def judged_tables(judgement: Judgement) -> list[RenderableType]:
-    """Deviations of one frame from rays through the lens, by class of pixel and by object, and light of small
-    objects."""
+    """Deviations of one frame from rays through the lens, by class of pixel and by object, and the light of small
+    objects.
+    """
     columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
     tables: list[RenderableType] = []
     for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
@@ -76,7 +77,7 @@ def judged_tables(judgement: Judgement) -> list[RenderableType]:
 
 
 def inpaint_tables(report: Report) -> list[RenderableType]:
-    """Tables of filling an image; for the method mean-median with the figures of the thesis' table (figure 5.21)."""
+    """Tables of filling an image; for the method mean-median, with the figures of the thesis' table (figure 5.21)."""
     figures, rows = report.figures(), [("missing pixels", f"{report.missing_pixels}")]
     if "border_pixels" in figures:
         rows += [("border pixels", f"{figures['border_pixels']}"), ("sweeps", f"{figures['sweeps']}")]
@@ -96,7 +97,7 @@ def inpaint_tables(report: Report) -> list[RenderableType]:
 def device_tables(
     devices: Sequence[Device], used: Device | None, checks: Mapping[Device, Sequence[Check]]
 ) -> list[RenderableType]:
-    """Devices with what each can do, and the answers of their self-tests where there are any."""
+    """Devices with the features of each, and the results of their self-tests if they ran."""
 
     def yes(has: bool) -> str:
         return "yes" if has else "no"
@@ -118,7 +119,7 @@ def device_tables(
 
 
 def print_tables(*things: RenderableType) -> None:
-    """Print to stdout, as wide as the terminal; without one, as wide as they are; nothing where stdout is closed."""
+    """Print to stdout, as wide as the terminal, or as wide as needed without one; does nothing if stdout is closed."""
     if sys.stdout is None:
         return
     width = None if sys.stdout.isatty() else 160

@@ -76,7 +76,7 @@ def _report(where: Path, facts: Sequence[str]) -> None:
 
 
 def require_clips(planned: Sequence[PreparedFile], preset: str) -> None:
-    """Fail before anything is rendered where PyAV is missing or a scene can have no clip of a preset."""
+    """Fail, before any frame is rendered, if PyAV is missing or the preset cannot store a scene's clip."""
     from clsco.files.video import rate_of, require_size, require_video
 
     for path, _, prepared in planned:
@@ -87,7 +87,7 @@ def require_clips(planned: Sequence[PreparedFile], preset: str) -> None:
 
 
 def _clips(job: Job, preset: str) -> list[tuple[str, Path]]:
-    """Views of a job's frames with the clip of each."""
+    """Views of a job's frames, with the path of each clip."""
     from clsco.frame.video import clip_path, folder_clip
 
     eyes = ("",) if job.prepared.scene.stereo is None else ("left", "right")
@@ -95,7 +95,7 @@ def _clips(job: Job, preset: str) -> list[tuple[str, Path]]:
 
 
 def remove_clips(jobs: Sequence[Job], preset: str) -> None:
-    """Remove clips of frames that will be others."""
+    """Remove clips of frames that are about to change."""
     from clsco.files.atomic import remove_file
 
     for job in jobs:
@@ -104,7 +104,9 @@ def remove_clips(jobs: Sequence[Job], preset: str) -> None:
 
 
 def write_clips(jobs: Sequence[Job], preset: str) -> None:
-    """Write a clip beside the frames of each job, where all of its scene's are there; otherwise say so."""
+    """Write a clip beside the frames of each job if all frames of its scene exist; otherwise print that some are
+    missing.
+    """
     from clsco.frame.files import frame_json
     from clsco.frame.frame_folder import read_frame_folder
     from clsco.frame.video import Playing, write_folder_clip

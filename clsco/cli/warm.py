@@ -1,4 +1,4 @@
-"""Implementation of `clsco devices --warm`: kernels of usual scenes, images and masks compiled ahead."""
+"""Implementation of `clsco devices --warm`: compiles the kernels of usual scenes, images and masks ahead of time."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ RADIUS = 9.0  # px: more than the smallest discs reach
 
 
 def compile_usual_kernels(device: str | None) -> tuple[int, int]:
-    """Run what users usually run on small frames, so that its kernels are compiled and cached.
+    """Render small frames of usual scenes, so that their kernels are compiled and cached.
 
-    device: as for `clsco.render`. Returns how many scenes and images were run, and how many programs that took. Raises
-    DeviceError where there is no such device.
+    device: as for `clsco.render`. Returns the number of scenes and images, and of programs compiled. Raises DeviceError
+    if there is no such device.
     """
     session, count = session_for(device), 0
     precisions = ("double", "single") if session.device.has_fp64 else ("single",)

@@ -1,7 +1,8 @@
 """Data sets: samples drawn from distributions, the formats that hold them, and the loader.
 
-`clsco.data.make(distribution, "DATA", count=100)` makes one of a distribution file, its content or a function.
-`clsco.data.open("DATA", "train")` opens one: `Dataset` has length, index, slices and iteration, and gives `Record`s.
+`clsco.data.make(distribution, "DATA", count=100)` makes a set from a distribution file, its content or a function.
+`clsco.data.open("DATA", "train")` opens one: a `Dataset` supports length, index, slices and iteration, and its items
+are `Record`s.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Acceptance of samples, and keys derived from what they show, by a coarse grid of rays in float64.
+"""Acceptance of samples, and values derived from their images, by a coarse grid of rays in float64.
 
 Nothing here depends on a device: the same rays are cast for every rendering of a sample.
 """
@@ -41,17 +41,17 @@ DERIVED = {
 
 
 class UnfitError(SceneError):
-    """A key cannot follow from what was drawn: it is drawn again."""
+    """A key cannot be derived from the drawn values, so that the sample is drawn again."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Surfaces seen at the middle of some frames, each on RAYS x RAYS rays at equal distances over the frame.
+    """Surfaces in some frames of a sample, seen by RAYS x RAYS rays on a regular grid over each frame.
 
-    Of the rays that meet a surface, in all these frames: inverse depth in 1/mm, |R| in px (with what is seen of a
-    background), and length of the flow to the next frame in px. `valid` is the share of rays that meet a surface, of
-    the frame with the least; `visible` the share of the rays that meet an object, of those that would if it were alone,
-    of the object and frame with the least: 0 where an object is not in the frame. A box is one object.
+    For all rays of these frames that meet a surface: inverse depth in 1/mm, |R| in px (the background included), and
+    length of the flow to the next frame in px. `valid`: share of rays that meet a surface, in the frame with the least;
+    `visible`: share of an object's rays that are not occluded, for the object and frame with the least, 0 if an object
+    is outside the frame. A box is one object.
     """
 
     inverse_depth: Array
@@ -61,7 +61,7 @@ class Look:
     visible: float
 
     def measure(self, name: str) -> float:
-        """One of MEASURES."""
+        """Value of one of MEASURES."""
         largest = {"max_blur_px": self.blur, "max_flow_px": self.flow}
         if name in largest:
             return float(largest[name].max(initial=0.0))
@@ -70,8 +70,9 @@ class Look:
 
 @dataclass(frozen=True)
 class _Frame:
-    """One frame: what rays (RAYS, RAYS) meet; front: number of the object, -1 for none; hits: (objects, RAYS, RAYS),
-    whether each object is on the way at all."""
+    """Rays through one frame. Surfaces met: (RAYS, RAYS); front: number of the nearest object, -1 for none; hits:
+    (objects, RAYS, RAYS), True if the ray meets the object, occluded or not.
+    """
 
     number: int
     w: Array
@@ -80,10 +81,10 @@ class _Frame:
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
-    """Cast rays at the variants of a sample: scenes of analytic objects with a resolution; of stereo pairs the left
+    """Cast rays at the variants of a sample: scenes of analytic objects with a resolution; for stereo pairs the left
     views.
 
-    Rays are cast once for all lenses. Validated against the ground truth of the reference.
+    One cast serves all lenses. Validated against the ground truth of the reference.
     """
     by_lens: dict[Scene, list[_Frame]] = {}
     looks = []
@@ -113,7 +114,9 @@ def _cast_rays(scene: Scene, number: int) -> _Frame:
 
 
 def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
-    """Lengths (RAYS, RAYS) of the flow over an interval, px; 0 where there is nothing or it gets behind the lens."""
+    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 where no surface is seen or it moves behind the
+    lens.
+    """
     time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
     x, y = _slopes(scene, time)
@@ -151,7 +154,7 @@ def _measure_frames(scene: Scene, frames: Sequence[_Frame]) -> Look:
 
 
 def _bodies(scene: Scene) -> list[list[int]]:
-    """Numbers of the objects that each table of the file has become: six for a box, and none for a background."""
+    """Numbers of the scene's objects for each table of the file: six for a box, none for a background."""
     bodies: dict[Any, list[int]] = {}
     for number, item in enumerate(scene.objects):
         name, _, side = item.name.rpartition(" ")
@@ -165,7 +168,7 @@ Bounds = tuple[tuple[str, float, float], ...]
 
 
 def bounds_of(table: Any) -> tuple[Bounds, list[str]]:
-    """Measures of [accept] with their least and largest values, and messages on faults of the table."""
+    """Measures of [accept] with their lower and upper bounds, and messages on faults of the table."""
     if not isinstance(table, Mapping):
         return (), [f"accept: must be a table; got {shown(table)}"]
     bounds, faults = [], list[str]()
@@ -189,7 +192,7 @@ def _is_number(value: Any) -> bool:
 
 
 def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
-    """Why a sample is not accepted, `measure must be ...; got value`, or None."""
+    """Reason why a sample is rejected, `measure must be ...; got value`, or None."""
     if not bounds:
         return None
     for look in looks_of(scenes):
@@ -202,9 +205,10 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -> float:
-    """The value of a key of DERIVED by which a sample gets a measure, rounded to DIGITS digits.
+    """Value of a key of DERIVED that gives a sample the target measure, rounded to DIGITS digits.
 
-    scenes: the variants; the measure is that of the variant with the most of it. Raises UnfitError where no value does.
+    scenes: the variants; the target is for the variant with the largest measure. Raises UnfitError if no value reaches
+    it.
     """
     name = ".".join(key)
     if key == ("sequence", "shutter"):
@@ -225,7 +229,7 @@ def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -
 
 
 def _interval(target: float, scenes: Sequence[Scene]) -> float:
-    """The time from the reference pose of the first variant in which the fastest point in sight moves so many px."""
+    """Time in s, from the reference pose of the first variant, in which the fastest visible point moves `target` px."""
     scene = scenes[0]
     if not scene.moves:
         raise UnfitError("derive.sequence.interval: something must move in the frame; got none that does")
@@ -251,7 +255,7 @@ def _rounded(value: float) -> float:
 
 
 def parse_target(key: tuple[str, str], value: Any) -> Any:
-    """Value of a key of [derive]: a number, or a distribution of it. Raises RefusedError."""
+    """Value of a key of [derive]: a number, or a distribution. Raises RefusedError."""
     form = DERIVED[key]
     if not isinstance(value, Mapping) or set(value) != {form}:
         raise RefusedError(f"must be {{ {form} = value }}")

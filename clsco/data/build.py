@@ -1,5 +1,6 @@
-"""From the values of one sample to its table, which is a scene file, and its scenes; and scenes of extreme values, as a
-file that can give an invalid one is refused when it is read."""
+"""Builds the scene file and the scenes of a sample from its drawn values, and scenes of extreme values, so that a
+distribution with invalid scenes is refused when it is read.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ ValueOf = Callable[[Parameter, int], Any]
 
 
 class Builder:
-    """Makes one sample. folder: start of paths."""
+    """Builds one sample. folder: base of relative paths."""
 
     def __init__(self, parts: VariedKeys, folder: Path) -> None:
         self._parts, self._folder = parts, folder
@@ -39,10 +40,10 @@ class Builder:
     def build(
         self, value_of: ValueOf, derive: bool = True, noise_seed: int = 0
     ) -> tuple[dict[str, Any], dict[str, Any], Sweep]:
-        """The sample of some values: the content of its scene file, its parameters by name, and its scenes.
+        """Build a sample from its values: content of its scene file, parameters by name, and scenes.
 
-        derive: with the keys that follow from its scenes; noise_seed: of its sensor, where that has none. Raises
-        SceneError, whose messages do not name the file, and UnfitError.
+        derive: add keys that are derived from its scenes; noise_seed: seed of a sensor without one. Raises SceneError,
+        whose messages do not name the file, and UnfitError.
         """
         parts = self._parts
         try:
@@ -75,7 +76,7 @@ class Builder:
         table[location[-1]] = self._parameters[name] = copied(value)
 
     def _add(self, population: Population, element: int, value_of: ValueOf) -> None:
-        """An object of a population."""
+        """Add an object of a population."""
         item: dict[str, Any] = copied(population.constants)
         prefix = f"object.{population.label}."
         for parameter in population.parameters:
@@ -92,7 +93,7 @@ class Builder:
             self._fit(item, population.shapes)
 
     def _fit(self, item: dict[str, Any], shapes: tuple[str, ...]) -> None:
-        """Leave out keys of an object that belong to another shape than the drawn one, and place the rest."""
+        """Remove keys of an object that do not belong to the drawn shape, and resolve its placements."""
         shape = item.get("shape")
         own = SHAPES[shape].model_fields.keys() if isinstance(shape, str) and shape in SHAPES else set(item)
         others = {key for one in shapes if one in SHAPES for key in SHAPES[one].model_fields}
@@ -104,7 +105,7 @@ class Builder:
         self._placed = [(n, t, k) for n, t, k in self._placed if t is not item or k in item]
 
     def _complete(self, noise_seed: int) -> None:
-        """Add what follows from other keys."""
+        """Add keys that follow from other keys."""
         if self._parts.sized:
             self._size()
         if self._placed:
@@ -113,7 +114,7 @@ class Builder:
             sensor.setdefault("noise_seed", noise_seed)
 
     def _size(self) -> None:
-        """Give the camera the resolution that it has without one: that of the first texture."""
+        """Give a camera without a resolution that of the first texture."""
         camera, objects = self._table.setdefault("camera", {}), self._table.get("object")
         first = objects[0] if isinstance(objects, list) and objects else None
         if isinstance(camera, dict) and "resolution" not in camera and isinstance(first, dict):
@@ -125,7 +126,7 @@ class Builder:
                 raise SceneError(f"object[0].texture: {error}") from None
 
     def _place(self) -> None:
-        """Points in the frustum, now that the camera is known: that of the first variant."""
+        """Compute points in the frustum from the camera, that of the first variant."""
         section = self._table["camera"]
         if not isinstance(section, dict):
             raise SceneError(f"camera: must be a table; got {shown(section)}")
@@ -147,7 +148,7 @@ class Builder:
         return parse_sweep(self._table, "")
 
     def _varied(self, message: str) -> str:
-        """A message with its key as the distribution file has it."""
+        """A message with its key named as in the distribution file."""
         for key, source in self._sources.items():
             if message.startswith(key):
                 return source + message.removeprefix(key)
@@ -157,7 +158,7 @@ class Builder:
 
 
 def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The content of a scene file with paths that start at a folder. Raises SceneError for those that leave it."""
+    """The content of a scene file with paths relative to a folder. Raises SceneError for paths outside of it."""
 
     def inside(place: Location, name: str) -> str:
         if Path(name).is_absolute() or ".." in Path(name).parts:
@@ -168,7 +169,7 @@ def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _first(key: str, value: Any) -> Any:
-    """The first of several values of a key of the camera."""
+    """The first value of a camera key with several values."""
     if isinstance(value, dict):
         return value.get("from")
     several = isinstance(value, list) and value and (key != "resolution" or isinstance(value[0], list))
@@ -180,8 +181,9 @@ MAX_EXTREMES = 48  # of one distribution
 
 
 def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
-    """Messages on scenes of extreme values, each once: the lowest of all, the highest of all, and each extreme of one
-    parameter with the lowest and the highest values of the others."""
+    """Messages on scenes of extreme values, without duplicates: all parameters at their lowest, all at their highest,
+    and each extreme of one parameter with the others at their lowest and highest.
+    """
     faults: dict[str, str] = {}  # by what is asked for
     for corner in _corners(parts):
         try:
@@ -197,7 +199,7 @@ def _corner_value(corner: Mapping[str, Any], parameter: Parameter, _: int) -> An
 
 
 def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
-    """Values by the names of their parameters."""
+    """Extreme values by parameter name, for each such scene."""
     every = [*parts.parameters, *(one for population in parts.populations for one in population.parameters)]
     extremes = {one.name: _some(one.form.extremes()) for one in every}
     counts = {population.count.name: sorted(population.count.form.extremes()) for population in parts.populations}
@@ -215,6 +217,6 @@ def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
 
 
 def _some(values: tuple[Any, ...]) -> list[Any]:
-    """At most MAX_EXTREMES of the values, the first and the last among them."""
+    """At most MAX_EXTREMES of the values, including the first and the last."""
     count = min(len(values), MAX_EXTREMES)
     return [values[(len(values) - 1) * k // max(1, count - 1)] for k in range(count)]

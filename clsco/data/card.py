@@ -1,4 +1,4 @@
-"""Cards of data sets: `dataset.json` for programs, and README.md for people and the Hugging Face hub."""
+"""Cards of data sets: `dataset.json` for programs, and README.md for readers and the Hugging Face hub."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _HUB_FORMATS = ("webdataset", "parquet")
 def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, int]]) -> None:
     """Complete the card of a set whose shards are all done, and write README.md.
 
-    What `dataset.json` has stays, of the license and the distribution above all. files: with the number of samples in
-    them. Raises FileError: the set cannot be read or written.
+    Existing entries of `dataset.json` stay, such as the license and the distribution. files: names with their number of
+    samples. Raises FileError: the set cannot be read or written.
     """
     card = json.loads(storage.read(CARD) or b"{}")
     by_split = files_by_split(files)
@@ -52,7 +52,7 @@ def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, 
 
 @dataclass(frozen=True)
 class _SampleDescription:
-    """The first sample of a set: its shard, its key, and what it says of its arrays, by their names."""
+    """The first sample of a set: its shard, its key, and the description of its arrays by name."""
 
     file: str = "SPLIT/000000"
     key: str = "000000000"
@@ -82,7 +82,7 @@ def _encoding(form: str, about: Mapping[str, Any]) -> str:
 
 
 def _loading(form: str, first: _SampleDescription) -> dict[str, str]:
-    """Code that loads a set, by package, with names that the set has."""
+    """Code that loads a set, by package, with the names of this set."""
     folder = first.file.partition("/")[0]
     opened = "" if folder == UNSPLIT else f", {json.dumps(folder)}"
     pattern, shard = json.dumps(f"DATA/{folder}/*{CONTAINERS[form].suffix}"), json.dumps(f"DATA/{first.file}")
@@ -106,7 +106,7 @@ def _loading(form: str, first: _SampleDescription) -> dict[str, str]:
 
 
 def readme(card: Mapping[str, Any]) -> str:
-    """The text of README.md from the whole card: a header for the hub, and what people want to know."""
+    """The text of README.md from the whole card: a YAML header for the hub, and a description for readers."""
     identity, counts = card["identity"], card["counts"]
     lines = [
         "---", *_header(card), "---", "", "# Synthetic images with defocus and motion blur", "",
@@ -140,7 +140,7 @@ def readme(card: Mapping[str, Any]) -> str:
 
 
 def _header(card: Mapping[str, Any]) -> list[str]:
-    """YAML that the hub reads. JSON strings are YAML strings."""
+    """YAML header for the hub; its strings are written as JSON, which is valid YAML."""
     license_text, identity = str(card["license"]), card["identity"]
     if license_text.lower() == "unspecified":
         lines = ["license: unknown"]

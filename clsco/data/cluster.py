@@ -1,4 +1,4 @@
-"""Shards of a set as tasks of dask.distributed, on the workers of a cluster."""
+"""Shards of a set as tasks of dask.distributed on the workers of a cluster."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _makers: dict[str, ShardMaker] = {}
 
 
 def cluster_device(address: str) -> tuple[str, str]:
-    """Device family and precision of a worker of a cluster. Raises ClscoError where there is none."""
+    """Device family and precision of a cluster's worker. Raises ClscoError if there is no worker."""
     distributed = _distributed()
     with _client(distributed, address) as client:
         workers = _workers(client, address)
@@ -47,8 +47,8 @@ def cluster_device(address: str) -> tuple[str, str]:
 def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
     """Make shards on the workers of a cluster, one at a time on each.
 
-    address: of the scheduler, such as tcp://host:8786; advance: takes numbers of samples that are done since the last
-    call. Raises ClscoError: there is no scheduler, it goes away, the storage fails, or a shard cannot be made.
+    address: of the scheduler, such as tcp://host:8786; advance: called with the number of samples done since its last
+    call. Raises ClscoError: the scheduler is missing or lost, the storage fails, or a shard cannot be made.
     """
     distributed = _distributed()
     schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
@@ -81,8 +81,7 @@ def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Calla
 
 
 def _ended_well(distributed: Any, schedule: Schedule, task: ShardTask, future: Any, address: str) -> bool:
-    """Record how a task ended; True if it gave its result. Raises ClscoError where every other task would fail as
-    well."""
+    """Record how a task ended; True if it succeeded. Raises ClscoError if every other task would fail as well."""
     if future.status == "cancelled":
         raise _lost(address)
     if future.status == "error":
@@ -130,7 +129,7 @@ def _distributed() -> Any:
 
 
 def _workers(client: Any, address: str) -> Mapping[str, Any]:
-    """Workers as the scheduler lists them. Raises ClscoError if the scheduler is gone."""
+    """Workers that the scheduler lists. Raises ClscoError if the scheduler is lost."""
     workers: Mapping[str, Any] | None = client.scheduler_info(n_workers=-1).get("workers")
     if workers is None:
         raise _lost(address)
@@ -138,7 +137,7 @@ def _workers(client: Any, address: str) -> Mapping[str, Any]:
 
 
 def _room(workers: Mapping[str, Any]) -> int:
-    """Tasks that are on their way at a time: where a worker dies, none is blamed but the one that it was at."""
+    """Number of tasks to submit at a time: one per worker, so that a dying worker fails only the task that it ran."""
     return max(1, sum(int(worker["resources"].get(RESOURCE, 1)) for worker in workers.values()))
 
 
@@ -152,7 +151,7 @@ def _per_host(workers: Mapping[str, Any]) -> dict[str, int]:
 
 
 def _prepare(per_host: Mapping[str, int]) -> Any:
-    """The device of this process, which shares the processor with others of its machine."""
+    """The device of this process, which shares the CPU cores with other workers of its machine."""
     worker = _distributed().get_worker()
     host = worker.address.rpartition("://")[2].rpartition(":")[0]
     limit_threads(max(1, processors() // per_host.get(host, 1)), os.environ)
@@ -168,7 +167,7 @@ def _described(per_host: Mapping[str, int]) -> tuple[str, str]:
 
 
 def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tuple[str, str]:
-    """In a worker: do a task; "done", "failed" or "fatal", and why."""
+    """Run a task on a worker; returns "done", "failed" or "fatal", and the reason."""
     with _lock:
         try:
             maker = _maker(packed, per_host)

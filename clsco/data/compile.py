@@ -1,4 +1,4 @@
-"""Parts of a distribution file: a scene with the values that never vary, parameters, and populations."""
+"""Compiles a distribution file into a scene of its fixed values, parameters, and populations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOVING = ("camera", "object", "group")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value that varies: its name, which decides its stream, the key that it is for, and its distribution."""
+    """A value that varies: its name, which selects its random stream, its key, and its distribution."""
 
     name: str
     location: Location
@@ -35,10 +35,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Population:
-    """Objects of one kind, as many as `count`, each with own values.
+    """Objects of one kind, `count` of them, each with its own values.
 
-    label: in names of parameters; entry: position in [[vary.object]]; named: whether the file names it; shapes: that
-    its objects may have.
+    label: used in names of parameters; entry: position in [[vary.object]]; named: True if the file names it; shapes:
+    shapes that its objects may have.
     """
 
     label: str
@@ -52,7 +52,7 @@ class Population:
 
 @dataclass(frozen=True)
 class VariedKeys:
-    """All of a distribution but its rules."""
+    """All of a distribution except its rules."""
 
     scene: dict[str, Any]
     parameters: tuple[Parameter, ...]
@@ -64,7 +64,7 @@ class VariedKeys:
 
 
 class Reader:
-    """Makes the parts of a distribution from its tables, and lists all faults."""
+    """Compiles the tables of a distribution, and lists all faults."""
 
     def __init__(self, tables: DistributionTables, folder: Folder, splits: Splits) -> None:
         self.faults: list[str] = []
@@ -73,7 +73,7 @@ class Reader:
         self._count = 0
 
     def parts(self) -> VariedKeys:
-        """The parts; with `faults` they are not whole."""
+        """The compiled distribution, incomplete if there are `faults`."""
         self._no_forms(self._tables.scene, ())
         parameters, populations = list[Parameter](), list[Population]()
         for section, value in self._tables.vary.items():
@@ -107,7 +107,7 @@ class Reader:
         self.faults.append(f"{key_name(key)}: {rule}; got {shown(got)}")
 
     def _no_forms(self, value: Any, location: Location) -> None:
-        """Refuse distributions that are not in [vary]."""
+        """Report distributions outside of [vary] as faults."""
         if isinstance(value, Mapping):
             if len(location) > 1 and is_form(value) and not _is_table(location):
                 self._faulty(location, "a distribution belongs in [vary]", value)
@@ -119,7 +119,7 @@ class Reader:
                 self._no_forms(entry, (*location, index))
 
     def _section(self, place: Location, table: Mapping[str, Any]) -> list[Parameter]:
-        """Parameters of a table of the scene; what does not vary goes to the scene at once."""
+        """Parameters of a table of the scene; fixed values are written to the scene at once."""
         parameters = []
         for key, value in table.items():
             location = (*place, key)
@@ -135,7 +135,7 @@ class Reader:
         return parameters
 
     def _value(self, value: Any, key: Location, location: Location, name: str) -> tuple[Any, list[Parameter]]:
-        """A value with None where it varies, and the parameters that go there."""
+        """A value with None in place of each varying part, and the parameters for these."""
         if isinstance(value, Mapping):
             is_keyframe = key[-2:-1] == ("keyframe",)  # whose key rotation is no distribution
             if is_form(value) and not is_keyframe:
@@ -177,7 +177,7 @@ class Reader:
         return value
 
     def _existing(self, section: str, entry: int, table: Mapping[str, Any]) -> list[Parameter]:
-        """Parameters of an object or a group that the scene has."""
+        """Parameters of an object or a group of the base scene."""
         index, there = table.get("index"), self._scene.get(section)
         count = len(there) if isinstance(there, list) else 0
         if type(index) is not int or not 0 <= index < count:
@@ -233,7 +233,7 @@ class Reader:
         return Parameter(name, ("count",), form)
 
     def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
-        """Targets of the keys of [derive]; a distribution is replaced by the parameter that draws it."""
+        """Targets of the keys of [derive]; a distribution is replaced by its parameter."""
         targets: dict[tuple[str, ...], Any] = {}
         if not isinstance(sections := self._tables.derive, dict):
             self._faulty(("derive",), "must be a table", sections)
@@ -267,7 +267,7 @@ class Reader:
         return None
 
     def _check_files(self, items: Any, key: Location) -> None:
-        """Take the files that tables name, as objects and the aperture do."""
+        """Register the files that tables name, as objects and the aperture do."""
         for index, item in enumerate(items) if isinstance(items, list) else ():
             for name in FILE_KEYS if isinstance(item, Mapping) else ():
                 if name in item and item[name] is not None:
@@ -275,7 +275,7 @@ class Reader:
                     self._check_file(item[name], (*place, name))
 
     def _check_file(self, name: Any, key: Location) -> None:
-        """Take a file that an object names, or what could be one."""
+        """Register a file that an object names, and report names that are not strings."""
         if isinstance(name, str) and names_file(_key_of_file(key), name):
             try:
                 self._folder.take(name)
@@ -284,17 +284,17 @@ class Reader:
 
 
 def _key_of_file(key: Location) -> str:
-    """Key of FILE_KEYS that a place in the file belongs to."""
+    """Key of FILE_KEYS at a location in the file."""
     return next((name for name in ("depth", "image") if name in key), "texture")
 
 
 def _is_table(location: Location) -> bool:
-    """True if a key has a table of the scene, and not a table that stands for a value."""
+    """True if the key holds a table of the scene, False if a table there is a value."""
     return location[-1] == "motion" or isinstance(location[-1], int)
 
 
 def copied(value: Any) -> Any:
-    """Copy tables and lists; their other values are shared, but for inf, which JSON has as a text alone."""
+    """Copy tables and lists; other values are shared, except inf, which is text in JSON."""
     if isinstance(value, dict):
         return {key: copied(entry) for key, entry in value.items()}
     if isinstance(value, list):

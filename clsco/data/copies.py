@@ -1,4 +1,4 @@
-"""Data sets made again by what their cards say, and compared."""
+"""Data sets made again from their cards, and compared."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def remake(
     data : path
         Folder or address of the set, which is not changed.
     out : path, optional
-        Folder or address of the new one; by default a temporary folder that is removed.
+        Folder or address of the new set; by default a temporary folder that is removed.
     distribution : path, mapping or callable, optional
         As for `clsco.data.make`; by default that of the card. If a function made the set, give the function, as code in
         a set is never run.
@@ -109,12 +109,12 @@ OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite",
 def convert(
     source: Storage, target: Storage, form: str, resume: bool, begin: Callable[[int], Callable[[], object]]
 ) -> tuple[DataSet, Status]:
-    """Write a whole set in another format, as `clsco dataset make --format` would have made it, byte by byte.
+    """Write a whole set in another format, byte for byte as `clsco dataset make --format` would have made it.
 
-    target: empty, or with a conversion that was interrupted, whose whole shards stay with `resume`; begin: takes the
-    number of shards that are left, and gives what is called after each. Returns the set in `target` and its progress.
-    Raises SceneError: there is no such format, or another set is in `target`; FileError: the set is not whole or
-    damaged, as each array must have the SHA-256 that the manifest names.
+    target: empty, or with an interrupted conversion, whose finished shards stay with `resume`; begin: called with the
+    number of remaining shards, returns a function to call after each. Returns the set in `target` and its progress.
+    Raises SceneError: unknown format, or another set is in `target`; FileError: the set is incomplete, or the SHA-256
+    of an array differs from the manifest.
     """
     container_named(form)
     source_set = open_set(source)
@@ -137,7 +137,7 @@ def convert(
 
 
 def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
-    """Convert the files of a shard; its part is written when they are there."""
+    """Convert the files of a shard, then write its part of the manifest."""
     rows, failures = source_set.lines(shard)
     old, new = CONTAINERS[source_set.identity.format], CONTAINERS[new_set.identity.format]
     by_file: dict[str, list[dict[str, Any]]] = {}
@@ -170,7 +170,7 @@ def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
 
 
 def _checked(file: str, records: Iterator[Record] | Any, rows: Sequence[Mapping[str, Any]]) -> Iterator[Record]:
-    """Records whose arrays are those of the manifest."""
+    """Records, checked against the hashes of arrays in the manifest."""
     for record, row in zip(records, sorted(rows, key=lambda row: row["offset"]), strict=True):
         if record.key != f"{row['number']:09d}" or record.sha256() != row["arrays"]:
             raise FileError(f"{file}: sample {row['number']} must have the arrays of the manifest; got others")

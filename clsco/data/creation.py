@@ -1,4 +1,4 @@
-"""Data sets made from Python: `clsco.data.make`, which the command calls as well."""
+"""`clsco.data.make`, which also runs the command `clsco dataset make`."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ class FailedSamplesError(ClscoError):
 
 @dataclass(frozen=True)
 class Workers:
-    """Makers of the shards of a set: processes of this machine, or the workers of a cluster at the address
-    `scheduler`; with the family of the devices, and the precision that these have."""
+    """Workers that make the shards of a set: processes of this machine, or workers of the cluster at the address
+    `scheduler`; with the family and precision of their devices.
+    """
 
     places: Sequence[Place]
     family: str
@@ -235,9 +236,9 @@ def sample_numbers(count: int | None, only: range | None) -> range:
 
 
 def workers_of(names: Sequence[str] = (), count: int | None = None) -> Workers:
-    """Processes of this machine: `count`, on devices by parts of their names.
+    """Processes of this machine: `count` of them, on devices named in part.
 
-    ("all",) are all of the best kind, () is the best one. Raises DeviceError: there is no such device, or they are of
+    ("all",) means all devices of the best kind, () the best one. Raises DeviceError: no such device, or devices of
     several families.
     """
     from clsco.data.shards import device_family
@@ -266,7 +267,7 @@ def _cluster(address: str) -> Workers:
 def _make_shards(
     job: SetJob, shards: Sequence[int], makers: Workers, resume: bool, license_text: str, progress: Progress | None
 ) -> tuple[Status, list[dict[str, Any]]]:
-    """Make those of some shards of a set that are not there yet; lines of the samples in them that failed."""
+    """Make the missing shards among `shards`; returns the progress and the manifest lines of their failed samples."""
     storage = open_storage(job.where)
     storage.tidy()
     new = DataSet(storage, job.identity, job.samples)

@@ -35,9 +35,9 @@ MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
 
 
 class _Shards:
-    """The shards of a set, each opened when it is first read. Threads and processes may share it.
+    """The shards of a set, each opened at its first use. Threads and processes may share it.
 
-    From a store a shard is copied when it is opened, and the copy is removed when it is closed.
+    A shard in an object store is copied when opened; closing removes the copy.
     """
 
     def __init__(self, where: str, form: str, files: Sequence[tuple[str, int]]) -> None:
@@ -145,7 +145,7 @@ class Dataset(Sequence[Record]):
     @overload
     def __getitem__(self, index: slice) -> Dataset: ...
     def __getitem__(self, index: int | slice) -> Record | Dataset:
-        """One record; a view of several. Raises IndexError beyond the end, FileError where a shard is damaged."""
+        """One record, or for a slice a view. Raises IndexError beyond the end, FileError if a shard is damaged."""
         if isinstance(index, slice):
             return self._view(span=self._span[index])
         return self._record(self._span[index])
@@ -325,14 +325,13 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
 
 
 def _shard(file: tuple[str, int]) -> tuple[str, str]:
-    """Order of files: by the number of the shard, then by the split."""
+    """Sort key of files: the number of the shard, then the split."""
     split, _, name = file[0].partition("/")
     return name, split
 
 
 def _card_with_files(data_set: DataSet) -> dict[str, Any]:
-    """The card with the `files` of each split, which are checked; of a set that is not whole yet, those of its parts.
-    Raises FileError."""
+    """The card with the checked `files` of each split; for an unfinished set, those of its parts. Raises FileError."""
     try:
         if "files" in data_set.about:
             listed = dict(data_set.about["files"])
@@ -357,7 +356,7 @@ TILE = 200  # px, the longer side of a picture
 
 
 def _shrink(codes: Picture) -> Picture:
-    """A picture of at most TILE px a side, by its nearest pixels."""
+    """Shrink a picture to at most TILE px a side by its nearest pixels."""
     rows, columns = codes.shape[:2]
     scale = min(1.0, TILE / max(columns, rows))
     small = (max(1, round(rows * scale)), max(1, round(columns * scale)))
@@ -366,7 +365,7 @@ def _shrink(codes: Picture) -> Picture:
 
 
 def record_sheet(records: Iterable[Record]) -> Picture:
-    """Pictures of samples: of several colors the first and the last, else of all images, side by side."""
+    """Images of samples side by side; of several color images, only the first and the last."""
     tiles = []
     for record in records:
         names = [name for name in record if name.rpartition(".")[2] in PICTURES]

@@ -39,17 +39,17 @@ MAX_NUMBER = 2**63 - 1
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample: its scenes, and what was drawn for them.
+    """One sample: its drawn values and its scenes.
 
     Attributes
     ----------
     number : int
     split : str
-        "" where there are no splits.
+        "" without splits.
     attempts : int
         Number of draws until it was accepted, from 1.
     parameters : dict
-        Values by name, such as "camera.focus_distance": what JSON can have.
+        Values by name, such as "camera.focus_distance", of types that JSON has.
     table : dict
         Content of a scene file that renders the sample by itself, in the folder of the distribution file.
     labels : tuple of str
@@ -69,12 +69,12 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """All samples of a distribution file, as a function of seed and number. It may be pickled.
+    """All samples of a distribution file, as a function of seed and number. It can be pickled.
 
-    where: name of the file; folder: start of its paths, links resolved; digest: SHA-256 of all that decides samples,
-    which is the tables with base and overrides, the splits, and names and contents of the files that samples may have;
-    accept: measures with the least and the largest value; tables: content of the file, joined with its base and
-    overrides; recipe: all of it as text, that of the file where that has no base and there are no overrides.
+    where: name of the file; folder: base of its paths, links resolved; digest: SHA-256 of everything that decides
+    samples (the joined tables, the splits, and names and contents of the files that samples may use); accept: measures
+    with lower and upper bounds; tables: content of the file joined with its base and overrides; recipe: the text of
+    these, or of the file itself if it has no base and no overrides.
     """
 
     where: str
@@ -88,7 +88,7 @@ class Distribution:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Entries of the card of a set: for people the text, and for programs all that makes the set again."""
+        """Entries of the data card: the text for readers, and for programs everything needed to make the set again."""
         return {"recipe": self.recipe, "distribution": self.tables.content()}
 
     def draw(self, seed: int, number: int) -> Sample:
@@ -133,18 +133,20 @@ class Distribution:
 
 
 def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Parameter, element: int) -> Any:
-    """The value of a parameter in an attempt at a sample, and in an object of a population; split: its position."""
+    """The value of a parameter for an attempt at a sample and an element of a population; split: position of the
+    sample's split.
+    """
     words = stream_words(seed, number, parameter.name, parameter.form.words, attempt, element)
     return parameter.form.value(words, split)
 
 
 def _noise_seed(seed: int, number: int) -> int:
-    """Seed of the noise of a sample's exposures, where its scene has none."""
+    """Seed of the noise of a sample whose scene has none."""
     return int(stream_words(seed, number, "sensor.noise_seed", 1)[0]) % NOISE_SEEDS
 
 
 def check_numbers(seed: Any, number: Any) -> None:
-    """Raise SceneError where a seed or the number of a sample cannot be."""
+    """Raise SceneError for an invalid seed or sample number."""
     for name, value, most in (("seed", seed, MAX_SEED), ("number", number, MAX_NUMBER)):
         if type(value) is not int or not 0 <= value <= most:
             raise SceneError(f"{name}: must be an integer between 0 and {most}; got {shown(value)}")
@@ -208,7 +210,7 @@ def _recipe(where: str, content: Mapping[str, Any] | None, tables: DistributionT
 
 
 def _not_analytic(parts: VariedKeys) -> list[str]:
-    """Objects that rays cannot be cast at."""
+    """Names of objects that rays cannot be cast at, because they have no formula."""
     shapes = [(f"object[{k}]", item.get("shape")) for k, item in enumerate(parts.scene.get("object", ()))]
     shapes += [(f"vary.object[{p.entry}]", shape) for p in parts.populations for shape in p.shapes]
     rule = "accept and derive need analytic objects, which rays can be cast at"
@@ -227,7 +229,7 @@ DrawScene = Callable[[np.random.Generator, int], SceneLike]
 
 @dataclass(frozen=True)
 class ScriptedDistribution:
-    """All samples that a function draws, as a function of seed and number. It is pickled by the function's name.
+    """All samples that a function draws, as a function of seed and number. Pickling stores the function's name.
 
     where: name of the function, for messages; folder: start of the paths of textures; source: text of the module, from
     which the digest is made.
@@ -241,13 +243,15 @@ class ScriptedDistribution:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what is known to decide samples: source, splits, and NumPy, whose generators may change."""
+        """SHA-256 of the known inputs of samples: source text, splits, and the version of NumPy, whose generators may
+        change.
+        """
         content = [self.function.__qualname__, self.source, np.__version__, self.splits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     @property
     def about(self) -> dict[str, Any]:
-        """Entries of the card of a set: the source, and the name of the function in it."""
+        """Entries of the data card: the source text, and the name of the function in it."""
         return {"recipe": self.source, "function": self.function.__qualname__}
 
     def draw(self, seed: int, number: int) -> Sample:
@@ -276,7 +280,7 @@ class ScriptedDistribution:
         return Sample(number, split, 1, {}, table, ("",), (absolute(scene, self.folder),))
 
     def _table(self, scene: Scene) -> dict[str, Any]:
-        """Content of a scene file in the folder; a description stands in place of an array."""
+        """Content of a scene file with paths in the folder; an array is replaced by its description."""
         table = dump(scene)
         for place, item in scene.inputs:
             arrays = {key: {"array": str(array)} for key, array in item.arrays().items()}
@@ -285,7 +289,7 @@ class ScriptedDistribution:
         return table
 
     def _inside(self, path: str) -> str:
-        """A path as it is written in the folder. Raises SceneError where it leaves it."""
+        """A path relative to the folder. Raises SceneError for a path outside of it."""
         whole = Path(os.path.normpath(self.folder / path))
         if not whole.is_relative_to(self.folder):
             raise SceneError(f"texture: files must lie in {self.folder}; got {path}")
@@ -293,10 +297,10 @@ class ScriptedDistribution:
 
 
 def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None = None) -> ScriptedDistribution:
-    """The distribution of a function `draw(rng, sample)`, which takes a `numpy.random.Generator` and the number of the
-    sample, and gives a scene; arguments as of `clsco.data.make`.
+    """The distribution of a function `draw(rng, sample)`, which takes a `numpy.random.Generator` and a sample number,
+    and returns a scene; arguments as for `clsco.data.make`.
 
-    Raises SceneError: other processes cannot import the function, or its source is not known.
+    Raises SceneError: other processes cannot import the function, or its source text is unknown.
     """
     name = getattr(function, "__qualname__", repr(function))
     try:

@@ -1,9 +1,8 @@
-"""Random numbers that are a function: counter-based streams, and transcendental functions of the same bits everywhere.
+"""Counter-based random streams, and transcendental functions that give the same bits on all machines.
 
-A word of 64 bits depends on the seed, the number of the sample, the name of the parameter, the element of a population,
-the attempt and the position alone. So samples may be drawn in any order, and a parameter that is added moves no other.
-What is computed from words here uses additions, products, quotients and square roots only, which IEEE 754 rounds in one
-way: other machines give the same bits.
+A 64-bit word depends only on the seed, the sample number, the parameter's name, the element of a population, the
+attempt and the position. So samples can be drawn in any order, and a new parameter changes no other. Functions of words
+use only sums, products, quotients and square roots, which IEEE 754 rounds exactly: all machines give the same bits.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ def name_hash(name: str) -> tuple[int, int]:
 
 
 def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
-    """Words (count,) of a parameter of a sample, or of an element of a population.
+    """Words (count,) of a parameter of a sample, or of one element of a population.
 
     They are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element + 2^32
     attempt, hash of the name).
@@ -55,7 +54,7 @@ def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1
 
 
 def unit(words: Words) -> Floats:
-    """Uniform numbers in [0, 1), multiples of 2^-53, of words."""
+    """Uniform numbers in [0, 1), multiples of 2^-53, from words."""
     return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
@@ -118,8 +117,9 @@ def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats)
 
 
 def normal(words: Words) -> Floats:
-    """Standard normal numbers of words, by the inverse of their distribution: AS 241, as `NormalDist.inv_cdf` of the
-    standard library, whose logarithm is that of the C library."""
+    """Standard normal numbers from words, by the inverse distribution function AS 241, as in `NormalDist.inv_cdf`, but
+    with a portable logarithm.
+    """
     p = ((words >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52  # in (0, 1), symmetric
     q = p - 0.5
     middle = q * _ratio(_CENTRAL, 0.180625 - q * q)
@@ -129,14 +129,14 @@ def normal(words: Words) -> Floats:
 
 
 def exact_log(value: float) -> float:
-    """Natural logarithm of a number, correctly rounded: that of the C library is not on every machine."""
+    """Natural logarithm, correctly rounded, because the C library's differs between machines."""
     with localcontext() as context:
         context.prec = 40
         return float(Decimal(value).ln())
 
 
 def shuffled(seed: int, name: str, count: int, turn: int) -> NDArray[np.int64]:
-    """A random order of 0 ... count - 1, by the seed, a name, and which one it is."""
+    """A random order of 0 ... count - 1 that depends on the seed, a name, and the number `turn`."""
     return np.argsort(stream_words(seed, turn, name, count), kind="stable")
 
 
@@ -150,8 +150,8 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 def splits_of(splits: SplitsLike) -> Splits:
     """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05"; None or "": no splits.
 
-    Raises SceneError: names must be able to name folders and differ, also without regard to case; shares must be
-    positive and be 1 in all.
+    Raises SceneError: names must be valid for folders and differ, also without regard to case; shares must be positive
+    and add up to 1.
     """
     if not splits:
         return ()
@@ -182,7 +182,7 @@ def splits_of(splits: SplitsLike) -> Splits:
 
 
 def _parsed_split(part: str) -> tuple[str, float]:
-    """A split from NAME=SHARE."""
+    """Parse a split from NAME=SHARE."""
     name, _, share = part.partition("=")
     try:
         return name.strip(), float(share)
@@ -191,17 +191,17 @@ def _parsed_split(part: str) -> tuple[str, float]:
 
 
 def positions(splits: Splits, place: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Positions of the splits in which numbers of [0, 1) fall, 0 where there are no splits."""
+    """Positions of the splits that contain the numbers `place` of [0, 1); 0 without splits."""
     ends = [math.fsum(share for _, share in splits[: k + 1]) for k in range(len(splits) - 1)]
     return np.searchsorted(ends, place, side="right")
 
 
 def split_of(splits: Splits, seed: int, number: int) -> int:
-    """Position of the split of a sample: by a hash of seed and number alone."""
+    """Position of a sample's split, from a hash of seed and number alone."""
     return int(positions(splits, unit(stream_words(seed, number, "split", 1, attempt=0)))[0])
 
 
 def of_files(splits: Splits, digests: Sequence[str]) -> NDArray[np.int64]:
-    """Position of the split of each file, (n,): by its SHA-256 alone, so that copies are in one."""
+    """Position of the split of each file, (n,), from its SHA-256 alone, so that copies get the same split."""
     words = np.array([int(digest[:16], 16) for digest in digests], np.uint64)
     return positions(splits, unit(words))

@@ -33,7 +33,9 @@ _MEMBER = re.compile(r"^(object\.[^.]+\.)\d+\.")  # name of a parameter of an ob
 
 @dataclass(frozen=True)
 class Summary:
-    """Values of one parameter: lowest, mean and highest of numbers, or the shares of texts, or how many there are."""
+    """Values of one parameter: lowest, mean and highest number, the shares of texts, or the number of different
+    values.
+    """
 
     name: str
     low: float | None
@@ -44,7 +46,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class SeenHistogram:
-    """Shares of values in BINS bins, or in one where all are the same; edges: one more."""
+    """Shares of values in BINS bins, or in one bin if all are equal; edges: one more than bins."""
 
     name: str
     edges: tuple[float, ...]
@@ -53,12 +55,12 @@ class SeenHistogram:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of `dry_run`: what a set of `count` samples will be, by those that are drawn, at equal distances in it.
+    """Result of `dry_run`: forecast of a set of `count` samples, from samples drawn at regular distances in it.
 
-    `splits` has the share of each split, `attempts` the number of draws, `failed` the messages of samples that cannot
-    be drawn or rendered, `frames` the mean number of a sample, all variants and views counted. The others are of the
-    samples that were rendered: `bytes` the mean size of a sample by array before compression, `seconds` for the set
-    with one process, and `basis` says from what, or why they are not known.
+    `splits`: share of each split; `attempts`: number of draws; `failed`: messages of samples that cannot be drawn or
+    rendered; `frames`: mean number of frames per sample, over all variants and views. From the rendered samples:
+    `bytes`, mean size of a sample by array before compression; `seconds` for the set with one process; `basis`: which
+    samples these come from, or why they are unknown.
     """
 
     count: int
@@ -78,9 +80,9 @@ class DryRun:
 def dry_run(
     distribution: Distribution, seed: int, count: int, *, arrays: Sequence[str], sheet_path: Path | None = None
 ) -> DryRun:
-    """Find out what a data set will be. Raises SceneError where no sample can be drawn.
+    """Draw and render some samples to forecast a data set. Raises SceneError if no sample can be drawn.
 
-    arrays: names as in files; sheet_path: PNG with pictures of the samples that are rendered, where there is a device.
+    arrays: names as in files; sheet_path: PNG for pictures of the rendered samples, if there is a device.
     """
     many = min(count, MOST_DRAWN)
     samples, failed = list[Sample](), list[str]()
@@ -113,7 +115,7 @@ def dry_run(
 
 
 def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:
-    """Summaries of all parameters, those of the objects of a population together."""
+    """Summaries of all parameters; objects of a population are summarized together."""
     values: dict[str, list[Any]] = {}
     for sample in samples:
         for name, value in sample.parameters.items():
@@ -131,8 +133,7 @@ def _summary(name: str, values: list[Any]) -> Summary:
 
 
 def _histograms(samples: Sequence[Sample]) -> tuple[SeenHistogram, ...]:
-    """Histograms of depth, blur and motion over samples; samples with depth maps, at which no rays are cast, are left
-    out."""
+    """Histograms of depth, blur and motion over samples without depth maps, at which rays cannot be cast."""
     analytic = [sample for sample in samples if all(scene.is_analytic for scene in sample.scenes)]
     looks = [look for sample in analytic for look in looks_of([_with_resolution(s) for s in sample.scenes])]
     if not looks:
@@ -160,8 +161,9 @@ def _with_resolution(scene: Scene) -> Scene:
 def _render(
     samples: Sequence[Sample], seed: int, arrays: Sequence[str], failed: list[str]
 ) -> tuple[list[Record], list[float], str]:
-    """Records of samples, as many as there is time for, with the seconds of each, and what they are from; messages of
-    those that fail are added to `failed`."""
+    """Records of the samples that were rendered in the allowed time, the seconds of each, and a text on their source;
+    messages of failed samples are added to `failed`.
+    """
     try:
         from clsco.data.shards import SampleRenderer
         from clsco.opencl.device import choose
@@ -187,7 +189,7 @@ def _render(
 
 
 def _sizes(records: Sequence[Record], arrays: Sequence[str]) -> dict[str, float]:
-    """Mean bytes of a sample by array, of all its frames together."""
+    """Mean bytes of a sample by array, all frames together."""
     sizes = dict.fromkeys(arrays, 0.0) if records else {}
     for record in records:
         for name, array in record.arrays.items():

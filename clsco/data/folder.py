@@ -1,4 +1,4 @@
-"""The folder of a distribution file, and the files that samples may have from it."""
+"""Access to the folder of a distribution file and the files in it that samples may use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_TOTAL = 2**37
 
 
 class RefusedError(Exception):
-    """A value is not what it must be: the rule, and the value if another one than was looked at."""
+    """A value breaks a rule; `value` replaces the checked value in the message."""
 
     def __init__(self, rule: str, got: Any = None) -> None:
         self.rule, self.got = rule, got
@@ -32,7 +32,7 @@ class RefusedError(Exception):
 
 
 class Folder:
-    """The folder of a distribution file; nothing outside of it is read, whatever links say."""
+    """The folder of a distribution file; no file outside of it is read, even through links."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()
@@ -41,7 +41,7 @@ class Folder:
         self._bytes = self._entries = 0
 
     def inside(self, name: Any) -> Path:
-        """The path of a file here by its name, links resolved. Raises RefusedError."""
+        """The path of a file in the folder by its name, links resolved. Raises RefusedError."""
         if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME or not name.isprintable():
             raise RefusedError(f"must be the name of a file, of at most {MAX_NAME} characters")
         windows = PureWindowsPath(name)
@@ -58,7 +58,7 @@ class Folder:
         return path
 
     def take(self, name: Any) -> str:
-        """Note a file that samples may need; returns its SHA-256. Raises RefusedError."""
+        """Register a file that samples may need; returns its SHA-256. Raises RefusedError."""
         if name in self.digests:
             return self.digests[name]
         path = self.inside(name)
@@ -75,7 +75,7 @@ class Folder:
         return self.digests[name]
 
     def match(self, pattern: Any) -> list[str]:
-        """Names of the files that a pattern like "textures/**/*.png" fits, in order. Raises RefusedError."""
+        """Names of the files that match a pattern like "textures/**/*.png", sorted. Raises RefusedError."""
         if not isinstance(pattern, str) or not 0 < len(pattern) <= MAX_NAME or not pattern.isprintable():
             raise RefusedError('must be a pattern of files, like "textures/**/*.png"')
         windows = PureWindowsPath(pattern)
@@ -90,7 +90,7 @@ class Folder:
         return names
 
     def _matches(self, folder: Path, parts: list[str], before: str) -> Iterator[str]:
-        """Names of files under `folder` that the parts of a pattern fit; before: what their names begin with."""
+        """Names of files under `folder` that match the parts of a pattern; before: prefix of the names."""
         if before.count("/") > MAX_DEEP:
             raise RefusedError(f"must not go through more than {MAX_DEEP} folders in each other")
         try:

@@ -1,4 +1,6 @@
-"""Distributions of values, as { uniform = [1, 2] }: read from a file, and how words of 64 bits become a value."""
+"""Distributions of values, such as { uniform = [1, 2] }: how they are read, and how they turn 64-bit words into
+values.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ Table = Mapping[str, Any]
 
 @dataclass
 class FormContext:
-    """Context that the forms of a file share: its folder and splits."""
+    """Folder and splits that all distributions of a file share."""
 
     folder: Folder
     splits: Splits
@@ -63,7 +65,7 @@ def _size(table: Table) -> int | None:
 
 
 def _at(key: str, table: Table, check: Callable[[Any], Any]) -> Any:
-    """An option, checked; RefusedError names it."""
+    """A checked option of a table; RefusedError names its key."""
     try:
         return check(table[key])
     except RefusedError as error:
@@ -85,7 +87,7 @@ def _entries(value: Any) -> tuple[Any, ...]:
 
 
 def _deep(entry: Any) -> bool:
-    """True if a list holds more than a vector, or than the bounds of an object."""
+    """True if a list is nested more deeply than a vector, or the bounds of an object."""
     inner = [part for part in entry if isinstance(part, list)] if isinstance(entry, list) else []
     tables = isinstance(entry, list) and any(isinstance(part, Mapping) for part in entry)
     return tables or any(isinstance(part, list | Mapping) for one in inner for part in one)
@@ -104,11 +106,11 @@ class Form(ABC):
 
     @abstractmethod
     def value(self, words: Words, split: int) -> Any:
-        """The value that words give in a sample of a split, as a scene file has it."""
+        """The value that words give in a sample of a split, in the form of a scene file."""
 
     @abstractmethod
     def extremes(self) -> tuple[Any, ...]:
-        """The lowest and the highest value, or all that there are, as a scene file has them."""
+        """The lowest and the highest value, or all values, in the form of a scene file."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class Uniform(NumberForm):
 
     @classmethod
     def parse(cls, table: Table, _: FormContext) -> Form:
-        """Read a table of the file. Raises RefusedError."""
+        """Read the distribution from its table in the file. Raises RefusedError."""
         return cls(_size(table), *_at("uniform", table, _range))
 
     def _numbers(self, words: Words) -> NDArray[Any]:
@@ -168,7 +170,7 @@ class LogUniform(Uniform):
 
 @dataclass(frozen=True)
 class Normal(NumberForm):
-    """{ normal = [mean, deviation], clip = [low, high] }: values beyond an end become that end."""
+    """{ normal = [mean, deviation], clip = [low, high] }: values are clipped to the limits."""
 
     mean: float
     deviation: float
@@ -193,7 +195,7 @@ class Normal(NumberForm):
 
 @dataclass(frozen=True)
 class Integers(NumberForm):
-    """{ integers = [low, high] }, both ends among them."""
+    """{ integers = [low, high] }, limits included."""
 
     low: int
     high: int
@@ -218,7 +220,7 @@ class Integers(NumberForm):
 
 @dataclass(frozen=True)
 class ChoiceForm(Form):
-    """{ choice = [...], weights = [...] }; below: what the weights are up to and including each entry, of 1."""
+    """{ choice = [...], weights = [...] }; below: cumulative weights up to each entry, normalized to 1."""
 
     entries: tuple[Any, ...]
     below: tuple[float, ...]
@@ -243,9 +245,9 @@ class ChoiceForm(Form):
 
 @dataclass(frozen=True)
 class Files(Form):
-    """{ files = "pattern", split = "by_file" }: one of some files.
+    """{ files = "pattern", split = "by_file" }: one of the files that match.
 
-    names: relative to the folder of the distribution file; of_split: positions of those that each split has.
+    names: relative to the folder of the distribution file; of_split: positions of the files of each split.
     """
 
     names: tuple[str, ...]
@@ -277,9 +279,9 @@ class Files(Form):
 
 @dataclass(frozen=True)
 class Frustum(Form):
-    """{ frustum = { depth = [near, far], margin = px, density = "volume" } }: a point that is seen.
+    """{ frustum = { depth = [near, far], margin = px, density = "volume" } }: a point in the camera's field of view.
 
-    Across and up are from -1 to 1 within the frame without its margin.
+    Horizontal and vertical coordinates range from -1 to 1 over the frame without its margin.
     """
 
     near: float
@@ -321,7 +323,7 @@ class Frustum(Form):
 
 @dataclass(frozen=True)
 class Placed:
-    """A point in the frustum of a camera that is not known yet."""
+    """A point in the frustum before the camera is known."""
 
     across: float
     up: float
@@ -329,7 +331,7 @@ class Placed:
     margin: float
 
     def point(self, columns: int, rows: int, step: float) -> list[float]:
-        """The point (x, y, z) in mm; step: slope between rays of neighboring pixels."""
+        """The point (x, y, z) in mm; step: difference of slope between rays of neighboring pixels."""
         x, y = (share * (0.5 * n - self.margin) * step for share, n in ((self.across, columns), (self.up, rows)))
         return [x * self.depth, y * self.depth, self.depth]
 
@@ -358,7 +360,7 @@ class Rotated(Form):
 
 
 def _between(low: float, high: float, share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From `low`, share 0, to `high`, share 1, and never beyond."""
+    """Interpolate from `low` (share 0) to `high` (share 1), clipped to both."""
     return np.clip(low + (high - low) * share, low, high)
 
 
@@ -383,7 +385,7 @@ FORMS: dict[str, tuple[Callable[[Table, FormContext], Form], tuple[str, ...]]] =
 
 
 def is_form(value: Any) -> bool:
-    """True if a table stands for a value."""
+    """True if a table is a distribution of a value."""
     return isinstance(value, Mapping) and any(key in FORMS for key in value)
 
 

@@ -1,7 +1,7 @@
-"""Manifest of a data set: one part for each shard, and all of them together.
+"""Manifest of a data set: one part for each shard, and a merged file.
 
-A part is a file of JSON lines: the first one describes the shard and its files, then there is a line for each sample
-in it, and at last a line for each sample that failed. It is a function of the set and the number of the shard alone.
+A part is a file of JSON lines: the first describes the shard and its files, then follow a line for each sample and a
+line for each failed sample. It depends only on the set and the shard's number.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ UNSPLIT = "data"  # folder of the shards of a set without splits
 
 @dataclass(frozen=True)
 class Identity:
-    """All that decides the bytes of a set besides the number of its samples.
+    """Everything that decides the bytes of a set except its number of samples.
 
-    distribution: its digest; first: number of the first sample; arrays: as they are called in files; precision: of the
-    geometry, "double" or "single"; version: of clsco; types: those of arrays that are not stored as by default.
+    distribution: its digest; first: number of the first sample; arrays: names as in files; precision: of the geometry,
+    "double" or "single"; version: of clsco; types: of arrays that are not stored in their default type.
     """
 
     distribution: str
@@ -48,12 +48,12 @@ class Identity:
         return hashlib.sha256(line(self.record()).encode()).hexdigest()
 
     def record(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """The fields as JSON types."""
         record: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         return record
 
     def differences(self, record: Mapping[str, Any]) -> list[str]:
-        """Messages on the entries in which another record differs: "seed must be 1, as in the set; got 2"."""
+        """Messages on entries that differ in another record: "seed must be 1, as in the set; got 2"."""
         return [
             f"{name.replace('_', ' ')} must be {_shortened(value)}, as in the set; got {_shortened(record.get(name))}"
             for name, value in self.record().items()
@@ -63,9 +63,9 @@ class Identity:
 
 @dataclass(frozen=True)
 class ManifestPart:
-    """The part of the manifest of a shard, which has `count` samples from number `first` on.
+    """A shard's part of the manifest, for `count` samples from number `first`.
 
-    identity: digest of that of its set; files: key to bytes and SHA-256; rows: SHA-256 of the lines that follow.
+    identity: digest of the set's `Identity`; files: bytes and SHA-256 by key; rows: SHA-256 of the lines that follow.
     """
 
     shard: int
@@ -79,12 +79,12 @@ class ManifestPart:
 
     @property
     def numbers(self) -> range:
-        """Numbers of the part's samples."""
+        """Numbers of the samples in the part."""
         return range(self.first, self.first + self.count)
 
 
 def line(value: Mapping[str, Any]) -> str:
-    """A line of JSON, always the same for the same value."""
+    """A line of JSON that depends only on the value."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
@@ -106,7 +106,7 @@ def part_bytes(
 
 
 def parsed_part(data: bytes) -> ManifestPart:
-    """The description of a shard from the first line of its part. Raises FileError where it is none."""
+    """The description of a shard from the first line of its part. Raises FileError if the line is invalid."""
     try:
         head = strict_json(data.partition(b"\n")[0])
         files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in head.pop("files").items()}
@@ -121,7 +121,7 @@ def parsed_part(data: bytes) -> ManifestPart:
 
 
 def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """The samples and the failures of a part. Raises FileError where they are not as its first line says."""
+    """The samples and the failures of a part. Raises FileError if they contradict its first line."""
     part = parsed_part(data)
     require_rows(part, data)
     try:
@@ -135,7 +135,7 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 
 def _is_row(row: Any) -> bool:
-    """True if a row is about a sample that is in a file."""
+    """True if a row describes a sample that is in a file."""
     types = {"file": str, "split": str, "parameters": dict, "arrays": dict}
     if not isinstance(row, dict) or not all(isinstance(row.get(name), kind) for name, kind in types.items()):
         return False
@@ -144,7 +144,7 @@ def _is_row(row: Any) -> bool:
 
 
 def _is_failure(row: Any) -> bool:
-    """True if a row is about a sample that failed."""
+    """True if a row describes a failed sample."""
     if not isinstance(row, dict) or not _is_count(row.get("number")) or not isinstance(row.get("error"), str):
         return False
     return isinstance(row.get("scene", ""), dict | None)
@@ -155,7 +155,7 @@ def _is_count(value: Any) -> bool:
 
 
 def require_rows(part: ManifestPart, data: bytes) -> None:
-    """Raise FileError where the lines of a part are not those that its first line describes."""
+    """Raise FileError if the lines of a part contradict its first line."""
     if hashlib.sha256(data.partition(b"\n")[2]).hexdigest() != part.rows:
         raise FileError(f"{part_key(part.shard)}: lines must have the SHA-256 that the first one names; got another")
 
@@ -171,9 +171,9 @@ def numbers_of(shard: int, samples: range, size: int) -> range:
 
 
 class Merged:
-    """Lines of all parts of a set, one after the other, and its files. Parts are added in order.
+    """Merges the lines and files of all parts of a set, which must be added in order.
 
-    Lines are in the scratch folder of the storage until `put`.
+    The lines stay in the storage's scratch folder until `put`.
     """
 
     def __init__(self, storage: Storage) -> None:
@@ -200,14 +200,14 @@ class Merged:
 
 
 def files_of(part: ManifestPart, data: bytes) -> list[tuple[str, int]]:
-    """Files of a part with the number of samples in them, in order. Raises FileError where it is damaged."""
+    """Files of a part with their numbers of samples, in order. Raises FileError if the part is damaged."""
     if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:
         return [(only, part.made)]
     return sorted(Counter(row["file"] for row in rows_of(data)[0]).items())
 
 
 def files_by_split(files: Iterable[tuple[str, int]]) -> dict[str, list[tuple[str, int]]]:
-    """Files of each split, in their order; "" of a set without splits."""
+    """Files of each split, in their order; the key is "" in a set without splits."""
     by_split: dict[str, list[tuple[str, int]]] = {}
     for file, count in files:
         split = file.partition("/")[0]

@@ -1,4 +1,4 @@
-"""Processes of one machine that make the shards of a set, each on one device."""
+"""Pool of processes on one machine that make the shards of a set, each on one device."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _THREAD_VARIABLES = (THREADS, "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENB
 
 @dataclass(frozen=True)
 class Place:
-    """Device of a working process, and the number of threads it takes on a processor, 0 where that is left open."""
+    """Device of a worker process, and its number of CPU threads, 0 to leave the number open."""
 
     device: DeviceName
     threads: int = 0
@@ -55,9 +55,10 @@ class _Worker:
 
 
 def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> list[Place]:
-    """List the places for working processes: one for each graphics card, on a processor one for each of its cores.
+    """List the places of worker processes: one per graphics card, and one per core of a processor.
 
-    devices: each with whether it is a processor; workers: processes in all, which take the devices in turn.
+    devices: names, each with True for a processor; workers: total number of processes, which are spread over the
+    devices.
     """
     cores = processors()
     if workers is None:
@@ -72,7 +73,7 @@ def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> l
 
 
 def run_pool(job: SetJob, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
-    """Make shards in processes, one in each place, which is replaced after a shard where it has over `memory` bytes.
+    """Make shards in one process per place; a process above `memory` bytes is replaced after its shard.
 
     Raises ClscoError: no process starts, a device is of another family, the storage fails, or a shard cannot be made.
     """
@@ -108,7 +109,7 @@ class _Pool:
         return _Worker(child, place)
 
     def _step(self) -> None:
-        """Give tasks to processes that wait, and take the answer of any of them."""
+        """Give tasks to idle processes, and handle the answer of any of them."""
         for worker in self.workers:
             if worker.is_ready and worker.task is None and not worker.is_leaving and self.schedule.waiting:
                 worker.task = self.schedule.waiting.popleft()
@@ -152,7 +153,7 @@ class _Pool:
             self.advance(done - before)
 
     def _on_worker_exit(self, worker: _Worker) -> None:
-        """After the end of a process: its task is done again, and another process takes its place."""
+        """Handle the end of a process: queue its task again, and start another process in its place."""
         status = worker.child.end(END_S)
         if not worker.is_leaving:
             _LOG.info("process %d: ended with %s", worker.child.pid, how_ended(status))
@@ -168,7 +169,7 @@ class _Pool:
             self.workers.append(self._start(worker.place))
 
     def _end(self) -> None:
-        """Have all processes end, by force where they do not."""
+        """Stop all processes, by force if necessary."""
         for worker in self.workers:
             if self.schedule.is_over:
                 worker.child.send(None)
@@ -182,7 +183,7 @@ class _Pool:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Have SIGTERM end the block as Ctrl-C does, and what follows it."""
+    """Make SIGTERM end the block, and the code after it, as Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -198,7 +199,7 @@ def stoppable() -> Iterator[None]:
 
 
 def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
-    """Have libraries that are loaded from now on, or processes with this environment, take so many threads."""
+    """Limit the threads of libraries that are loaded later, or of processes with this environment."""
     for name in _THREAD_VARIABLES:
         environ.setdefault(name, str(count))
 
@@ -210,7 +211,7 @@ DeviceName = str | int | None
 
 
 def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool) -> None:
-    """Make what comes through the pipe, and report it there, until the parent says None or ends."""
+    """Make the tasks that arrive through the pipe, and report results there, until the parent sends None or ends."""
     signal.signal(signal.SIGTERM, _ended)  # so that no file is written any more when all are removed
     storage = open_storage(job.where)
     at_forced_end(storage.close)
@@ -229,14 +230,14 @@ def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool
 
 
 def device_of(name: DeviceName) -> Device:
-    """The device of a name or number. Raises DeviceError where there is none."""
+    """The device with a name or number. Raises DeviceError if there is none."""
     from clsco.opencl.device import choose, list_devices
 
     return list_devices()[0][name] if isinstance(name, int) else choose(name, "device")
 
 
 def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> tuple[int, int]:
-    """Do a task; the number of samples made, and of those that failed."""
+    """Run a task; returns the number of samples made, and of failed ones."""
     made = maker.make(task.shard, task.tried, dict(task.failed), advance)
     if task.tried is None:
         maker.deliver(made, {"pid": os.getpid(), "device": str(maker.renderer.device), "rss": resident_bytes()})
@@ -246,8 +247,9 @@ def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> 
 
 
 def failure_of(error: BaseException) -> tuple[str, str]:
-    """Class of an error: "fatal" where the disk or the store failed, so that other shards fail as well, else
-    "failed"."""
+    """Class of an error: "fatal" if the disk or the store failed, so that other shards would fail too, else
+    "failed".
+    """
     text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
     known: BaseException | None = error
     while known is not None:
@@ -284,8 +286,9 @@ DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard that is to be made without the samples `failed`, which have messages; or samples that are `tried`
-    only."""
+    """A shard to make without the samples `failed`, given with their messages; or samples `tried` to find the faulty
+    ones.
+    """
 
     shard: int
     tried: range | None = None
@@ -293,10 +296,10 @@ class ShardTask:
 
 
 class Schedule:
-    """The tasks of a set, by the numbers of its shards, each with those of its samples.
+    """Schedule of the shards of a set, by shard number, each with its sample numbers.
 
-    A shard whose process dies is made again, up to `RETRIES` times in all; then halves of its samples are tried, down
-    to those that fail by themselves. The rest of the shard is made without them.
+    A shard whose process dies is retried up to `RETRIES` times in all; then it is bisected to find the samples that
+    fail by themselves, and made without them.
     """
 
     def __init__(self, shards: Iterable[tuple[int, range]]) -> None:
@@ -314,18 +317,18 @@ class Schedule:
         return self._left == 0
 
     def done(self, task: ShardTask) -> None:
-        """A task has ended well."""
+        """Record that a task succeeded."""
         if task.tried is None:
             self._left -= 1
         else:
             self._after_trial(task.shard)
 
     def died(self, task: ShardTask, cause: str | None = None) -> None:
-        """A task has failed.
+        """Record that a task failed.
 
-        cause: what it raised; None where its process ended, so that it may succeed at the next time.
+        cause: message of its error; None if its process died, so that a retry may succeed.
 
-        Raises ClscoError for a shard that fails though each of its samples by itself does not.
+        Raises ClscoError if a shard fails although each of its samples succeeds alone.
         """
         self._deaths[task] += 1
         again = cause is None and self._deaths[task] < RETRIES

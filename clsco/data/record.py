@@ -1,4 +1,4 @@
-"""One sample of a data set: its arrays by name, and what describes them."""
+"""One sample of a data set: its arrays by name, and their description."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Record(Mapping[str, NDArray[Any]]):
     meta: Mapping[str, Any]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """An array by its name; raises KeyError, which names those there are."""
+        """An array by its name; raises KeyError, which lists the names that exist."""
         try:
             return self.arrays[name]
         except KeyError:
@@ -164,15 +164,15 @@ def array_sha256(array: NDArray[Any]) -> str:
 
 
 def is_named(name: str, names: Collection[str] | None) -> bool:
-    """True if names, None for all, have an array, by its whole name or by its kind: "left.color" is a "color"."""
+    """True if `names`, or None for all, include an array by its full name or its kind: "left.color" is a "color"."""
     return names is None or name in names or name.rpartition(".")[2] in names
 
 
 def parse_stored(text: str) -> dict[str, str]:
     """Types in which arrays are stored, by name, from a text such as "color=float32,depth=float16", or "all=float16".
 
-    Images can be codes, uint8 or uint16 (default), or linear floats; what else is in floats can be float32 (default) or
-    float16. Raises SceneError for anything else; one message for each.
+    Images can be codes, uint8 or uint16 (default), or linear floats; other float arrays can be float32 (default) or
+    float16. Raises SceneError with one message per invalid entry.
     """
     known = {name: (*FLOATS, *(CODES if name in PICTURES else ())) for name in ATTRIBUTES}
     return parse_types(text, known)
@@ -185,13 +185,15 @@ def make_record(
     names: Collection[str],
     stored: Mapping[str, str] | None = None,
 ) -> Record:
-    """Make the record of a sample from the frames of each variant, of a stereo pair left and right after each other.
+    """Make the record of a sample from the frames of each variant; the views of a stereo pair follow each other, left
+    first.
 
-    names: of arrays in files; what a frame does not have is left out, such as `uv` where no texture lies on a surface.
-    stored: types as `parse_stored` gives them. Raises FileError: radiance that is not finite; floats beyond float16.
+    names: arrays as in files; an array that a frame does not have is left out, such as `uv` if no surface has a
+    texture. stored: types as `parse_stored` gives them. Raises FileError: radiance that is not finite, or floats beyond
+    float16.
 
-    Codes end at white as those of a sensor do, and at black, below which interpolated textures may go at an edge. Both
-    are no error, but what share of an array was clipped is in `meta["arrays"][name]["clipped"]`; float32 keeps all.
+    Codes are clipped at white, as in a sensor, and at black, which interpolated textures may undershoot at an edge.
+    Clipping is not an error: `meta["arrays"][name]["clipped"]` is the share of clipped values. float32 is not clipped.
     """
     types = dict.fromkeys(PICTURES, "uint16") | dict(stored or {})
     arrays: dict[str, NDArray[Any]] = {}
@@ -232,7 +234,7 @@ def make_record(
 def _stored(
     where: str, name: str, array: NDArray[Any], dtype: str | None, transfer: str
 ) -> tuple[NDArray[Any], dict[str, Any]]:
-    """An array in the type that it is stored in, and what describes it."""
+    """An array in its stored type, and its description."""
     output = OUTPUTS[ATTRIBUTES[name]]
     more: dict[str, Any] = {}
     if dtype in CODES:

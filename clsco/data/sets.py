@@ -1,4 +1,4 @@
-"""Data sets in a folder or a store: opened, resumed, measured and completed."""
+"""Data sets in a folder or an object store: open, resume, measure and complete them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ AT_ONCE = 16  # parts that are read at the same time
 
 @dataclass(frozen=True)
 class DataSet:
-    """A set in a storage. about: entries of the card about what made the set, where it is there already."""
+    """A set in a storage. about: entries of the card on how the set was made, if it has been begun."""
 
     storage: Storage
     identity: Identity
@@ -51,11 +51,11 @@ class DataSet:
         return numbers_of(shard, self.samples, self.identity.shard_size)
 
     def part_keys(self) -> list[str]:
-        """Keys of the parts of the manifest that are there, in order."""
+        """Keys of the manifest parts that exist, in order."""
         return sorted(key for key in self.storage.sizes(PARTS) if key.endswith(".jsonl"))
 
     def parts(self, keys: Sequence[str] | None = None) -> Iterator[tuple[str, bytes]]:
-        """Content of parts by their keys, of all that are there or some, in order; several are read at a time."""
+        """Content of all existing parts or of those with `keys`, in order; several are read at a time."""
         keys = self.part_keys() if keys is None else keys
         with ThreadPoolExecutor(AT_ONCE) as threads:
             for start in range(0, len(keys), 8 * AT_ONCE):  # not all of them in memory
@@ -67,10 +67,10 @@ class DataSet:
     def done(
         self, shards: Iterable[int], hashes: bool, faults: list[str], merged: Merged | None = None
     ) -> dict[int, ManifestPart]:
-        """Shards whose part is there, of this set, with all of their samples, and whose files are whole.
+        """Parts of finished shards: they belong to this set, have all samples, and their files are complete.
 
-        hashes: files must have the SHA-256 that their part names; else their sizes are compared. A line is added to
-        `faults` for each part that is there, but whose shard is not whole; `merged` takes the lines of all that are.
+        hashes: compare the files' SHA-256 with the part, else only sizes. `faults` gets a line for each part whose
+        shard is not complete; `merged` gets the lines of the complete ones.
         """
         present, whole, sizes = set(self.part_keys()), dict[int, ManifestPart](), dict[str, dict[str, int]]()
         keys, digest = {key: shard for shard in shards if (key := part_key(shard)) in present}, self.identity.digest
@@ -96,7 +96,9 @@ class DataSet:
         return whole
 
     def _file_fault(self, part: ManifestPart, data: bytes, sizes: dict[str, dict[str, int]] | None) -> str:
-        """Message on the first fault of a part's files, "" for none; sizes: of files by folder, None: by hashes."""
+        """Message on the first fault of a part's files, "" for none; sizes: of files by folder, None to compare
+        hashes.
+        """
         if sizes is None:
             require_rows(part, data)
         for name, (size, digest) in part.files.items():
@@ -112,18 +114,18 @@ class DataSet:
         return ""
 
     def lines(self, shard: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Rows of the manifest about the samples of a shard, and about those that failed; none without a part."""
+        """Manifest rows of a shard's samples, and of its failed samples; empty without a part."""
         data = self.storage.read(part_key(shard))
         return ([], []) if data is None else rows_of(data)
 
     def write(self, about: Mapping[str, Any]) -> None:
-        """Write the card, which is there before any shard. about: what else it says."""
+        """Write the card, before any shard is made. about: its other entries."""
         card = {"identity": self.identity.record(), "samples": [self.samples.start, self.samples.stop], **about}
         self.storage.write(CARD, f"{json.dumps(card, indent=2, allow_nan=False)}\n".encode())
 
 
 def open_set(storage: Storage) -> DataSet:
-    """The set in a storage. Raises FileError where there is none, or its card is damaged."""
+    """The set in a storage. Raises FileError if there is none, or its card is damaged."""
     data = storage.read(CARD)
     if data is None:
         raise FileError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
@@ -147,10 +149,10 @@ def open_set(storage: Storage) -> DataSet:
 
 
 def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
-    """The card of the set that a storage holds and that may be resumed as `new`, {} for an empty storage.
+    """The card of the stored set if `new` may resume it, {} for an empty storage.
 
-    Raises SceneError: the set there is another one, has more samples, or is not to be resumed; or the folder has other
-    files.
+    Raises SceneError: the stored set is another one or has more samples, resuming was not asked for, or the folder has
+    other files.
     """
     storage, where = new.storage, new.storage.where
     if storage.read(CARD) is None:
@@ -170,10 +172,10 @@ def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, repr=False)
 class Status:
-    """Progress of a set of so many shards and samples.
+    """Progress of a set: its number of shards and samples, and those done.
 
-    `done` has the parts of the shards that are whole, by number; `faults` a line for each part whose shard is not;
-    `rate` samples per second over the latest shards, of all processes together, None where it is not known.
+    `done`: parts of complete shards by number; `faults`: a line for each part whose shard is incomplete; `rate`:
+    samples per second over the latest shards, of all processes together, None if unknown.
     """
 
     shards: int
@@ -192,12 +194,12 @@ class Status:
 
     @property
     def made(self) -> int:
-        """Samples that are in files."""
+        """Number of samples in files."""
         return sum(part.made for part in self.done.values())
 
     @property
     def failed(self) -> int:
-        """Samples that failed."""
+        """Number of failed samples."""
         return sum(part.failed for part in self.done.values())
 
     @property
@@ -207,7 +209,7 @@ class Status:
 
     @property
     def seconds_left(self) -> float | None:
-        """Until the set is whole, at the rate that it has."""
+        """Seconds until the set is complete at the current rate."""
         return None if not self.rate else (self.samples - self.made - self.failed) / self.rate
 
 
@@ -221,10 +223,10 @@ def status_of(
 
 
 def finish(data_set: DataSet, own: Sequence[int] | None = None) -> Status:
-    """Measure the progress of a set; where it is whole, put its manifest together and complete its card.
+    """Measure the progress of a set; if it is complete, merge its manifest and complete its card.
 
-    Each part is read once. While some are missing only those of the shards `own` are read, so that the work of many
-    jobs grows with the number of shards, and not with its product with theirs.
+    Each part is read once. While some are missing, only the parts of the shards `own` are read, so that the total work
+    of many jobs grows linearly with the number of shards.
     """
     if {part_key(shard) for shard in data_set.shards} - set(data_set.part_keys()):
         return status_of(data_set, shards=own)
@@ -238,7 +240,7 @@ def finish(data_set: DataSet, own: Sequence[int] | None = None) -> Status:
 
 
 def _rate(data_set: DataSet, done: Iterable[int]) -> float | None:
-    """From the log, which counts for nothing else."""
+    """Samples per second by the log, which is used for nothing else."""
     times = []
     for shard in sorted(done)[-LATEST:]:
         data = data_set.storage.read(f"{LOG}/{shard:06d}.jsonl")
@@ -254,7 +256,7 @@ def _rate(data_set: DataSet, done: Iterable[int]) -> float | None:
 
 
 def ranges(numbers: Iterable[int]) -> str:
-    """Numbers as people write them: 3, 7-9."""
+    """Ranges of numbers as text: 3, 7-9."""
     spans: list[list[int]] = []
     for number in sorted(numbers):
         if spans and number == spans[-1][1] + 1:

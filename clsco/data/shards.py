@@ -1,4 +1,4 @@
-"""One shard of a data set: its samples drawn, rendered and written, and the part of the manifest that describes it."""
+"""One shard of a data set: draws, renders and writes its samples, and its part of the manifest."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 @dataclass(frozen=True)
 class SetJob:
-    """A set that is to be made in a folder or at an address; it travels to worker processes."""
+    """A set to be made in a folder or at an address; it is pickled to worker processes."""
 
     distribution: Distribution | ScriptedDistribution
     identity: Identity
@@ -57,7 +57,7 @@ class SetJob:
 
 @dataclass(frozen=True)
 class MadeShard:
-    """Files of a shard in the scratch folder, with the content of its part."""
+    """Files of a shard in the scratch folder, and the content of its part."""
 
     shard: int
     files: Mapping[str, Path]
@@ -71,7 +71,7 @@ class MadeShard:
 def device_family(device: Device) -> str:
     """Name of the family of devices that give the same bits.
 
-    Of processors the driver and the width of its vectors, not the name; of others the name as well.
+    For processors, it names the driver and the vector width, not the model; for other devices also the model.
     """
     if device.kind == "cpu":
         return f"cpu, {device.platform} {device.driver}, vectors of {device.vector_width} floats"
@@ -79,9 +79,9 @@ def device_family(device: Device) -> str:
 
 
 class SampleRenderer:
-    """Renders samples one after the other on one device; data that several of them need stay in memory.
+    """Renders samples one after the other on one device; data that they share stay in memory.
 
-    arrays: as they are called in files; without "color" no image is made. precision: of the geometry.
+    arrays: names as in files; without "color" no image is rendered. precision: of the geometry.
     """
 
     def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:
@@ -93,7 +93,7 @@ class SampleRenderer:
         self._before: Scene | None = None
 
     def render(self, sample: Sample) -> list[list[Frame]]:
-        """Frames of each variant of a sample, of a stereo pair the left and the right one after each other.
+        """Frames of each variant of a sample; the views of a stereo pair follow each other, left first.
 
         Raises as `clsco.render`.
         """
@@ -110,7 +110,7 @@ class SampleRenderer:
 class ShardMaker:
     """Makes shards of a set, one after the other, on one device.
 
-    overlapped: samples are encoded while the next ones are rendered, in another thread.
+    overlapped: a second thread encodes samples while the next ones are rendered.
     """
 
     def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
@@ -128,11 +128,10 @@ class ShardMaker:
         failed: Mapping[int, str] | None = None,
         advance: Callable[[], object] = lambda: None,
     ) -> MadeShard:
-        """Make the files of a shard in the scratch folder: all samples, or those with some numbers.
+        """Make the files of a shard in the scratch folder, with all samples or those in `numbers`.
 
-        failed: samples that are not to be rendered, with their messages; advance: is called after each sample. A sample
-        that cannot be drawn or rendered is among the failures. Raises ClscoError: the device fails, or files cannot be
-        written.
+        failed: samples to skip, with their messages; advance: called after each sample. A sample that cannot be drawn
+        or rendered becomes a failure. Raises ClscoError: the device fails, or files cannot be written.
         """
         began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
         rows: dict[int, dict[str, Any]] = {}
@@ -195,16 +194,16 @@ class ShardMaker:
         return MadeShard(shard, files, part, len(rows), len(failures), began, spent)
 
     def _portable(self, error: object) -> str:
-        """Message of an error, without the folder of the distribution on this machine."""
+        """Message of an error without the path of the distribution's folder on this machine."""
         distribution = self.job.distribution
         text = str(error).replace(distribution.where, Path(distribution.where).name)
         return text.replace(f"{distribution.folder}/", "")
 
     def deliver(self, made: MadeShard, about: Mapping[str, Any]) -> None:
-        """Move the files of a shard to the set, then its part, and note in the log how long it took.
+        """Move the files of a shard to the set, then its part, and log how long it took.
 
-        about: of the process, for the log. Raises FileError where another process has made other bytes of the shard;
-        then both stay.
+        about: description of the process, for the log. Raises FileError if another process has made the shard with
+        other bytes; then both are kept.
         """
         key = part_key(made.shard)
         present = self.storage.read(key)
@@ -226,7 +225,7 @@ class ShardMaker:
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
 
     def _is_whole(self, data: bytes, shard: int) -> bool:
-        """True if the part of a shard is of this set, has all samples, and describes its files as they are."""
+        """True if the part of a shard belongs to this set, has all samples, and its files match."""
         try:
             part = parsed_part(data)
         except FileError:
@@ -235,7 +234,9 @@ class ShardMaker:
         return same and all(self.storage.digest(name) == digest for name, (_, digest) in part.files.items())
 
     def _keep_both(self, made: MadeShard) -> NoReturn:
-        """Put a shard beside another one that should be the same: a device is broken, of this process or another."""
+        """Save a shard beside another one that should be identical, and raise: the device of one of the two processes
+        is broken.
+        """
         beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
         for name, path in made.files.items():
             self.storage.put(f"{beside}/{name}", path)
@@ -254,7 +255,7 @@ def _failure(sample: Sample, error: str) -> dict[str, Any]:
 
 
 def _row(sample: Sample, key: str, offset: int, record: Record) -> dict[str, Any]:
-    """The line of a sample in the manifest, whose place in its file is `offset`."""
+    """The manifest line of a sample; offset: its place in the file."""
     return {
         "number": sample.number,
         "split": sample.split,
@@ -268,7 +269,7 @@ def _row(sample: Sample, key: str, offset: int, record: Record) -> dict[str, Any
 
 
 def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
-    """Share of valid pixels, and quantiles of depth, |R| and the length of the flow, at some of the pixels."""
+    """Share of valid pixels, and quantiles of depth, |R| and the flow's length over some of the pixels."""
     quantiles: dict[str, list[float | None]] = {}
     for name, array in arrays.items():
         kind = name.rpartition(".")[2]
@@ -287,7 +288,7 @@ V = TypeVar("V")
 
 
 def prefetch(produced: Generator[V, None, None]) -> Generator[V, None, None]:
-    """Yield what `produced` does, whose next value is made in a thread meanwhile; its errors are raised here."""
+    """Yield the items of a generator; a thread computes the next one meanwhile, and its errors are raised here."""
     end = object()
     with ThreadPoolExecutor(1) as thread:
         following = thread.submit(next, produced, end)

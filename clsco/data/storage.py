@@ -1,4 +1,4 @@
-"""Storage of a data set: a local folder, or an address of an object store by fsspec. Objects are whole or absent."""
+"""Storage of a data set: a local folder, or an object store by fsspec. Writes are atomic."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Call = TypeVar("Call", bound=Callable[..., Any])
 
 
 def remove_path(path: Path) -> None:
-    """Remove a file or a folder, if it is there."""
+    """Remove a file or a folder, if it exists."""
     if path.is_dir():
         shutil.rmtree(path)
     else:
@@ -32,7 +32,7 @@ def remove_path(path: Path) -> None:
 
 
 def checked_key(key: str) -> str:
-    """A key that stays in its storage; raises FileError for any other, as a file of a stranger may name one."""
+    """A key inside its storage; raises FileError for others, which an untrusted file may contain."""
     parts = key.split("/")
     if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
         raise FileError(f"{key!a}: a file of a data set must lie in its folder; got another place")
@@ -40,7 +40,7 @@ def checked_key(key: str) -> str:
 
 
 def _failing(function: Call) -> Call:
-    """Give errors of a storage their place and one line."""
+    """Raise errors of a storage as a FileError with its place, in one line."""
 
     @wraps(function)
     def call(self: Any, *args: Any) -> Any:
@@ -61,7 +61,7 @@ def _failing(function: Call) -> Call:
 
 
 def _sync(path: Path) -> None:
-    """Flush a file, or the list of a folder, to the disk; Windows opens no folders."""
+    """Flush a file or a folder's entries to the disk; a folder on Windows cannot be flushed."""
     if os.name != "posix" and path.is_dir():
         return
     handle = os.open(path, os.O_RDONLY)
@@ -72,9 +72,9 @@ def _sync(path: Path) -> None:
 
 
 class _Folder:
-    """A folder for objects by their keys, relative paths with "/". All methods raise FileError where it fails.
+    """A folder with objects by key; keys are relative paths with "/". All methods raise FileError on failure.
 
-    A file gets its name when all of it is on the disk: it is made in a hidden folder beside.
+    A file is written in a hidden temporary folder, and renamed when it is complete on the disk.
     """
 
     is_local = True
@@ -84,7 +84,7 @@ class _Folder:
         self.where = str(self.root)
 
     def _path(self, key: str) -> Path:
-        """Path of a key. Raises FileError where a link leads out of the set, as in a folder of a stranger one may."""
+        """Path of a key. Raises FileError if a link leads out of the set, as one from a stranger may."""
         path = self.root / checked_key(key)
         if not path.parent.resolve().is_relative_to(self.root.resolve()):
             raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
@@ -92,14 +92,14 @@ class _Folder:
 
     @_failing
     def scratch(self) -> Path:
-        """The folder of this process for files that are not whole yet."""
+        """This process's folder for temporary files."""
         path = self.root / work_name(".work")
         path.mkdir(parents=True, exist_ok=True)
         return path
 
     @_failing
     def put(self, key: str, path: Path) -> None:
-        """Move a file, or a folder of files, from the scratch folder under its final key."""
+        """Move a file, or a folder of files, from the scratch folder to its final key."""
         target = self._path(key)
         for each in path.rglob("*") if path.is_dir() else (path,):
             _sync(each)
@@ -111,14 +111,14 @@ class _Folder:
 
     @_failing
     def write(self, key: str, data: bytes) -> None:
-        """Put bytes under a key."""
+        """Write bytes to a key."""
         path = self.scratch() / f"{secrets.token_hex(4)}.tmp"
         path.write_bytes(data)
         self.put(key, path)
 
     @_failing
     def read(self, key: str) -> bytes | None:
-        """Content of a key, None where it has none."""
+        """Content of a key, or None if it does not exist."""
         try:
             return read_regular(self._path(key), MOST_BYTES)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
@@ -126,7 +126,7 @@ class _Folder:
 
     @_failing
     def digest(self, key: str) -> str | None:
-        """SHA-256 of the content of a key, None where it has none."""
+        """SHA-256 of the content of a key, or None if it does not exist."""
         try:
             with open_regular(self._path(key)) as file:
                 return file_sha256(file)
@@ -142,7 +142,7 @@ class _Folder:
 
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
-        """Keys that begin with `prefix`, a folder, with their bytes."""
+        """Keys in the folder `prefix`, with their bytes."""
         folder, sizes = self.root / checked_key(prefix), dict[str, int]()
         for inside, _, names in os.walk(folder):
             for name in names:
@@ -158,7 +158,7 @@ class _Folder:
 
     @_failing
     def remove(self, key: str) -> None:
-        """Remove a file or a folder, if it is there."""
+        """Remove a file or a folder, if it exists."""
         path = self._path(key)
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
@@ -167,17 +167,18 @@ class _Folder:
 
     @_failing
     def tidy(self) -> None:
-        """Remove temporary files of processes that are gone."""
+        """Remove temporary files of processes that have ended."""
         remove_left(self.root, ".work")
 
     def close(self) -> None:
-        """Remove those of this process."""
+        """Remove the temporary files of this process."""
         shutil.rmtree(self.root / work_name(".work"), ignore_errors=True)
 
 
 class _Remote:
-    """An object store, or any other file system of fsspec, with the methods of `_Folder`. A file is made locally and
-    sent by one request."""
+    """An object store, or another file system of fsspec, with the methods of `_Folder`. A file is made locally and sent
+    by one request.
+    """
 
     is_local = False
 
@@ -272,7 +273,9 @@ Storage = _Folder | _Remote
 
 
 def open_storage(where: str | os.PathLike[str]) -> Storage:
-    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises FileError for neither."""
+    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises FileError for anything
+    else.
+    """
     text = os.fspath(where)
     if "://" not in text:
         return _Folder(Path(text))

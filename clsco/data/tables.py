@@ -1,4 +1,4 @@
-"""Reading of a distribution file: its tables, joined with those of the file that it starts from."""
+"""Reader of distribution files: their tables, joined with those of their base."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MAX_DEPTH = 12  # tables and lists in each other
 
 @dataclass(frozen=True)
 class DistributionTables:
-    """The parts of a distribution file, base included: the scene, and what varies in it, is accepted and follows."""
+    """Tables of a distribution file with its base: the scene, what varies, [accept] and [derive]."""
 
     scene: dict[str, Any]
     vary: dict[str, Any]
@@ -36,7 +36,7 @@ class DistributionTables:
     is_joined: bool = False  # with those of a base
 
     def content(self) -> dict[str, Any]:
-        """All of it as one file has it, which gives the same samples."""
+        """Content of one file without a base that gives the same samples."""
         own = {"vary": self.vary, "accept": self.accept, "derive": self.derive, "check": self.check}
         return self.scene | {name: table for name, table in own.items() if table}
 
@@ -44,7 +44,7 @@ class DistributionTables:
 def read_tables(
     where: str, overrides: Sequence[str], folder: Folder, content: Mapping[str, Any] | None = None
 ) -> DistributionTables:
-    """Read a distribution file with its bases, and apply overrides; content: of the file, where it is known.
+    """Read a distribution file with its bases, and apply overrides; content: content of the file, if known.
 
     Raises SceneError.
     """
@@ -73,7 +73,7 @@ def read_tables(
 
 
 def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, names: list[str]) -> dict[str, Any]:
-    """Content of a file, joined with that of its base, and so on; names: of the files that lead to it."""
+    """Content of a file joined with its base, recursively; names: files that led to it."""
     if "base" not in data:
         return data
     name = data.pop("base")
@@ -92,7 +92,7 @@ def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, name
 
 
 def _plain(content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Content as a file would have it: NumPy's arrays and numbers become lists and numbers, tuples lists."""
+    """Content with the types of a file: NumPy arrays and tuples become lists, NumPy numbers numbers."""
     try:
         plain: dict[str, Any] = json.loads(json.dumps(dict(content), default=_of_json))
     except (TypeError, ValueError, RecursionError) as error:
@@ -109,10 +109,10 @@ def _of_json(value: Any) -> Any:
 
 
 def joined(base: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
-    """A file's tables over those of its base: tables are joined key by key, all else replaces what the base has.
+    """A file's tables merged over its base: tables are merged key by key, other values replace those of the base.
 
-    What stands for a value, such as a distribution or a range, is no table here. A key that contradicts another one,
-    as f_number does aperture_diameter, takes its place.
+    A table that is a value, such as a distribution or a range, counts as a value. A key also replaces keys that
+    contradict it, as f_number replaces aperture_diameter.
     """
     remaining = dict(base)
     for section, value in data.items():
@@ -137,7 +137,7 @@ def _is_value(table: Any) -> bool:
 
 
 def _deeper(value: Any, most: int) -> str | None:
-    """The key under which a table has more than so many in each other, None where there is none."""
+    """The key at which tables are nested more deeply than `most`, or None."""
     waiting = [(key, entry, 1) for key, entry in value.items()]
     while waiting:
         key, entry, depth = waiting.pop()
@@ -149,7 +149,7 @@ def _deeper(value: Any, most: int) -> str | None:
 
 
 def _unvaried(vary: dict[str, Any], parts: list[str], scene: Mapping[str, Any]) -> None:
-    """Remove what varies at a key that is given now, and at keys that contradict it."""
+    """Remove distributions at keys that now have values, and at keys that contradict these."""
     displace(vary, ".".join(parts), _at(scene, parts))
     node: Any = vary
     if parts[0] in ("object", "group") and len(parts) > 1:

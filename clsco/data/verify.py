@@ -1,4 +1,4 @@
-"""Checks of a data set: files against the manifest, and samples rendered again."""
+"""Checks of a data set: compares files with the manifest, and renders samples again."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ Advance = Callable[[], object]
 
 
 def chosen_samples(data_set: DataSet, count: int) -> list[int]:
-    """Numbers of samples, spread over a set."""
+    """Numbers of `count` samples, spread over a set."""
     count = min(count, len(data_set.samples))
     return [data_set.samples[k * len(data_set.samples) // count] for k in range(count)]
 
 
 def hold_arrays(data_set: DataSet, numbers: Sequence[int]) -> list[int]:
-    """Samples whose scenes have arrays, which their function in Python alone makes again."""
+    """Samples whose scenes contain arrays, which only their Python function can make again."""
     with_arrays = []
     for number in numbers if "function" in data_set.about else ():
         with suppress(ClscoError):  # which is a finding of its own
@@ -44,7 +44,7 @@ def hold_arrays(data_set: DataSet, numbers: Sequence[int]) -> list[int]:
 
 
 def verify_files(data_set: DataSet, advance: Advance) -> list[str]:
-    """List where a set differs from its manifest, a line each: parts, files, and arrays in them."""
+    """List differences of a set from its manifest, one line each: parts, files, and arrays in them."""
     findings: list[str] = []
     for shard in data_set.shards:
         faults: list[str] = []
@@ -61,9 +61,9 @@ def verify_files(data_set: DataSet, advance: Advance) -> list[str]:
 def verify_samples(
     data_set: DataSet, numbers: Sequence[int], device: str | None, advance: Advance, folder: Path
 ) -> list[str]:
-    """List samples that differ when they are rendered again, a line each.
+    """Render samples again, and list those that differ, one line each.
 
-    folder: of the distribution file, where textures lie.
+    folder: folder of the distribution file, base of texture paths.
     """
     chosen = choose(device, "device")
     if numbers and device_family(chosen) != data_set.identity.device_family:
@@ -83,9 +83,9 @@ def verify_samples(
 
 
 def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
-    """The scene of a sample, or of one that failed, in the folder of the distribution file.
+    """The scene of a sample, even of a failed one, relative to the folder of the distribution file.
 
-    Raises SceneError where there is none.
+    Raises SceneError if there is no such sample.
     """
     if number not in data_set.samples:
         raise SceneError(f"sample: must be from {data_set.samples.start} to {data_set.samples.stop - 1}; got {number}")
@@ -101,7 +101,7 @@ def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
 
 
 def _verify_shard(data_set: DataSet, shard: int) -> Iterator[str]:
-    """Arrays of a shard whose files are whole."""
+    """Lines on damaged arrays of a shard whose files are complete."""
     rows, failures = data_set.lines(shard)
     numbers = sorted(row["number"] for row in (*rows, *failures))
     if numbers != list(data_set.numbers(shard)):
@@ -126,7 +126,7 @@ def _compared(where: str, data_set: DataSet, row: Mapping[str, Any], record: Rec
 
 
 def _differing(hashes: Mapping[str, str], others: Mapping[str, str]) -> list[str]:
-    """Arrays that have another hash, or are not there, in one of both."""
+    """Names of arrays whose hash differs, or that only one side has."""
     return sorted(name for name in hashes.keys() | others.keys() if hashes.get(name) != others.get(name))
 
 
@@ -149,7 +149,7 @@ def _verify_sample(data_set: DataSet, number: int, renderer: SampleRenderer, fol
 
 
 def _stored(data_set: DataSet, row: Mapping[str, Any]) -> Record:
-    """The record of a sample, by its line in the manifest."""
+    """The record of a sample, from its line in the manifest."""
     with closing(container_named(data_set.identity.format).read(data_set.storage.local(row["file"]))) as reader:
         if row["offset"] >= len(reader):
             raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
@@ -163,7 +163,7 @@ def _stored(data_set: DataSet, row: Mapping[str, Any]) -> Record:
 
 
 def _unknown_files(data_set: DataSet) -> list[str]:
-    """Findings on files beside those that parts name."""
+    """Messages on files that no part names."""
     known = {key for _, data in data_set.parts() for key in parsed_part(data).files}
     folders = sorted({key.partition("/")[0] for key in known} | {name for name, _ in data_set.identity.splits})
     unknown = [key for folder in folders for key in data_set.storage.sizes(folder) if key not in known]
@@ -172,7 +172,7 @@ def _unknown_files(data_set: DataSet) -> list[str]:
 
 
 def _merged_faults(data_set: DataSet) -> list[str]:
-    """Differences of the manifest of all shards, where it is there, from the parts."""
+    """Differences of the merged manifest, if it exists, from the parts."""
     merged = Merged(data_set.storage)
     for _, data in data_set.parts():
         merged.add(parsed_part(data), data)

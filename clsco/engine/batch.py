@@ -1,4 +1,4 @@
-"""Scenes to folders of files: which frames are wanted, which are there already, and the rest rendered."""
+"""Scenes to folders of files: selects the frames, skips existing ones, and renders the others."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the devic
 
 @dataclass(frozen=True)
 class Job:
-    """One scene to render: what its frames' JSON files say of it, the folder, and the frames still to do.
+    """One scene to render: entries of its frames' JSON files, its folder, and the frames still to render.
 
-    files: what is written besides PNG and JSON.
+    files: files to write besides PNG and JSON.
     """
 
     prepared: Prepared
@@ -51,9 +51,9 @@ class Job:
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
-    """Folder of each scene's frames: `out`, or for several scenes a folder of each one's name in it.
+    """Folder of each scene's frames: `out`, or for several scenes a folder per scene in it.
 
-    Raises SceneError where two scenes would share a folder, or one would leave `out`.
+    Raises SceneError if two scenes would share a folder, or a folder is outside of `out`.
     """
     if len(scenes) == 1:
         return [out]
@@ -69,7 +69,7 @@ def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
 
 
 def _require_inside(folder: Path, out: Path, where: Path) -> None:
-    """Raise SceneError where a folder of frames would not lie in `out`, by its name or as a symbolic link."""
+    """Raise SceneError if a folder of frames is outside of `out`, by its name or by a symbolic link."""
     if not is_same_place(Path(os.path.realpath(folder)).parent, out):
         raise SceneError(f"{where}: frames must stay inside {out}; got {folder}")
 
@@ -77,7 +77,7 @@ def _require_inside(folder: Path, out: Path, where: Path) -> None:
 def wanted(scene: Scene, span: Span, where: str) -> range:
     """Numbers of the frames from span[0] up to but not including span[1], by default all.
 
-    Raises SceneError where the scene has no such frames.
+    Raises SceneError if the scene has no such frames.
     """
     count = scene.sequence.frames
     first, end = span[0] or 0, count if span[1] is None else span[1]
@@ -94,12 +94,12 @@ def prepare(
     resume: bool,
     digests: Mapping[str, str] | None = None,
 ) -> Job:
-    """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
+    """Make the folder; with `resume`, skip frames that are in it, complete and of this scene.
 
-    digests: of its files, as `provenance.file_digests` gives them, where they are known. A frame is whole where its
-    JSON file, written last, names the scene's hash, this version, the same tolerance, all files
-    wanted with what they hold, and each file's SHA-256. Raises FileError where a texture or depth cannot be read or
-    the folder written.
+    digests: of the scene's input files, as `provenance.file_digests` gives them, if known. A frame is complete if its
+    JSON file, written last, names the scene's hash, this version, the same tolerance, all files asked for with their
+    arrays, and each file's SHA-256. Raises FileError if a texture or depth map cannot be read or the folder is not
+    writable.
     """
     scene, request = prepared.scene, prepared.request
     about = record(scene, digests)
@@ -137,9 +137,9 @@ def prepare(
 def prepare_all(
     planned: Sequence[PreparedFile], out: Path, files: tuple[TruthFile, ...], span: Span, resume: bool
 ) -> list[Job]:  # fmt: skip
-    """`prepare` for every scene of files, each file with its folder of `folders`.
+    """`prepare` for every scene of several files, each file in its folder of `folders`.
 
-    Raises as these and `wanted`, and SceneError where files name arrays that a scene does not have.
+    Raises as these and `wanted`, and SceneError if `files` name arrays that a scene does not have.
     """
     _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
@@ -158,7 +158,7 @@ def prepare_all(
 
 
 def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile]) -> None:
-    """Raise SceneError for arrays that are wanted by name, and that a scene does not have."""
+    """Raise SceneError for arrays that were asked for by name and that a scene does not have."""
     faults = dict[str, None]()
     named = {ATTRIBUTES[name]: file for file in files for name in _required(file)}
     for path, _, prepared in planned:
@@ -169,14 +169,14 @@ def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile])
 
 
 def _required(file: TruthFile) -> list[str]:
-    """Arrays in files that a scene must have: those wanted by name, or what the format is made for."""
+    """Arrays in files that a scene must have: those asked for by name, or required by the format."""
     known = TRUTH_FORMATS[file.format]
     names = file.names or (known.arrays[:1] if known.per == "array" else ())
     return [name for name in names if name not in ("color", *IMAGE_NAMES)]
 
 
 def _written(folder: Path, index: int) -> int | None:
-    """Time at which a frame was written, ns; None where it is not there."""
+    """Time in ns at which a frame was written; None if it does not exist."""
     try:
         return frame_json(folder, index).stat().st_mtime_ns
     except OSError:
@@ -186,9 +186,9 @@ def _written(folder: Path, index: int) -> int | None:
 def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
     """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
 
-    jobs: in the order in which they are rendered; those of one sweep follow each other, and up to `TOGETHER` of them
-    share their rays where they can; check: frames are compared with rays, and their records have the figures. What a
-    scene has once is written when all of them are done. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
+    jobs: in rendering order; jobs of one sweep follow each other, and up to `TOGETHER` of them share their rays if
+    possible; check: compare frames with rays, and add the figures to their metadata. Files that a scene has only once
+    are written after all of its frames. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
     """
     session = session_for(device)
     for _, alike in groupby(
@@ -204,7 +204,7 @@ def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterato
 
 
 def _run_together(session: Session, jobs: Sequence[Job], check: bool) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
-    """As `run`, of jobs with the same frames, files and request."""
+    """As `run`, for jobs with the same frames, files and request."""
     left: Frame | None = None
     for number, rendered in render_prepared(session, [job.prepared for job in jobs], jobs[0].frames):
         frame = rendered

@@ -1,4 +1,4 @@
-"""Processes that work for this one: begun, spoken with through a pipe, and ended in one way."""
+"""Child processes: started, connected by a pipe, and ended in one way."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ _last: list[Callable[[], object]] = []
 
 
 class Child:
-    """A process that calls a function, with a pipe between it and this one.
+    """A child process that calls a function, connected to this process by a pipe.
 
-    Ctrl-C is for this process alone, which decides about its children. A child ends with this process, however that
-    ends: first as SIGTERM ends it, and after ORPHAN_S by force.
+    Ctrl-C reaches only this process, which decides about its children. A child ends with its parent, even if that is
+    killed: first as if by SIGTERM, after ORPHAN_S seconds by force.
 
     Parameters
     ----------
     work : callable
-        Function of a module; takes the other end of the pipe, then `given`.
+        Function of a module; called with the child's end of the pipe and `given`.
     *given : object
         Arguments that can be pickled.
     environ : mapping, optional
-        Variables that the process has besides those of this one.
+        Additional environment variables.
 
     Attributes
     ----------
     pipe : Connection
-        Its messages, and EOFError at its end.
+        Receives its messages, and raises EOFError after its end.
     """
 
     def __init__(self, work: Callable[..., None], *given: Any, environ: Mapping[str, str] | None = None) -> None:
@@ -61,11 +61,11 @@ class Child:
 
     @property
     def is_alive(self) -> bool:
-        """True until it has ended."""
+        """True until the process has ended."""
         return self._process.is_alive()
 
     def send(self, message: Any) -> None:
-        """Send a message; one that has ended is heard to have ended when its next message is waited for."""
+        """Send a message; if the process has ended, the next receive raises an error instead."""
         with suppress(OSError):
             self.pipe.send(message)
 
@@ -74,12 +74,13 @@ class Child:
         self._process.terminate()
 
     def kill(self) -> None:
-        """Have the process end at once, even one that is stopped."""
+        """End the process at once, even a stopped one."""
         self._process.kill()
 
     def end(self, patience: float = 1.0) -> int:
-        """Wait until the process has ended, after so many seconds by force; returns its exit status, or less than 0
-        for a signal."""
+        """Wait for the end of the process, and kill it after `patience` seconds; returns its exit status, negative for
+        a signal.
+        """
         self._process.join(patience)
         if self._process.is_alive():
             self._process.kill()
@@ -90,17 +91,17 @@ class Child:
 
 
 def how_ended(status: int) -> str:
-    """Exit status of a process in words."""
+    """Description of a process's exit status."""
     return f"signal {-status}" if status < 0 else f"status {status}"
 
 
 def at_forced_end(action: Callable[[], object]) -> None:
-    """Have a child, which calls this, do something before it ends by force because its parent was killed."""
+    """Register an action that this child process runs before it ends by force because its parent was killed."""
     _last.append(action)
 
 
 def _run(work: Callable[..., None], pipe: Connection, given: tuple[Any, ...]) -> None:
-    """The process."""
+    """Entry point of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     bytearray(_LARGEST)  # once it was freed, glibc keeps the pages of each picture for the next

@@ -1,4 +1,4 @@
-"""The lens by itself: one image and its map of blur radii."""
+"""Defocus of one image by its map of blur radii."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Options(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class _Asked:
-    """`Options`, checked, with their defaults. Raises SceneError."""
+    """Checked `Options` with their defaults. Raises SceneError."""
 
     aperture: ApertureLike = None
     camera: CameraLike = None
@@ -204,7 +204,7 @@ class DefocusReport:
     Attributes
     ----------
     soft_edges : int
-        Pixels whose radius was between those of two surfaces at their edge, and became that of one of them.
+        Pixels whose radius lay between those of two surfaces at their edge, and was assigned to one of them.
     """
 
     soft_edges: int
@@ -212,9 +212,9 @@ class DefocusReport:
 
 @dataclass(frozen=True)
 class _Given:
-    """An image, (rows, columns[, channels]), with its map of signed radii, and what is in them.
+    """An image (rows, columns[, channels]), its map of signed radii, and properties of both.
 
-    mirrored: both go on beyond the border.
+    mirrored: both continue as mirror images beyond the border.
     """
 
     image: NDArray[Any]
@@ -252,7 +252,7 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Giv
 
 
 def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
-    """With the radius of one side where it was between those of two, and how many pixels that are."""
+    """Assign radii between those of two surfaces to one of them; also returns the number of such pixels."""
     known = given.coc if given.coc.dtype in (np.float32, np.float64) else given.coc.astype(np.float64)
     pixels, radii = assign_soft_edges(known, None, lambda: given.image)
     if not len(pixels):
@@ -278,7 +278,7 @@ def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, device: Devi
 def _in_colors(
     given: _Given, spreads: Sequence[PointSpread], blurred: Callable[[_Given, PointSpread], NDArray[np.float32]]
 ) -> NDArray[np.float32]:
-    """The blurred image, color by color where each has a point spread of its own."""
+    """The blurred image; each color is blurred by itself if its point spread function differs."""
     if given.channels != len(spreads) or len(set(spreads)) == 1:
         return blurred(given, spreads[GREEN])
     parts = (replace(given, image=np.ascontiguousarray(given.image[..., color])) for color in range(len(spreads)))
@@ -293,7 +293,7 @@ def _guard(given: _Given, spec: BlurSpec) -> int:
 
 
 def _blurred(session: Session, given: _Given, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
-    """The image, in as few strips as fit the limit."""
+    """Blur the image in as few strips as fit the limit."""
     if spec.method == "none":
         return given.image.astype(np.float32)
     rows, columns = given.coc.shape
@@ -303,7 +303,7 @@ def _blurred(session: Session, given: _Given, spec: BlurSpec, limit: Limit) -> N
 
 
 def _in_strips(session: Session, given: _Given, plan: ImagePlan) -> NDArray[np.float32]:
-    """The image, in the strips of a plan."""
+    """Blur the image in the strips of a plan."""
     spec, shape = plan.spec, given.image.shape if plan.channels > 1 else given.coc.shape
     real: Real = "double" if session.device.has_fp64 else "float"
     # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
@@ -325,7 +325,7 @@ def _in_strips(session: Session, given: _Given, plan: ImagePlan) -> NDArray[np.f
 
 
 class _Source(GivenImage):
-    """The image with its radii as real of a precision, or as floats."""
+    """Supplies the image and its radii, in the precision of the geometry or as floats."""
 
     def __init__(
         self, session: Session, given: _Given, plan: ImagePlan, real: Real | None, buffers: Mapping[str, cl.Buffer]

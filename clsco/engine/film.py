@@ -1,4 +1,4 @@
-"""A frame while strips and time samples are added to it."""
+"""State of a frame to which strips and time samples are added."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A run of the passes of a plan, for all sources of a time sample or a part of them.
+    """One run of a plan's passes, for all sources of a time sample or for some of them.
 
     Attributes
     ----------
     number : int
-        Number of the time sample, at whose time the objects are.
+        Number of the time sample; objects are at its time.
     weights : ndarray of float64, (lines,)
-        Weights of the plane in the frame, in its rows or its columns.
+        Weights of the blurred plane in the frame's rows, or columns.
     still : bool, optional
-        Sources of a divided exposure: the still ones, or the others; None for all sources.
+        With sources split into still and other ones: True for the still ones, False for the others; None for all
+        sources.
     """
 
     number: int
@@ -45,7 +46,7 @@ class Step:
 
 
 def _parts(plan: Plan, strip: Strip, steps: Sequence[Step]) -> dict[int, Strip]:
-    """Steps that a strip needs, with its part that each needs: of what is still all of it."""
+    """Steps that a strip needs, by number, with the part of the strip for each; still sources need all of it."""
     found = {}
     for number, step in enumerate(steps):
         part = strip if step.still else plan.part(strip, step.weights)
@@ -55,7 +56,7 @@ def _parts(plan: Plan, strip: Strip, steps: Sequence[Step]) -> dict[int, Strip]:
 
 
 class Film:
-    """The arrays of one frame, and what is known of how it was made.
+    """The arrays of one frame, and records of how they were computed.
 
     Parameters
     ----------
@@ -66,25 +67,25 @@ class Film:
     Attributes
     ----------
     times : list of float
-        Its time samples, s.
+        Times of its samples, s.
     steps : tuple of Step
-        Runs of the passes, of which the frame is the sum.
+        Runs of the passes, whose sum is the frame.
     color : ndarray of float32 (rows, columns[, channels])
     code, saturated : ndarray of uint16, of bool (rows, columns, planes)
-        Codes of a sensor; without one of no planes.
+        Codes of a sensor; 0 planes without one.
     subframes : ndarray of float32 (samples or 0, rows, columns[, channels])
     missing : ndarray of bool (rows, columns)
         Pixels that were missing at any time sample, filled or not.
     bounds : dict
-        Bounds of the depth layers of time samples by their numbers, where they come from all strips.
+        Bounds of the depth layers by number of the time sample, if they were found over all strips.
     parts_of : dict
-        For each strip its steps by their numbers, with the part of the strip that each is run on.
+        For each strip the steps that it needs by number, with the part of the strip that each runs on.
     parts : dict
-        Parts of a divided exposure by `Step.still`.
+        Still and other parts of the sources by `Step.still`.
     events : list
-        Launches.
+        Events of kernel launches.
     reports : dict
-        Reports on time samples by their numbers.
+        Reports on time samples by number.
     """
 
     def __init__(self, plan: Plan, index: int) -> None:
@@ -115,7 +116,7 @@ class Film:
         self._needs_light = plan.needs_light
 
     def add(self, session: Session, strip: Strip, count: int, found: Mapping[str, Any]) -> None:
-        """Add what the passes of a step, by its number, have handed on for a strip."""
+        """Add the outputs of one step's passes for a strip; count: number of the step."""
         number = self.steps[count].number
         report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING | found.get("counts", {})
         self.reports[number] = report | {name: found[name] for name in ("depth_layers",) if name in found}
@@ -131,7 +132,7 @@ class Film:
             self._planes.append((found.get("frame", found["plane"]), self.color[strip.inside]))
 
     def read(self, session: Session) -> None:
-        """Read back strips to which all time samples have been added; waits for the device."""
+        """Read back strips whose time samples are all added; waits for the device."""
         for plane, out in self._planes:
             plane.read(session, out)
         for codes, rows in self._codes:
@@ -140,7 +141,7 @@ class Film:
         self._planes.clear()
 
     def seconds(self) -> dict[str, float]:
-        """Seconds of the device by the names of kernels, and what the host has taken besides."""
+        """Seconds on the device by kernel name, and the remaining seconds on the host."""
         found: dict[str, float] = {}
         for name, event in self.events:
             found[name] = found.get(name, 0.0) + spent(event)

@@ -1,4 +1,4 @@
-"""Renderings one after the other that differ in little: what is the same is kept from one to the next."""
+"""Renderer for a series of similar scenes that reuses unchanged intermediate results."""
 
 from __future__ import annotations
 

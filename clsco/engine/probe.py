@@ -1,4 +1,4 @@
-"""Time of a frame, measured on a part of it: as many of its strips and time samples as take half a second."""
+"""Measures the time of a frame on part of it: as many strips and time samples as take half a second."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ _Part = tuple[Kind, bool | None]  # a kind of pass, for still sources, for the o
 
 @dataclass(frozen=True)
 class _FramePart:
-    """A run of the passes, by its number, on a part of a strip; still: as `clsco.engine.film.Step` has it; last: of its
-    strip, which alone has the passes of `ONCE_A_FRAME`."""
+    """A step, by number, on a part of a strip; still: as in `clsco.engine.film.Step`; last: True for the last step of
+    its strip, which alone runs the passes of `ONCE_A_FRAME`.
+    """
 
     strip: Strip
     number: int
@@ -38,14 +39,14 @@ class _FramePart:
 
 @dataclass(frozen=True)
 class FrameTime:
-    """Seconds of a frame, after kernels were compiled, without writing files.
+    """Predicted seconds of a frame without compiling kernels and writing files.
 
     Attributes
     ----------
     views : tuple of dict
-        Kind of pass -> seconds of all of that kind; of each view.
+        For each view: seconds of all passes by kind.
     share : float
-        Share of the steps of a frame that was run, 0 to 1.
+        Fraction of the frame's steps that was measured, 0 to 1.
     """
 
     views: tuple[dict[Kind, float], ...]
@@ -53,12 +54,12 @@ class FrameTime:
 
     @property
     def seconds(self) -> float:
-        """All of a frame."""
+        """Seconds of the whole frame."""
         return sum(sum(passes.values()) for passes in self.views)
 
     @property
     def longest(self) -> tuple[Kind, float]:
-        """The kind of pass that takes longest, with its share of the frame, 0 to 1."""
+        """The slowest kind of pass, with its fraction of the frame, 0 to 1."""
         kinds = dict.fromkeys(kind for passes in self.views for kind in passes)
         sums = {kind: sum(passes.get(kind, 0.0) for passes in self.views) for kind in kinds}
         kind = max(sums, key=sums.__getitem__)
@@ -66,15 +67,15 @@ class FrameTime:
 
 
 def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
-    """Measure a part of a frame on the device that will render it, and scale it by rows and time samples.
+    """Render a part of a frame on the device that will render it, and scale the time by rows and time samples.
 
     Parameters
     ----------
     session : Session
     prepared : Prepared
-        With plans for the device of the session.
+        Its plans are for the session's device.
     seconds : float
-        s, for the steps of each view, beside compiling; ground truth is made as a whole.
+        Seconds for the steps of each view, without compiling; ground truth is always made as a whole.
 
     Returns
     -------
@@ -95,7 +96,7 @@ def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS
 
 
 def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: float) -> tuple[dict[Kind, float], float]:
-    """Seconds of each kind of pass of a frame, and the share of its steps that was run."""
+    """Seconds of each kind of pass in a frame, and the fraction of its steps that was measured."""
     limit = limit_of(prepared.request.memory, session.device)
     frame, index = fitted(plan, limit), plan.scene.sequence.frames // 2
     clock = _Clock(session, ceil(frame.grid.rows / BAND))
@@ -118,19 +119,20 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
 
 
 def _in_bands(plan: Plan) -> Plan:
-    """The plan in the shortest strips, of which a core makes one at a time; as it is where it cannot be cut so."""
+    """The plan in the shortest strips, of which each core makes one at a time; unchanged if it cannot be split so."""
     whole = plan.forward or plan.spec.layered or plan.rows <= BAND
     return plan if whole else replace(plan, strip_rows=BAND)
 
 
 class _Clock:
-    """Time between passes: on processors that of all their cores over their number, as others may work on them, too.
+    """Time between passes; on processors, the time of all cores divided by their number, as other processes may use
+    them.
 
     Parameters
     ----------
     session : Session
     most : int
-        Cores that can work on a frame at the same time.
+        Number of cores that can work on a frame at the same time.
     """
 
     def __init__(self, session: Session, most: int) -> None:
@@ -140,15 +142,16 @@ class _Clock:
         self._last = self._now()
 
     def lap(self) -> float:
-        """Seconds since the last lap, with all that was enqueued."""
+        """Seconds since the last lap, including enqueued work."""
         self.queue.finish()
         last, self._last = self._last, self._now()
         return (self._last - last) / self._cores
 
 
 def _steps(film: Film) -> list[_FramePart]:
-    """Steps of a frame, the most telling first: of each strip the last, which has all passes, then the first, which may
-    be of still sources, then some in between; strips in an order in which any number of them is spread evenly."""
+    """Steps of a frame, most informative first: of each strip the last step, which has all passes, then the first,
+    which may be of still sources, then some in between; any number of leading strips is spread evenly over the frame.
+    """
     strips = sorted(film.parts_of.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
     rounds = list[list[_FramePart]]()
     for strip, parts in strips:
@@ -171,8 +174,9 @@ def _spread(number: int) -> float:
 def _run_steps(
     renderer: Renderer, index: int, seconds: float, clock: _Clock
 ) -> tuple[Film, dict[_Part, float], list[_FramePart]]:
-    """Run steps until the time is over; what passes took, s, and the steps. Each kind is run before it is measured, as
-    kernels are compiled at their first run."""
+    """Run steps for `seconds`; returns the film, the seconds of each pass, and the steps. Each kind runs once before it
+    is measured, because its kernels are compiled at their first run.
+    """
     film, done, warm = renderer.begin(index), list[_FramePart](), set[bool | None]()
     spent: dict[_Part, float] = {}
     for step in _steps(film):
@@ -193,6 +197,6 @@ def _run_steps(
 
 
 def _rows(steps: list[_FramePart], kind: Kind, still: bool | None) -> int:
-    """Rows that the passes of a kind go over in those steps of `still` sources that have them."""
+    """Total rows that the passes of a kind process in the steps with this `still`."""
     parts = [step.part for step in steps if step.still == still and (step.last or kind not in ONCE_A_FRAME)]
     return sum(part.height if kind in BY_HEIGHT else part.rows for part in parts)

@@ -1,4 +1,6 @@
-"""Frames of a plan on a device: its passes for every time sample, again with more room where the plan was too small."""
+"""Renderer of a plan's frames: runs its passes for every time sample, and again with a larger plan if buffers
+overflow.
+"""
 
 from __future__ import annotations
 
@@ -48,13 +50,13 @@ class Renderer:
     ----------
     session : Session
     plan : Plan
-        Fitted to the limit.
+        A plan that fits the limit.
     prepared : Prepared
         The scene, its files and its plan.
     limit : Limit
-        Limit that a larger plan is fitted to, if the plan turns out to be too small.
+        Limit for a larger plan, if this one turns out too small.
     hits : Hits, optional
-        Shared with the renderers of other lenses, whose plans have the same apron.
+        Ray hits shared with the renderers of other lenses, whose plans have the same apron.
 
     Raises
     ------
@@ -90,7 +92,7 @@ class Renderer:
         return ForwardWarp(plan, scene, maps) if plan.forward else None
 
     def _lights(self) -> tuple[Light, ...]:
-        """Light of all colors, or of each where they are blurred apart."""
+        """Textures and pixels of all colors together, or of each color if colors are blurred separately."""
         plan, found = self.plan, list[Light]()
         for one in plan.apart:
             channels = (one.only or 0, plan.colors)[: one.channels]
@@ -104,7 +106,7 @@ class Renderer:
         return scene_workspace(self.plan, self.lights, self.hits, self._grid(self.plan.strips[0]))
 
     def begin(self, index: int) -> Film:
-        """Begin the frame of this number: no radiance yet."""
+        """Begin the frame with this number, all black."""
         film, statistics = Film(self.plan, index), self.space.buffers.get("statistics")
         if isinstance(self.pixels, StaticMap):
             film.missing |= self.pixels.missing
@@ -132,20 +134,22 @@ class Renderer:
         )  # fmt: skip
 
     def _grid(self, strip: Strip) -> Struct:
-        """grid_t of a strip, or of a part of one."""
+        """grid_t of a strip, or of a part of it."""
         if strip not in self.grids:
             plan = self.plan
             self.grids[strip] = camera_grid(reference_camera(plan.scene), plan.guard_px, self.scene.real, strip)
         return self.grids[strip]
 
     def add(self, film: Film, strip: Strip, count: int, after: Callable[[Kind], None] | None = None) -> None:
-        """Run the passes of a step, by its number, on a strip; after: called after each pass with its kind."""
+        """Run the passes of a step on a strip; count: number of the step; after: called with the kind of each finished
+        pass.
+        """
         at = self._moment(film, strip, count)
         passes = (step for step in self.plan.passes if step.kind != "ground truth")
         film.add(self.session, strip, count, self.space.run(passes, at, after))
 
     def finish(self, film: Film) -> Frame:
-        """The frame, of the strips added: again with larger buffers where the plan was too small."""
+        """Complete the frame from its strips; if the plan was too small, render it again with larger buffers."""
         while self.enlarge():
             (film,) = expose([self], film.index)
         plan = self.plan
@@ -167,7 +171,7 @@ class Renderer:
         return Frame(index=film.index, metadata=self._metadata(film), eye=eye, **image, **truth)
 
     def enlarge(self) -> bool:
-        """Go on with a larger plan, and say so, where the frame met more than was predicted."""
+        """Switch to a larger plan, with a warning, if the frame needed more than predicted; True if it did."""
         if self.plan.static_map or not self.plan.color:
             return False
         found = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
@@ -177,7 +181,7 @@ class Renderer:
         return plan is not None
 
     def _change(self, plan: Plan) -> None:
-        """Go on with another plan of the scene."""
+        """Switch to another plan of the scene."""
         self.space = Workspace(self.session, {}, {})  # before the larger one takes memory
         before, self.plan = self.plan, plan
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
@@ -215,7 +219,7 @@ class Renderer:
         )
 
     def _exposure(self) -> dict[str, Any]:
-        """The light of the frame as a part of that through an open circle, where it goes by the aperture's area."""
+        """Metadata: irradiance relative to an open circular aperture, if it depends on the aperture's area."""
         scene = self.plan.scene
         return (
             {}
@@ -224,7 +228,7 @@ class Renderer:
         )
 
     def _light_cut(self) -> dict[str, Any]:
-        """Share of the light of a point that a point spread by waves leaves out, as `clsco plan` says it."""
+        """Metadata: share of a point's light that the truncated wave-optics PSF loses, as `clsco plan` reports it."""
         spec = self.plan.spec
         if not spec.psf.diffracted:
             return {}
@@ -233,7 +237,7 @@ class Renderer:
         return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)}
 
     def _line_times(self, index: int) -> dict[str, Any]:
-        """Times of the ground truth of the first and the last line, where lines are exposed in turn."""
+        """Metadata with a rolling shutter: times of the ground truth of the first and the last line."""
         times = line_times(self.plan.scene, index).tolist() if self.plan.scene.rolls else []
         return {"row_time": [times[0], times[-1]]} if times else {}
 
@@ -244,8 +248,9 @@ def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
-    """Radiance of the frame of this number, strip by strip and time sample by time sample, for renderers with the same
-    of both."""
+    """Expose frame `index` strip by strip and time sample by time sample, for renderers with the same strips and
+    samples.
+    """
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
     parts_of, ends = films[0].parts_of, list[float]()
@@ -265,10 +270,9 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
 
 
 def _keep_pace(before: Sequence[Events], progress: Progress, still: Sequence[bool], ends: list[float]) -> None:
-    """Wait for all steps but the latest, so that a cancel comes soon, and what is done is known.
+    """Wait for all steps except the latest, so that cancellation is quick and progress is known.
 
-    still: of each step of the frame that it is of what stands still, and no time sample; ends: times at which those
-    before were done, s, to which this one is added.
+    still: True for each step of still sources; ends: completion times of earlier steps, s; the new one is appended.
     """
     for _, event in (latest for events in before for latest in events):
         event.wait()
@@ -279,8 +283,9 @@ def _keep_pace(before: Sequence[Events], progress: Progress, still: Sequence[boo
 
 
 def _finished(done: Sequence[bool], still: Sequence[bool], ends: Sequence[float]) -> float:
-    """Share of a frame's time that is over, where each step takes as long as those of its kind on average; 0 while none
-    of a kind is done."""
+    """Fraction of a frame's time that has passed, assuming that each step takes the average of its kind; 0 until a step
+    of each kind is done.
+    """
     if not set(done) >= set(still):
         return 0.0
     taken = np.diff(ends)

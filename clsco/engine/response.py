@@ -1,4 +1,4 @@
-"""Light of one source spread over a frame: frames of scenes in which nothing else is lit."""
+"""Response of a frame to one source: renders scenes in which only that source is lit."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class Lit:
     Attributes
     ----------
     scene : Scene
-        Its frame has a margin.
+        The scene; its frame includes a margin.
     margin : int
-        px on each side.
+        Width on each side, px.
     share : ndarray of float32, (rows, columns), optional
-        Share of the light of the middle that pixels get, without the margin; by default all.
+        Response of each pixel relative to that of the middle, without the margin; by default 1 everywhere.
     """
 
     scene: Scene
@@ -126,7 +126,7 @@ def only_lit(
     item: int | None = None,
     files: InputFiles | None = None,
 ) -> Lit:
-    """The scene with the source of `response` lit. Raises as `response` for what cannot be.
+    """The scene with only the source of `response` lit. Raises as `response` for invalid arguments.
 
     files: as for `clsco.plan.prepare.prepare`.
     """
@@ -162,7 +162,7 @@ def only_lit(
 
 
 def _seen_at(prepared: Prepared, column: int, row: int) -> int:
-    """Number of the object that is seen in a pixel at t = 0. Raises SceneError where nothing is."""
+    """Number of the object visible in a pixel at t = 0. Raises SceneError if there is none."""
     number = int(find_visible(prepared.scene, prepared.maps, np.array([row]), np.array([column]))[1][0, 0])
     if number < 0:
         raise SceneError(f"x, y: must be on a surface at t = 0; got nothing at {column}, {row}")
@@ -181,14 +181,16 @@ def _within(name: str, value: SupportsIndex, least: int, most: int) -> int:
 
 
 def _projected(item: Object, texture: str | ArrayInput) -> Object:
-    """The object with a texture that the camera sees at t = 0."""
+    """The object with a texture, projected from the camera at t = 0."""
     keys = {*Textured.model_fields, *SixSided.model_fields} & type(item).model_fields.keys()
     plain = {key: type(item).model_fields[key].default for key in keys}
     return item.model_copy(update=plain | {"texture": texture})
 
 
 def _longest_way(scene: Scene, number: int, index: int) -> int:
-    """Way in px, rounded up, of the point of an object that the exposure finds farthest from its reference pose."""
+    """Largest displacement, in px and rounded up, of a point of an object from its reference pose during the
+    exposure.
+    """
     item, camera = scene.objects[number], reference_camera(scene)
     x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side for side in camera.frame_size)))
     w = predict_inverse_depth(item, place(item, rest_poses(scene)[number]), x, y)

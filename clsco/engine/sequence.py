@@ -1,4 +1,4 @@
-"""From scenes to frames on a device."""
+"""Rendering of scenes to frames on a device."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def checked_request(
     truth: str | Iterable[str] = ALL_TRUTH, color: bool = True, precision: str | None = None, method: str = "auto",
     tolerance: float | None = None, memory: str | int | None = None,
 ) -> Request:  # fmt: skip
-    """Check a user's request for a rendering: `Options` by name. Raises SceneError for what cannot be."""
+    """Check a user's request for a rendering: `Options` by name. Raises SceneError for invalid values."""
     if precision not in (None, "single", "double"):
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
@@ -221,10 +221,10 @@ def checked_request(
 def render_prepared(
     session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None = None, keeps_rays: bool = False
 ) -> Iterator[tuple[int, Frame]]:
-    """`render_sweep` for scenes that are prepared, in the session, with one request for all of them.
+    """`render_sweep` for prepared scenes in a session, all with one request.
 
-    keeps_rays: what rays hit stays with the session, for later renderings of the same objects. Plans that were made
-    before a device was opened, for a processor, are made again where it is none.
+    keeps_rays: keep ray hits in the session, for later renderings of the same objects. Plans made for a processor
+    before a device was opened are made again if the device is not one.
     """
     known = prepared
     if any(each.plan.device.kind != session.device.kind for each in prepared):
@@ -239,7 +239,7 @@ def render_prepared(
 def _render_scenes(
     session: Session, scenes: Sequence[Scene], request: Request, frames: Sequence[int] | None
 ) -> Iterator[tuple[int, Frame]]:
-    """As `render_prepared`; scenes that share their rays are prepared together, when their turn comes."""
+    """As `render_prepared`; scenes that share their rays are prepared together, just before they are rendered."""
     for group in lens_groups(scenes):
         sweep = Sweep(("",) * len(group), tuple(scenes[k] for k in group))
         for k, frame in render_prepared(session, prepare_sweep(sweep, request, session.device), frames):
@@ -247,7 +247,7 @@ def _render_scenes(
 
 
 def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> list[int]:
-    """The numbers of frames, which every scene must have. Raises SceneError."""
+    """The numbers of frames, all of which every scene must have. Raises SceneError."""
     count = min((scene.sequence.frames for scene in scenes), default=0)
     try:
         found = [operator.index(number) for number in frames]
@@ -286,7 +286,7 @@ def _render_group(
 def _in_turns(
     session: Session, prepared: Sequence[Prepared], limit: Limit, wanted: Sequence[int]
 ) -> Iterator[list[tuple[int, Frame]]]:
-    """All frames of each number, of scenes that share their rays; none where they cannot."""
+    """Frames with each number, of all scenes that share their rays; yields nothing if they cannot share them."""
     together = []
     for of_lenses in _in_lockstep([each.plans for each in prepared], limit):
         hits = LatestHits(session)
@@ -300,7 +300,7 @@ def _in_turns(
 def _in_strips(
     session: Session, prepared: Prepared, limit: Limit, wanted: Sequence[int], keeps_rays: bool
 ) -> Iterator[list[Frame]]:
-    """The views of each frame of one scene; in smaller strips where the device has less memory than it reports."""
+    """The views of each frame of one scene; strips shrink if the device has less memory than it reports."""
     renderers: list[Renderer] = []
 
     def renderer(plan: Plan) -> Renderer:
@@ -326,13 +326,15 @@ def _in_strips(
 
 
 def _kept_guard(guard: int) -> int:
-    """An apron for rays that are kept: one of few widths, so that lenses with about the same blur have the same."""
+    """An apron for cached rays: rounded to one of few widths, so that lenses with similar blur share it."""
     step = max(1 << guard.bit_length() >> 2, KEPT_GUARD)
     return -(-guard // step) * step
 
 
 def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
-    """Plans per eye and lens that share their rays, with one guard band; none where they cannot, or do not fit."""
+    """Plans per eye and lens that share their rays, with one guard band; empty if they cannot share them or do not
+    fit.
+    """
     if len(plans) == 1 or not all(_shares_rays(one, other) for one, other in pairwise(plans)):
         return []
     found = []
@@ -348,7 +350,7 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
 
 
 def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
-    """True if hits of rays for one lens serve another one."""
+    """True if ray hits of one lens serve another one."""
     return all(
         casts_for_lenses(a)
         and casts_for_lenses(b)
@@ -359,11 +361,11 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
 
 
 def casts_for_lenses(plan: Plan) -> bool:
-    """True if rays are cast, and nothing but sources is made of what they hit."""
+    """True if the plan casts rays and uses their hits only for sources."""
     return not plan.apart and plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
 
 
 def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:
-    """One frame of each renderer, time sample by time sample."""
+    """One frame of each renderer, rendered in lockstep, time sample by time sample."""
     films = expose(renderers, index)
     return [renderer.finish(film) for renderer, film in zip(renderers, films, strict=True)]

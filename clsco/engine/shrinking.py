@@ -1,4 +1,4 @@
-"""Work in strips that fit the memory, again in smaller ones where the device has less than it reports."""
+"""Runs work in strips that fit the memory, and retries with smaller strips if the device has less than it reports."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ T = TypeVar("T")
 
 
 class Shrinking(Generic[F]):
-    """Runs what fits a limit of memory; where the device is short of it, what fits half of what was taken.
+    """Runs work that fits a memory limit; when the device runs short of memory, retries with half the memory.
 
     Parameters
     ----------
     session : Session
     limit : Limit
     fit : callable
-        Makes what fits a limit.
+        Returns the work that fits a limit.
     size : callable
-        Bytes of it on the device.
+        Bytes of the work's buffers on the device.
     """
 
     def __init__(
@@ -34,8 +34,9 @@ class Shrinking(Generic[F]):
         self.fitting = fit(limit)
 
     def run(self, work: Callable[[F], T]) -> T:
-        """Return the result of `work`. Raises DeviceError where nothing smaller fits, and for all other errors of the
-        device."""
+        """Return the result of `work`. Raises DeviceError if nothing smaller fits, or for any other error of the
+        device.
+        """
         while True:
             try:
                 with self.session.reporting():

@@ -1,4 +1,4 @@
-"""Kernels compiled ahead: those of a scene, and of scenes near it."""
+"""Compiles the kernels of a scene, and of similar scenes, ahead of time."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ SIDE = 16  # px, of the frames that have the kernels run
 
 
 def warm(session: Session, scene: Scene, files: InputFiles) -> None:
-    """Compile what a scene and those near it need.
+    """Compile the kernels that a scene and similar ones need.
 
-    First into the cache on disk, in a context of its own that nobody waits for, then into the session. Faults of the
-    scene are raised by its rendering.
+    They are compiled into the cache on disk first, in a separate context, then in the session. Faults of the scene are
+    ignored here; rendering raises them.
     """
     with suppress(ClscoError):
         prepared = prepare(scene, Request(ALL_TRUTH), session.device, files)
@@ -39,7 +39,7 @@ def warm(session: Session, scene: Scene, files: InputFiles) -> None:
 
 
 def run_near(session: Session, prepared: Prepared) -> int:
-    """Run the kernels of a scene and of those near it on small frames, so that they are compiled.
+    """Run the kernels of a scene and of similar ones on small frames, so that they are compiled.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def run_near(session: Session, prepared: Prepared) -> int:
 
 
 def near(plan: Plan) -> Iterator[Plan]:
-    """The plan, and those of scenes near it: with and without silhouettes, and occluders."""
+    """The plan, and plans of similar scenes: with and without silhouettes and occluders."""
     yield plan
     if not casts_for_lenses(plan):
         return
@@ -75,12 +75,12 @@ def near(plan: Plan) -> Iterator[Plan]:
 
 
 def _occluded(plan: Plan, occlusion: Occlusion, group: OcclusionGroup) -> Plan:
-    """The plan with another method of occlusion, of one group."""
+    """The plan with another method of occlusion, for one group."""
     return replace(plan, choices=replace(plan.choices, occlusion=Choice(occlusion)), groups=(group,))
 
 
 def _small(prepared: Prepared) -> Prepared:
-    """The scene in a frame of SIDE px, with the same blur; with depth maps as it is, which have the frame's size."""
+    """The scene in a frame of SIDE px, with the same blur; unchanged with depth maps, whose size fixes the frame's."""
     if not prepared.scene.is_analytic:
         return prepared
     camera = prepared.scene.camera.model_copy(update={"resolution": (SIDE, SIDE)})

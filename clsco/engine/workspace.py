@@ -57,7 +57,7 @@ Pixels = ForwardWarp | StaticMap | None
 
 @dataclass(frozen=True)
 class Workspace:
-    """Functions that run the passes of a plan on a device, and what they share.
+    """Functions that run the passes of a plan on a device, and the state that they share.
 
     Attributes
     ----------
@@ -67,11 +67,11 @@ class Workspace:
     buffers : mapping
         Buffers of `SHARED` that the plan has.
     clusters : tuple of Clusters
-        The one that finds depth layers, where there is one.
+        The pass that finds depth layers, if the plan has one.
     colors : tuple of Workspace
-        Workspaces of red, green and blue, where each is blurred by itself.
+        Workspaces of red, green and blue, if each is blurred by itself.
     aims : callable, optional
-        Gives an area the rays of a color, where each has its own.
+        Replaces the rays of an area by those of a color, if colors have different rays.
     """
 
     session: Session
@@ -82,7 +82,7 @@ class Workspace:
     aims: Callable[[Any, int], Area] | None = None
 
     def run(self, passes: Iterable[Pass], at: Area, after: Callable[[Kind], None] | None = None) -> Mapping[str, Any]:
-        """Run passes on a part of a frame; what they hand on, by the names of `Pass`. Raises CanceledError.
+        """Run passes on a part of a frame; returns their outputs, named as in `Pass`. Raises CanceledError.
 
         after: called after each pass with its kind.
         """
@@ -104,8 +104,9 @@ class Workspace:
         return run_passes(passes, run)
 
     def find_layers(self, passes: Iterable[Pass], strips: Iterable[Area]) -> tuple[LayerBounds, ...] | None:
-        """Bounds of depth layers from all of several strips, which by itself a strip cannot find: one, or those of red,
-        green and blue. None of no layers."""
+        """Bounds of depth layers over several strips, which one strip cannot find: for all colors, or for red, green
+        and blue. None without layers.
+        """
         if self.colors:
             steps, areas = tuple(passes), tuple(strips)
             found: tuple[LayerBounds, ...] = ()
@@ -122,21 +123,21 @@ class Workspace:
 
 
 def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> dict[str, cl.Buffer]:
-    """Buffers of `SHARED` that a plan has, but for `absent` ones. Raises DeviceError."""
+    """Buffers of `SHARED` that a plan has, except the `absent` ones. Raises DeviceError."""
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
 
 
 def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid: Struct) -> Workspace:
-    """Workspace of a scene, whose first strip has this grid_t.
+    """Workspace of a scene; grid: grid_t of its first strip.
 
     Parameters
     ----------
     plan : Plan
     lights : sequence of Light
-        Light of all colors, or of those of `Plan.apart`.
+        Textures and pixels of all colors, or of each color in `Plan.apart`.
     hits : Hits, optional
-        Shared with other lenses.
+        Ray hits shared with other lenses.
     grid : numpy.void
 
     Raises
@@ -165,7 +166,7 @@ def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid
 
 
 def _aims(plan: Plan) -> Callable[[Moment, int], Moment] | None:
-    """See `Workspace.aims`."""
+    """Function for `Workspace.aims`, or None."""
     if not plan.scene.shifts_colors:
         return None
 
@@ -178,14 +179,14 @@ def _aims(plan: Plan) -> Callable[[Moment, int], Moment] | None:
 
 @dataclass(frozen=True)
 class Light:
-    """Light of all colors, or of one.
+    """Textures and pixels of all colors, or of one.
 
     Attributes
     ----------
     scene : PlacedScene
-        With the textures of it.
+        The scene with its textures in these colors.
     pixels : ForwardWarp or StaticMap, optional
-        Moves the pixels of the reference pose, or has them as they are.
+        Source of pixels in the reference pose: moved by a forward warp, or static.
     """
 
     scene: PlacedScene
@@ -210,7 +211,7 @@ def _light_workspace(
 
 
 def _handed_on(plan: Plan) -> Callable[[Moment, Any], Any]:
-    """Turn the light that a pass makes into what it hands on, which `clsco.plan.image.light_of` names."""
+    """Function that turns the sources of a pass into its output, named by `clsco.plan.image.light_of`."""
 
     def plane(at: Moment, light: Image | Sources) -> Plane:
         return padded_plane(at.grid, light.value, plan.channels)
@@ -240,7 +241,7 @@ def _ray_runs(tracer: Tracer, handed_on: Callable[[Moment, Any], Any]) -> dict[K
 
 
 def _pixel_runs(plan: Plan, pixels: Pixels, buffers: Mapping[str, cl.Buffer]) -> dict[Kind, Run]:
-    """Functions that run the passes of pixels of the reference pose."""
+    """Functions that run the passes on pixels of the reference pose, by kind of pass."""
     handed_on = _handed_on(plan)
     if isinstance(pixels, StaticMap):
         static, missing = pixels, int(pixels.missing.sum())
@@ -274,7 +275,8 @@ def blur_runs(
     maps: Maps,
     behind_rims: BehindRims | None = None,
 ) -> tuple[dict[Kind, Run], tuple[Clusters, ...]]:
-    """Functions that run the passes from an image or sources to the blurred plane, and the finder of depth layers.
+    """Functions that run the passes from an image or sources to the blurred plane, and the passes that find depth
+    layers.
 
     Parameters
     ----------
@@ -285,12 +287,12 @@ def blur_runs(
     grid : numpy.void
         grid_t of the first strip.
     buffers : mapping
-        "source", where images become sources.
+        With "source", if images become sources.
     real : {"double", "float"}
     maps : Maps
-        Radii of images.
+        Blur radii of images.
     behind_rims : callable, optional
-        For images that rims cut.
+        For images with aperture rims.
     """
     if spec.method == "none":
         return {}, ()

@@ -1,1 +1,1 @@
-"""Files in and out: codecs, transfer curves, atomic writing. Knows no scenes."""
+"""File formats: codecs, transfer curves, atomic writing. Independent of scenes."""

@@ -1,4 +1,4 @@
-"""NPY arrays, and members of ZIP archives, of strangers: no more is unpacked than is asked for."""
+"""Untrusted NPY arrays and members of ZIP archives: no more bytes are unpacked than requested."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class NpyHeader(NamedTuple):
 
 
 def npy_header(file: BinaryIO | zipfile.ZipExtFile) -> NpyHeader:
-    """Header of an NPY that a file begins with. Raises ValueError where there is none."""
+    """Header at the start of an NPY file. Raises ValueError if there is none."""
     head = io.BytesIO(file.read(HEADER))
     version = np.lib.format.read_magic(head)
     if version not in ((1, 0), (2, 0)):
@@ -41,7 +41,7 @@ def npy_header(file: BinaryIO | zipfile.ZipExtFile) -> NpyHeader:
 
 
 def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Shape of an image or a map without axes of length 1 before and behind it, as of (1, rows, columns)."""
+    """Shape of an image or a map without leading and trailing axes of length 1, as in (1, rows, columns)."""
     while len(shape) > 2 and shape[-1] == 1:
         shape = shape[:-1]
     while len(shape) > 2 and shape[0] == 1 and (len(shape) > 3 or shape[-1] != 3):
@@ -50,21 +50,21 @@ def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def npy_bytes(array: NDArray[Any]) -> bytes:
-    """An NPY file of numbers or bools of any shape; the same for the same array."""
+    """NPY file of an array of numbers or bools of any shape; equal arrays give equal bytes."""
     stream = io.BytesIO()
     np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
     return stream.getvalue()
 
 
 def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
-    """Bytes that an NPY file of such an array has at most."""
+    """Largest size in bytes of an NPY file of such an array."""
     return math.prod(shape) * dtype.itemsize + HEADER
 
 
 def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """The array of an NPY file, which must have this type and shape; nothing is taken on the word of its header.
+    """The array of an NPY file, which must have this type and shape; sizes in its header are not trusted.
 
-    It is in the memory of what can be written to.
+    It shares the memory of `content` if that is writable.
     """
     header = npy_header(io.BytesIO(content[:HEADER]))
     if header.dtype.hasobject or (header.dtype.newbyteorder("="), header.shape) != (dtype, shape):
@@ -77,7 +77,9 @@ def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], sha
 
 
 def open_archive(file: BinaryIO) -> zipfile.ZipFile:
-    """Open a ZIP archive whose directory is small. Raises ValueError where it is not, BadZipFile for none."""
+    """Open a ZIP archive with a small directory. Raises ValueError for a large one, BadZipFile if it is not an
+    archive.
+    """
     import zipfile
 
     size = file.seek(0, os.SEEK_END)
@@ -90,7 +92,7 @@ def open_archive(file: BinaryIO) -> zipfile.ZipFile:
 
 
 def open_member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
-    """Open a member that is stored or deflated; of other kinds Python unpacks more than is read at once."""
+    """Open a stored or deflated member; for other methods Python unpacks more than each read asks for."""
     import zipfile
 
     about = archive.getinfo(name)
@@ -100,7 +102,7 @@ def open_member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
 
 
 def member_bytes(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Content of a member, of at most `most` bytes. Raises ValueError where it has more, or is damaged."""
+    """Content of a member, of at most `most` bytes. Raises ValueError if it has more, or is damaged."""
     size = archive.getinfo(name).file_size
     if size > most:
         raise ValueError(f"{size} bytes in {name}")
@@ -112,7 +114,7 @@ def member_bytes(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
 
 
 def member_array(archive: zipfile.ZipFile, name: str, header: NpyHeader) -> NDArray[Any]:
-    """The array of a member that is an NPY with this header, and nothing after it."""
+    """The array of an NPY member with this header and nothing after it."""
     needed = header.start + math.prod(header.shape) * header.dtype.itemsize
     if archive.getinfo(name).file_size > needed:
         raise ValueError("bytes after the array")

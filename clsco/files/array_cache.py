@@ -1,4 +1,6 @@
-"""Arrays on disk that take long to compute: a file for each key, with a checksum; a damaged one counts as missing."""
+"""Cache on disk of arrays that are slow to compute: a file per key with a checksum; a damaged file counts as
+missing.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ DIGEST = hashlib.sha256().digest_size
 
 
 def user_cache(name: str) -> ArrayCache:
-    """A cache in the user's cache folder; it keeps nothing where others could write to it, or it cannot be made."""
+    """A cache in the user's cache folder; it stores nothing if the folder cannot be made, or others could write to
+    it.
+    """
     try:
         return ArrayCache(private_folder("clsco", name))
     except (ExposedFolderError, OSError, RuntimeError):
@@ -33,19 +37,19 @@ def user_cache(name: str) -> ArrayCache:
 
 
 class ArrayCache:
-    """Named arrays by a key, in a folder. Several processes may use it at the same time.
+    """Named arrays by key, in a folder. Several processes may use it at the same time.
 
     Parameters
     ----------
     folder : Path or None
-        Folder of the cache alone; None for a cache that keeps nothing.
+        Folder used only by this cache; None for a cache that stores nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
 
     def get(self, key: str) -> dict[str, NDArray[Any]] | None:
-        """The arrays of a key, to be read; None where they are not there, or not as they were written."""
+        """The arrays of a key, read-only; None if they are missing or damaged."""
         if self.folder is None:
             return None
         path = self._path(key)
@@ -59,7 +63,7 @@ class ArrayCache:
             return None
 
     def put(self, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write arrays; a disk that is full, or a folder that cannot be written, is no error."""
+        """Write arrays; a full disk or a read-only folder is not an error."""
         if self.folder is None or sum(array.nbytes for array in arrays.values()) > LARGEST:
             return
         content, path = _packed(arrays), self._path(key)
@@ -88,14 +92,15 @@ class ArrayCache:
 
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Arrays of numbers as bytes: a line with the dtype and shape of each, then what they hold. NumPy's own file is an
-    archive with a literal of Python for each, which takes longer to read."""
+    """Arrays of numbers as bytes: a line with the dtype and shape of each, then their content. This is faster to read
+    than an NPZ, an archive with a Python literal per array.
+    """
     about = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])
 
 
 def _read(path: Path) -> mmap.mmap:
-    """The content of a file in pages of its own: arrays stay where they were read, and leave no gaps when they go."""
+    """The content of a file in its own memory pages: arrays need no copy, and freeing them leaves no gaps."""
     with open_regular(path, 2 * LARGEST) as file:
         content = mmap.mmap(-1, os.fstat(file.fileno()).st_size)  # ValueError for an empty file
         if file.readinto(content) != len(content):

@@ -1,4 +1,4 @@
-"""Arrays by name from NPZ and EXR files, which strangers may have made: headers limit the bytes that are read."""
+"""Named arrays from untrusted NPZ and EXR files: headers limit the bytes that are read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clsco.files.decoders import check_limits, exr_planes, open_format
 def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]]:
     """Read arrays of floats (rows, columns[, 2 or 3]) from an NPZ.
 
-    Raises FileError where one is not there, is no such array, or has over 2^27 pixels.
+    Raises FileError if an array is missing, has another type or shape, or has over 2^27 pixels.
     """
     with open_format(path, {".npz": "NPZ"}) as (file, _), open_archive(file) as archive:
         arrays = {}
@@ -35,9 +35,9 @@ def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]
 
 
 def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[np.floating]]:
-    """Read channels (rows, columns) of floats from an EXR, of one with several views those of `view`.
+    """Read channels (rows, columns) of floats from an EXR, or from its view `view` if there are several.
 
-    Raises FileError where one is not there or holds no floats, and for over 2^27 pixels or 2^29 values in all.
+    Raises FileError if a channel is missing or not of floats, and for over 2^27 pixels or 2^29 values in all.
     """
     own = [f"{view}.{name}" if view else name for name in names]
 

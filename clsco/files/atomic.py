@@ -1,4 +1,4 @@
-"""Files that are whole or absent, and errors that state in one line why they could not be written."""
+"""Atomic writing of files, and one-line errors on why a file could not be written."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BLOCK = 2**18  # bytes that are read at once
 
 
 def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
-    """Raise FileError with the one line `path: rule; got value`; of an OSError the value is its reason."""
+    """Raise FileError with the line `path: rule; got value`; for an OSError the value is its reason."""
     where = str(path)
     if isinstance(got, OSError):
         got = got.strerror or got
@@ -28,9 +28,9 @@ def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception 
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that gets its name only when all of it is on the disk; until then an older file stays.
+    """Open a temporary file that is renamed to `path` when it is complete on the disk; until then an older file stays.
 
-    Raises FileError where the folder, the disk or a codec fails; then nothing is left.
+    Raises FileError if the folder, the disk or a codec fails, and leaves no file.
     """
     temporary = _temporary(path)
     try:
@@ -47,16 +47,16 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
 
 def atomic_write_bytes(path: Path, content: bytes) -> None:
-    """Write a file that is whole or absent. Raises FileError as `atomic_write`."""
+    """Write a file atomically. Raises FileError as `atomic_write`."""
     with atomic_write(path) as file:
         file.write(content)
 
 
 @contextlib.contextmanager
 def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Open a hidden folder whose files move to `folder` when all of them are written; otherwise they are removed.
+    """Open a hidden folder whose files move to `folder` when all are written; on an error they are removed.
 
-    name: of what the files make up, for messages. Older files stay until they are replaced. Raises FileError.
+    name: kind of the files, for messages. Older files stay until they are replaced. Raises FileError.
     """
     temporary = _temporary(folder / name)
     try:
@@ -73,7 +73,7 @@ def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
 
 
 def remove_file(path: Path) -> None:
-    """Remove a file if it is there. Raises FileError where that is not allowed."""
+    """Remove a file if it exists. Raises FileError if that is not allowed."""
     try:
         path.unlink(missing_ok=True)
     except (OSError, ValueError) as error:
@@ -81,7 +81,7 @@ def remove_file(path: Path) -> None:
 
 
 def make_writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Make a folder and its parents, and prove that files can be made in it. Raises FileError where not."""
+    """Make a folder and its parents, and check that files can be created in it. Raises FileError if they cannot."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -94,18 +94,20 @@ def make_writable_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def is_same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
-    """True if two paths, existing or not, are one after all symbolic links; a link to itself is only itself."""
+    """True if two paths, existing or not, lead to the same place through all symbolic links; a link to itself leads
+    only to itself.
+    """
     return os.path.realpath(path) == os.path.realpath(other)
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file's content in hexadecimal. Raises OSError where it cannot be read."""
+    """SHA-256 of a file's content in hexadecimal. Raises OSError if it cannot be read."""
     with open_regular(path, follow=True) as file:
         return file_sha256(file)
 
 
 def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
-    """Bytes and SHA-256 of a file, or of each file in a folder, by the keys that they have where the path has `key`.
+    """Bytes and SHA-256 of a file, or of each file in a folder; their keys begin with `key` in place of the path.
 
     Raises OSError.
     """
@@ -115,7 +117,7 @@ def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
 
 
 def file_sha256(file: BinaryIO) -> str:
-    """SHA-256 of the bytes that an opened file has now: it may grow meanwhile."""
+    """SHA-256 of the bytes that an open file has now; bytes appended meanwhile are ignored."""
     digest, left = hashlib.sha256(), os.fstat(file.fileno()).st_size
     while left > 0 and (block := file.read(min(left, _BLOCK))):
         digest.update(block)
@@ -124,5 +126,5 @@ def file_sha256(file: BinaryIO) -> str:
 
 
 def _temporary(path: Path) -> Path:
-    """A hidden name that nobody else uses, in the same folder: replacing is atomic only there."""
+    """A hidden, unique name in the same folder, because renaming is atomic only there."""
     return path.parent / work_name(f".{path.name}", secrets.token_hex(4))

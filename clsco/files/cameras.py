@@ -1,4 +1,4 @@
-"""Cameras in the files of COLMAP (cameras.txt, images.txt, points3D.txt): numbers to bytes."""
+"""Cameras in the text files of COLMAP (cameras.txt, images.txt, points3D.txt)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 class Pinhole:
     """A camera and its pose: X_camera = rotation X_world + translation, in mm.
 
-    World and camera have x to the right, y down, z into the scene, as OpenCV and COLMAP have it. columns, rows, focal
-    and center (column and row of the principal point; centers of pixels are integers): px. distortion: k1, k2, p1, p2,
-    k3 of OpenCV, or ().
+    World and camera have x to the right, y down, z into the scene, as in OpenCV and COLMAP. columns, rows, focal and
+    center (column and row of the principal point; pixel centers are integers): px. distortion: k1, k2, p1, p2, k3 of
+    OpenCV, or ().
     """
 
     columns: int
@@ -31,7 +31,9 @@ class Pinhole:
 
 
 def _quaternion(rotation: Array) -> Array:
-    """Unit quaternion (w, x, y, z) of a rotation matrix, w >= 0: the largest component first, without cancellation."""
+    """Unit quaternion (w, x, y, z) of a rotation matrix, w >= 0; computed from the largest component to avoid
+    cancellation.
+    """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
     # Four times the products of the components with each other, such as 4 w x at row 0, column 1.
     products = np.array(
@@ -49,9 +51,9 @@ def _quaternion(rotation: Array) -> Array:
 def colmap_texts(images: Iterable[tuple[str, Pinhole]]) -> dict[str, bytes]:
     """A sparse model of COLMAP without points: content of cameras.txt, images.txt and points3D.txt.
 
-    images: name and camera of each image. COLMAP has the centers of pixels at halves, so its principal point is half a
-    pixel farther right and down. Lengths are in mm, as COLMAP has no unit. A camera with distortion is one of
-    FULL_OPENCV, whose k4 to k6 are 0. Validated by pycolmap, and by points that are projected into the frame.
+    images: name and camera of each image. In COLMAP pixel centers are at halves, so its principal point is half a pixel
+    farther right and down. Lengths are in mm, as COLMAP has no unit. A camera with distortion is written as FULL_OPENCV
+    with k4 to k6 = 0. Validated by pycolmap, and by points projected into the frame.
     """
     cameras: dict[str, int] = {}
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from world to camera, mm; then a line of no points"]

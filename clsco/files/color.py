@@ -1,8 +1,8 @@
-"""Color spaces that image files name: the curve that decodes their codes, and what an output needs to look the same.
+"""Color spaces of image files: the curves that decode their codes, and the profiles that outputs need to look the same.
 
-Codes become linear radiance in the primaries of their own profile, and outputs get codes of the same curve with the
-profile beside them: pixels that stay as they are have their codes, and their looks. Where images of several profiles
-meet, a matrix takes each to the primaries of sRGB.
+Codes become linear radiance in the primaries of their own profile. Outputs get codes of the same curve, and the same
+profile, so unchanged pixels keep their codes and their look. If images with several profiles meet, a matrix converts
+each to the primaries of sRGB.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ _CICP_SRGB, _CICP_BT709_PRIMARIES = 13, 1
 
 @dataclass(frozen=True)
 class Color:
-    """Color space of an image file; by default sRGB, of which nothing need be said.
+    """Color space of an image file; by default sRGB, which needs no profile.
 
-    name: as the profile calls itself, printable. icc: the ICC profile, or b"". chunks: kind and content of chunks of a
-    PNG that stand for a profile. channels: of images that the profile is for, 0 for any. curve: of its codes, None for
-    that of sRGB. chromaticities: x and y of white, red, green and blue, None where they are unknown or those of sRGB.
-    note: one line on what could not be read, or "".
+    name: printable name from the profile. icc: the ICC profile, or b"". chunks: kind and content of PNG chunks that act
+    as a profile. channels: channels of images that the profile fits, 0 for any. curve: transfer curve of the codes,
+    None for that of sRGB. chromaticities: x and y of white, red, green and blue, None if unknown or those of sRGB.
+    note: one line on why a profile could not be read, or "".
     """
 
     name: str = "sRGB"
@@ -63,40 +63,44 @@ class Color:
 
     @property
     def is_plain(self) -> bool:
-        """True where an output looks the same without a profile."""
+        """True if an output looks the same without a profile."""
         return not self.icc and not self.chunks and self.chromaticities is None
 
     @cached_property
     def to_srgb(self) -> Matrix | None:
-        """Matrix (3, 3) from its linear red, green and blue to those of sRGB; None where there is none."""
+        """Matrix (3, 3) from its linear red, green and blue to those of sRGB; None if no conversion is needed or
+        known.
+        """
         return None if self.chromaticities is None else chromaticities_to_srgb(self.chromaticities)
 
     def converts(self, transfer: str) -> bool:
-        """True where images get the primaries of sRGB: not codes that a scene takes as "linear" by all means."""
+        """True if images are converted to the primaries of sRGB; False for codes that a scene declares "linear"."""
         return self.to_srgb is not None and (transfer == "srgb" or not (self.icc or self.chunks))
 
     @property
     def size(self) -> int:
-        """Bytes that it takes in memory."""
+        """Bytes in memory."""
         return len(self.icc) + (0 if self.curve is None else self.curve.radiance.nbytes)
 
     def transfer(self, curve_of_scene: str) -> str | Curve:
-        """Transfer curve of codes where a scene wants "srgb" or "linear": its own curve in place of "srgb"."""
+        """Transfer curve of codes for a scene with the curve "srgb" or "linear": its own curve replaces "srgb"."""
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile of red, green and blue, in codes or linear: its own, or one of its primaries; b"" for none."""
+        """ICC profile of red, green and blue, for codes or for linear values: its own, or one made from its primaries;
+        b"" if none is needed.
+        """
         if self.icc or self.chromaticities is None:
             return self.icc
         return _profile(self.name, self.chromaticities, _curve_tag(self.curve, linear))
 
     def png_chunks(self, colored: bool) -> tuple[tuple[bytes, bytes], ...]:
-        """Chunks of a PNG in this color space, gray or colored."""
+        """Chunks of a PNG in this color space, for gray or for color."""
         icc = self.icc or (self.profile(False) if colored and not self.chunks else b"")
         return ((b"iCCP", b"icc\0\0" + zlib.compress(icc, 9)),) if icc else self.chunks
 
     def exr_attributes(self) -> dict[str, Any]:
-        """Attributes of an EXR in these primaries; none for those of sRGB, which stand for themselves."""
+        """Attributes of an EXR with these primaries; empty for those of sRGB, the default."""
         known = self.chromaticities
         return {} if known is None else {"chromaticities": (*known[2:], *known[:2])}
 
@@ -105,7 +109,7 @@ SRGB = Color()
 
 
 def icc_color(icc: bytes, channels: int) -> Color:
-    """The color space of an ICC profile, for an image with 1 or 3 channels; a profile that cannot be used is noted."""
+    """The color space of an ICC profile, for an image with 1 or 3 channels; an unusable profile gives a note."""
     try:
         name, colors, tables, primaries = _parsed(icc)
     except (ValueError, struct.error, IndexError, ArithmeticError) as error:
@@ -121,7 +125,7 @@ def icc_color(icc: bytes, channels: int) -> Color:
 
 
 def exr_color(chromaticities: Sequence[float]) -> Color:
-    """The color space of linear values, by the attribute of an EXR: x and y of red, green, blue and white, or ()."""
+    """The color space of linear values from an EXR's attribute: x and y of red, green, blue and white, or ()."""
     if not chromaticities:
         return SRGB
     numbers = [float(number) for number in chromaticities]
@@ -135,7 +139,7 @@ def exr_color(chromaticities: Sequence[float]) -> Color:
 
 
 def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
-    """The color space that the chunks cICP, sRGB, gAMA and cHRM of a PNG name, in this order."""
+    """The color space from the chunks cICP, sRGB, gAMA and cHRM of a PNG; the first of these decides."""
     carried: tuple[tuple[bytes, bytes], ...]
     cicp, gamma = chunks.get(b"cICP", b""), chunks.get(b"gAMA", b"")
     if len(cicp) == 4:
@@ -166,7 +170,7 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
 
 
 def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
-    """The curve of each channel, or of all; None where they are that of sRGB."""
+    """The curve of each channel, or of all; None if it is the curve of sRGB."""
     srgb = decode(CODES, "srgb")
     if all(float(np.abs(table - srgb).max()) <= SRGB_LIKE for table in tables):
         return None
@@ -175,9 +179,9 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
 
 
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
-    """Name, channels, radiance of 2^16 codes of each, and chromaticities, of an ICC profile (ICC.1:2022).
+    """Name, channels, radiance of 2^16 codes per channel, and chromaticities, from an ICC profile (ICC.1:2022).
 
-    None without curves, and without a matrix.
+    None without curves, and None without a matrix.
     """
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
@@ -201,8 +205,9 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tup
 
 
 def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
-    """The chromaticities of an RGB profile by its colorants, X, Y and Z under D50, and the white they are adapted from:
-    by the tag chad, in old profiles that of the medium."""
+    """Chromaticities of an RGB profile, from its colorants (X, Y and Z under D50) and the white they were adapted from:
+    by the tag chad, or in old profiles the white of the medium.
+    """
     columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
     if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):
         return None
@@ -217,7 +222,7 @@ def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] |
 
 
 def _profile(name: str, chromaticities: Sequence[float], curve: bytes) -> bytes:
-    """An ICC profile, version 4.4, of primaries and the tag of a curve."""
+    """An ICC profile, version 4.4, from primaries and the tag of a curve."""
 
     def text(words: str) -> bytes:
         coded = words.encode("utf-16-be")
@@ -245,7 +250,7 @@ def _profile(name: str, chromaticities: Sequence[float], curve: bytes) -> bytes:
 
 
 def _curve_tag(curve: Curve | None, linear: bool) -> bytes:
-    """Tag of a curve; None is that of sRGB."""
+    """Tag of a curve; None stands for the curve of sRGB."""
     if linear:
         return b"curv" + bytes(8)
     if curve is None:
@@ -297,7 +302,7 @@ def _parametric(parameters: tuple[float, ...]) -> NDArray[np.float64]:
 
 
 def _increasing(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Refuse a curve that has no inverse: outputs could not be encoded."""
+    """Raise an error for a curve without an inverse, as outputs could not be encoded."""
     highest = np.maximum.accumulate(table)
     if not np.isfinite(table).all() or (highest - table).max() > LARGEST_FALL or highest[-1] <= highest[0]:
         raise ValueError("a curve that does not increase")

@@ -1,7 +1,7 @@
-"""Decoders whose memory and time no header bounds, such as those of TIFF and Parquet, in a process with limits of both.
+"""Runs untrusted decoders, such as those of TIFF and Parquet, in a child process with memory and CPU limits.
 
-The process is started for the first call, serves all others, and ends with its parent. It is started anew after it was
-ended: by its limits, or by a decoder that crashes.
+The process starts at the first call, serves later calls, and ends with its parent. It is restarted after a limit or a
+crash has ended it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Output = tuple[dict[str, Any], list[NDArray[Any]]]
 
 
 class _Serving:
-    """The process of this one, if there is any, and who waits for it."""
+    """The decoder process of this process, if any, and a lock for its callers."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -72,7 +72,7 @@ class _Serving:
         return process.wait()
 
     def forget(self) -> None:
-        """Leave the process to the parent of this one, which is a copy of it."""
+        """Forget the process in a forked child: it belongs to the parent."""
         if self.process is not None:
             self.process.returncode = 0
         self.__init__()  # type: ignore[misc]
@@ -85,13 +85,13 @@ if hasattr(os, "register_at_fork"):
 
 
 def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Output:
-    """Call a function on a file in the process with limits; returns what it returns.
+    """Call a function on a file in the decoder process; returns its result.
 
-    function: "module:name" of one that takes an opened file and `options` (for JSON), and gives a mapping for JSON and
-    arrays. It gets the same file opened again, at its first byte. most: bytes of all arrays; it may take four times as
-    many and 256 MiB of memory, and 20 s of the processor's time and one more for each 32 MiB.
+    function: "module:name" of a function that takes an open file and JSON-compatible `options`, and returns a
+    JSON-compatible mapping and arrays. The process opens the same file again, at its first byte. most: bytes of all
+    arrays; the process may use four times as many and 256 MiB of memory, and 20 s of CPU time plus 1 s per 32 MiB.
 
-    Raises ValueError where it failed, ended its process, or exceeded a limit; the message says which.
+    Raises ValueError if the function fails, crashes the process, or exceeds a limit; the message says which.
     """
     about, seconds = os.fstat(file.fileno()), SECONDS + most / RATE
     memory = MEMORY + FACTOR * most
@@ -122,9 +122,9 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Out
 
 
 def _exchange(process: subprocess.Popen[bytes], request: bytes, most: int) -> Output | str:
-    """Send a request to the process and read its answer, a text for an error.
+    """Send a request to the process and read its answer; a str is an error message.
 
-    Raises EOFError where the process ends, ValueError for any other content.
+    Raises EOFError if the process ends, ValueError for malformed answers.
     """
     assert process.stdin is not None
     assert process.stdout is not None
@@ -154,7 +154,7 @@ def _bytes(array: NDArray[Any]) -> memoryview:
 
 
 def serve() -> None:
-    """Answer calls on stdin until its end."""
+    """Answer calls on stdin until it is closed."""
     threading.stack_size(2**20)  # of the threads of decoders, which count as memory
     calls, answers = sys.stdin.buffer, sys.stdout.buffer
     while line := calls.readline():
@@ -187,7 +187,7 @@ def _call_function(call: Mapping[str, Any]) -> Output:
 
 
 def _limit(memory: int, seconds: float) -> None:
-    """Let this process have so many more bytes and seconds, where the system can hold it to that."""
+    """Limit the further memory in bytes and CPU time in seconds of this process, if the system supports it."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 

@@ -1,4 +1,4 @@
-"""Decoders of image files: each opened by its extension and first bytes, sized by its header, then decoded."""
+"""Decoders of image files: check the extension, the first bytes and the size in the header, then decode."""
 
 from __future__ import annotations
 
@@ -60,9 +60,10 @@ _FIRST_BYTES = {
 def open_format(
     path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS
 ) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a file as the format that its extension and first bytes name: the file at its first byte, and the format.
+    """Open a file in the format that its extension and first bytes agree on; yields the file, at its first byte, and
+    the format.
 
-    formats: format by extension. Raises FileError in place of any error of the file or of a codec.
+    formats: format by extension. Errors of the file or of a codec become FileError.
     """
     path = Path(path)
     kind = formats.get(path.suffix.lower(), "")
@@ -99,18 +100,18 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def path_of(file: BinaryIO) -> Path:
-    """Path of an opened file."""
+    """Path of an open file."""
     return Path(file.name)
 
 
 def unzstd(path: Path, content: bytes, most: int) -> memoryview:
-    """Decompress a frame of Zstandard of at most `most` bytes. Raises an error of imagecodecs where it has more."""
+    """Decompress a Zstandard frame of at most `most` bytes. Raises an error of imagecodecs if it has more."""
     unpacked = np.empty(most, np.uint8)  # whose pages nobody has before they are written
     return memoryview(import_extra(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
 
 
 def read_size(file: BinaryIO, kind: str) -> tuple[int, int]:
-    """(columns, rows) of an opened file's header, upright; goes back to its first byte. Raises as `image_size`."""
+    """(columns, rows) from an open file's header, upright; rewinds the file. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)
     return (rows, columns) if read_tags(file, kind).is_laid_down else (columns, rows)
 
@@ -126,7 +127,7 @@ def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
 
 
 def read_tags(file: BinaryIO, kind: str) -> Tags:
-    """Read the header of an opened file; goes back to its first byte."""
+    """Read the tags of an open file; rewinds the file."""
     file.seek(0)
     file_tags = _TAGS.get(kind, lambda _: Tags())(file)
     file.seek(0)
@@ -134,17 +135,17 @@ def read_tags(file: BinaryIO, kind: str) -> Tags:
 
 
 def check_limits(path: Path, columns: int, rows: int) -> None:
-    """Raise FileError for an image of over 2^27 pixels or 65536 a side, or without any."""
+    """Raise FileError for an empty image, or one of over 2^27 pixels or 65536 a side."""
     if not (1 <= columns <= MAX_SIDE and 1 <= rows <= MAX_SIDE and columns * rows <= MAX_PIXELS):
         rule = f"columns and rows must be from 1 to {MAX_SIDE}, and at most {MAX_PIXELS} pixels"
         raise_file_error(path, rule, f"{columns} x {rows}")
 
 
 def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
-    """Decode an opened file whose header is within the limits, and turn it upright: (rows, columns[, channels]) as
+    """Decode an open file whose header is within the limits, and turn it upright: (rows, columns[, channels]) as
     stored.
 
-    layer: of an EXR, as for `clsco.files.layers.image_channels`. Raises whatever its codec raises, which `open_format`
+    layer: of an EXR, as for `clsco.files.layers.image_channels`. Raises any error of its codec, which `open_format`
     turns into a FileError.
     """
     columns, rows = _stored_size(file, kind)
@@ -158,7 +159,7 @@ def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[
 
 
 def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
-    """Drop the last channel if it is opaque everywhere; a single remaining channel becomes gray."""
+    """Drop the last channel if it is opaque everywhere; gray with such alpha becomes (rows, columns)."""
     alpha = data[..., -1]
     seen_through = alpha != (1 if alpha.dtype.kind == "f" else np.iinfo(alpha.dtype).max)
     if seen_through.any():
@@ -207,7 +208,7 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
 
 
 def _scans(content: bytes) -> int:
-    """Scans of a JPEG, up to its end: a few bytes each may have a decoder go over all pixels."""
+    """Number of scans of a JPEG: a scan of a few bytes can make a decoder process all pixels again."""
     scans, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # but for those within the pixels of a scan
     while (match := mark.search(content, at)) is not None and match[1] != b"\xd9":
         scans += match[1] == b"\xda"
@@ -226,7 +227,7 @@ def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
 
 
 def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
-    """Read the tags of a TIFF's page, and its color profile."""
+    """Tags of a TIFF's page, and its color profile."""
     require_extra(path_of(file), "tifffile", "formats")
     header, (profile,) = run_decoder("clsco.files.tiff:header", file, MOST_TAG)
     if header["pages"] != 1:
@@ -259,7 +260,7 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
 
 
 def exr_parts(file: BinaryIO) -> Sequence[Any]:
-    """Headers of the parts of an EXR, which are decoded together. Raises FileError where they are too large."""
+    """Headers of the parts of an EXR, which are decoded together. Raises FileError if they are too large."""
     parts: Sequence[Any] = import_extra(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
     values, layers = 0, list[str]()
     width, height = _window(parts[0].header["displayWindow"])  # which parts have in common
@@ -287,7 +288,7 @@ def _exr_tags(file: BinaryIO) -> Tags:
 
 
 def _window(corners: Sequence[Any]) -> tuple[int, int]:
-    """Columns and rows of a window of an EXR."""
+    """Columns and rows of an EXR's window."""
     (left, top), (right, bottom) = (corner.tolist() for corner in corners)
     return right - left + 1, bottom - top + 1
 
@@ -298,10 +299,10 @@ def _exr_size(file: BinaryIO) -> tuple[int, int]:
 
 
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
-    """Decode channels of an EXR, of any of its parts: (rows, columns) of the display window by name.
+    """Decode channels of an EXR from any of its parts: (rows, columns) of the display window, by name.
 
-    choose: picks names from all, which are as `full_names` makes them. outside: value of pixels of the display window
-    that are not in the data window of a part.
+    choose: selects from all names, which `full_names` makes. outside: value of pixels of the display window outside a
+    part's data window.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(
@@ -323,7 +324,7 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
 
 
 def _in_display(header: Mapping[str, Any], plane: NDArray[Any], outside: float) -> NDArray[Any]:
-    """A plane of a data window in the display window."""
+    """Copy a plane from the data window into the display window."""
     (left, top), (right, bottom) = (corner.tolist() for corner in header["displayWindow"])
     (first, above), (last, below) = (corner.tolist() for corner in header["dataWindow"])
     if (left, top, right, bottom) == (first, above, last, below):

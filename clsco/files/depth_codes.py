@@ -1,6 +1,6 @@
-"""Depth and disparity in the files of KITTI (PNG of 16 bits) and Middlebury (PFM).
+"""Depth and disparity in the formats of KITTI (16-bit PNG) and Middlebury (PFM).
 
-Depth is in mm here, as everywhere in clsco, and in m in files of KITTI.
+Depth is in mm in clsco, and in m in KITTI files.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: s
 
 
 def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDArray[np.uint16]:
-    """Codes of KITTI's depth, uint16 (rows, columns): 256 per m, 0 where nothing is.
+    """Codes of KITTI's depth, uint16 (rows, columns): 256 per m, 0 where no surface is.
 
-    depth: planar Z in mm, +inf where nothing is; rounded to 1/256 m, which is 3.9 mm. where: begins messages. Raises
-    FileError for a depth that rounds to 0 or to more than 255.996 m, is negative or no number. Validated by OpenCV.
+    depth: planar Z in mm, +inf without a surface; rounded to 1/256 m = 3.9 mm. where: begins messages. Raises FileError
+    for NaN, negative depth, and depth that rounds to 0 or to more than 255.996 m. Validated by OpenCV.
     """
     if depth.ndim != 2:
         raise_shape_error(where, "(rows, columns)", depth)
@@ -36,11 +36,11 @@ def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDAr
 def kitti_disparity_codes(
     disparity: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "disparity"
 ) -> NDArray[np.uint16]:
-    """Codes of KITTI's disparity, uint16 (rows, columns): 256 per px, 0 where it is unknown.
+    """Codes of KITTI's disparity, uint16 (rows, columns): 256 per px, 0 if unknown.
 
-    disparity: px, column on the left less column on the right. valid: pixels that are known, by default all that are
-    finite. Raises FileError for one that rounds to 0 or less, or to more than 255.996 px. Validated by OpenCV and by
-    the steps of torchvision's reader.
+    disparity: px, column on the left minus column on the right. valid: known pixels, by default all finite ones. Raises
+    FileError for a disparity that rounds to 0 or less, or to more than 255.996 px. Validated by OpenCV and by the steps
+    of torchvision's reader.
     """
     if disparity.ndim != 2:
         raise_shape_error(where, "(rows, columns)", disparity)
@@ -51,8 +51,8 @@ def kitti_disparity_codes(
 def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
     """A PFM file of (rows, columns[, 2 or 3]): float32, little endian, the bottom row first.
 
-    Two channels get a third one of zeros, as the flow of FlyingThings has it. A reader of disparity takes +inf for
-    unknown. Raises FileError for other shapes. Validated by OpenCV, and by the steps of torchvision's reader.
+    Two channels get a third one of zeros, as in the flow of FlyingThings. Readers of disparity take +inf for unknown.
+    Raises FileError for other shapes. Validated by OpenCV, and by the steps of torchvision's reader.
     """
     if array.ndim == 3 and array.shape[2] == 2:
         array = np.dstack([array, np.zeros_like(array[..., 0])])

@@ -1,4 +1,4 @@
-"""Optical flow in the files of Middlebury (.flo) and KITTI (PNG of 16 bits): arrays to bytes."""
+"""Optical flow in the formats of Middlebury (.flo) and KITTI (16-bit PNG): arrays to bytes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KITTI_ZERO = 32768  # code of 0 px
 
 
 def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-    """Check a flow and mark its known vectors: valid, by default all, and finite."""
+    """Check a flow, and return a mask of its known vectors: those that are `valid`, by default all, and finite."""
     if flow.ndim != 3 or flow.shape[2] != 2:
         raise_shape_error(where, "(rows, columns, 2)", flow)
     finite = np.isfinite(flow).all(axis=-1)
@@ -25,11 +25,11 @@ def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | 
 
 
 def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "flow") -> bytes:
-    """A .flo file of Middlebury: float32 without loss, 1e10 where a vector is unknown.
+    """A .flo file of Middlebury: float32 without loss, 1e10 for unknown vectors.
 
-    flow: (rows, columns, 2), px, right and down. valid: vectors that are known, by default all that are finite. where:
-    begins messages. Raises FileError for a component of 1e9 or more, which readers take for unknown. Validated by
-    OpenCV's reader and by the steps of torchvision's.
+    flow: (rows, columns, 2), px, right and down. valid: known vectors, by default all finite ones. where: begins
+    messages. Raises FileError for a component of 1e9 or more, which readers take for unknown. Validated by OpenCV's
+    reader and by the steps of torchvision's.
     """
     known = _checked(where, flow, valid)
     beyond = known & (np.abs(flow) >= LARGEST_FLO).any(axis=-1)
@@ -43,7 +43,7 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
 def kitti_flow_codes(
     flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "flow"
 ) -> NDArray[np.uint16]:
-    """Codes of KITTI's flow, uint16 (rows, columns, 3): 64 u + 32768, 64 v + 32768, and 1 where the vector is known.
+    """Codes of KITTI's flow, uint16 (rows, columns, 3): 64 u + 32768, 64 v + 32768, and 1 for known vectors.
 
     Arguments are those of `flo_bytes`; vectors are rounded to 1/64 px, unknown ones are (0, 0, 0). Raises FileError
     below -512 px and above 511.984375 px. Validated by OpenCV, which gives the channels as blue, green, red, and by the

@@ -1,4 +1,4 @@
-"""Image and ground-truth files, in and out; computes nothing, and a written file is whole or absent."""
+"""Reading and writing of image and ground-truth files; writes are atomic."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from clsco.files.transfer import encode
 class Picture:
     """An image as its file stores it: uint8 and uint16 codes, or float32 linear radiance (finite).
 
-    data: (rows, columns[, 3]), row 0 on top. color: color space of its codes. below: number of values below 0, which
-    floats may have, as of a filter that rings.
+    data: (rows, columns[, 3]), row 0 on top. color: color space of the codes. below: number of negative values, which
+    floats may have, for example after a filter that rings.
     """
 
     data: NDArray[Any]
@@ -83,9 +83,9 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 def check_sizes(
     image: str, right: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
 ) -> None:  # fmt: skip
-    """Raise FileError where a mask or a depth map has another size (columns, rows) than its image.
+    """Raise FileError if a mask or a depth map differs from its image in size (columns, rows).
 
-    image, other: their names. hint: added where rows and columns are exchanged.
+    image, other: their names. hint: text added if rows and columns are exchanged.
     """
     if size != right:
         sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
@@ -94,7 +94,7 @@ def check_sizes(
 
 
 def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
-    """Raise FileError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
+    """Raise FileError if the file of a mask or a depth map differs in size from its image, or its size cannot be read.
 
     image, other: paths. size: columns and rows of the other file, upright. formats: of the other file, as for
     `clsco.files.decoders.open_format`.
@@ -105,8 +105,9 @@ def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapp
 
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
-    """One line where an image or its mask or depth map has an orientation, and sizes do not show that the other file,
-    which has none, is upright; else "". Parameters and errors as for `check_same_size`."""
+    """One line if only one of an image and its mask or depth map has an orientation tag, and their sizes do not show
+    whether the other is upright; else "". Parameters and errors as for `check_same_size`.
+    """
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)
     if not turned or (orientation >= 5 and columns != rows):
@@ -115,7 +116,9 @@ def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORM
 
 
 def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[int, str, str]:
-    """The only orientation that two files have, which of them has it, and which not; 1 and "" where none or both do."""
+    """The orientation that only one of two files has, that file, and the other one; 1 and "" if both or neither have
+    one.
+    """
     if image == other:
         return 1, "", ""
     orientations = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
@@ -131,7 +134,7 @@ def _orientation(path: str, formats: Mapping[str, str]) -> int:
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Refuse anything but a gray or RGB image of 8, 16 or 32 bits, and values that are not finite."""
+    """Raise an error for anything but a finite gray or RGB image of 8, 16 or 32 bits."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
         raise_file_error(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
     if data.dtype == np.bool_:  # a mask of NumPy
@@ -161,7 +164,8 @@ def write_png(
 def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = SRGB) -> None:
     """Write an image of uint8, uint16 or float32, (rows, columns[, 3]), as a TIFF with lossless compression.
 
-    color: its ICC profile goes into the file, or one of its primaries. Raises MissingDependencyError, FileError.
+    color: its ICC profile, or one made from its primaries, is stored in the file. Raises MissingDependencyError,
+    FileError.
     """
     tifffile = import_extra(path, "tifffile", "formats")
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
@@ -174,8 +178,8 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
     """Write named arrays as an NPZ, for np.load. Raises FileError.
 
-    Masks and object numbers are compressed, floats by default are stored: 15 MB of truth (512 x 512, color) become 13.6
-    MB in 16 ms; compressing all of it leaves 7.1 MB after 210 to 450 ms. The same arrays give the same bytes.
+    Masks and object numbers are compressed, floats by default are not: 15 MB of ground truth (512 x 512, color) become
+    13.6 MB in 16 ms; compressing everything takes 210 to 450 ms and leaves 7.1 MB. Equal arrays give equal bytes.
     """
     with atomic_write(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
@@ -192,10 +196,10 @@ def write_exr(
 ) -> None:  # fmt: skip
     """Write named channels (rows, columns) in an OpenEXR file with lossless compression.
 
-    float16 stays as it is, uint16 becomes uint32, all else float32. views: channels of each view; several are parts
-    with the attribute `view`, as OpenEXR has them since version 2.0. names: of the views, "left" and "right" for stereo
-    pairs; () for a single one. attributes: standard attributes of each view, such as {"aperture": 2.8}. Raises
-    MissingDependencyError, FileError.
+    float16 is stored as such, uint16 becomes uint32, all other types float32. names: of the views, "left" and "right"
+    for stereo pairs, () for a single view; views: channels of each view; several views are parts with the attribute
+    `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as {"aperture": 2.8}.
+    Raises MissingDependencyError, FileError.
     """
     exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
@@ -219,7 +223,7 @@ def _exr_type(plane: NDArray[Any]) -> str:
 
 
 class _ErrorKeeper:
-    """A file that keeps the error of a write: OpenEXR drops the one of its last write, the table of lines."""
+    """A file that remembers a write error, because OpenEXR ignores an error in its last write, the table of lines."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.file = file
@@ -235,13 +239,15 @@ class _ErrorKeeper:
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
-    """Write a JSON file. Raises FileError where a number is not finite, or the file cannot be written."""
+    """Write a JSON file. Raises FileError if a number is not finite, or the file cannot be written."""
     with atomic_write(Path(path)) as file:
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
 
 def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
-    """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, which every reader shows."""
+    """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, so that every reader shows
+    it.
+    """
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
 
@@ -251,9 +257,9 @@ class ImageWriter:
     """Writer of images with one file extension.
 
     label: name of the format with its article, for messages. write: takes a path, an image (rows, columns[, 3]) of
-    codes or of linear float32, and with `color_kinds`, attributes of `Color` that the format has a place for, a color
-    space. code_bits: most bits of codes that the format holds; 0: none. floats: it holds linear float32. needs: a
-    module, and the extra of clsco that brings it.
+    codes or of linear float32, and, if `color_kinds` is not empty, a color space. color_kinds: attributes of `Color`
+    that the format can store. code_bits: most bits of codes that the format holds, 0 for none. floats: True if it holds
+    linear float32. needs: a module, and the extra of clsco that installs it.
     """
 
     label: str
@@ -264,11 +270,11 @@ class ImageWriter:
     color_kinds: tuple[str, ...] = ()
 
     def save(self, path: Path, image: NDArray[Any], color: Color) -> None:
-        """Write an image with its color space, as far as there is a place for it."""
+        """Write an image, with its color space as far as the format can store it."""
         self.write(path, image, *([color] if self.color_kinds else []))
 
     def loss(self, color: Color) -> str:
-        """Note on colors that such a file cannot describe; "" where nothing is lost."""
+        """Note on a color space that such a file cannot store; "" if it can."""
         if color.is_plain or any(getattr(color, kind) for kind in self.color_kinds):
             return ""
         return f"{self.label} has no place for the color profile {color.name}, which is left out"
@@ -285,7 +291,7 @@ WRITERS = {
 
 
 def writer_for(path: Path) -> ImageWriter:
-    """Writer for a path's extension; raises FileError where the extra that it needs is missing."""
+    """Writer for a path's extension; raises FileError if the extra that it needs is missing."""
     writer = WRITERS[path.suffix.lower()]
     if writer.needs is not None:
         import_extra(path, *writer.needs)
@@ -297,8 +303,8 @@ def save_image(
 ) -> None:  # fmt: skip
     """Write an image (rows, columns[, 3]) of linear radiance in the format of its extension: PNG, TIFF or EXR.
 
-    bits: 8, 16 or 32, of the codes of a PNG. color: color space of the file. Raises FileError for another extension and
-    where the file cannot be written, and MissingDependencyError.
+    bits: bits of a PNG's codes, 8, 16 or 32. color: color space of the file. Raises MissingDependencyError, and
+    FileError for another extension or a failed write.
     """
     to, ending = Path(path), Path(path).suffix.lower()
     if ending not in WRITERS:

@@ -1,7 +1,7 @@
-"""Names of the channels of EXR files with several layers or parts: which of them are the image, and which the depth.
+"""Channel names of EXR files with several layers or parts: selects the image or the depth.
 
-A channel's name is that of its layer, and behind the last dot its own: "ViewLayer.Combined.R". In a file of several
-parts the name of the part comes before it. What is chosen without being named is what renderers call it.
+A channel's name is its layer, a dot, and its own name: "ViewLayer.Combined.R". In a file of several parts the name of
+the part precedes it. Without a given layer, the usual names of renderers decide.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """Names of channels by the names that they have in their part, for each of (name of the part, its channels).
+    """For each part (its name, its channels): full names of channels by their names within the part.
 
-    Those of a file with one part are as they are.
+    In a file with one part they are the same.
     """
     if len(parts) == 1:
         return [{name: name for name in parts[0][1]}]
@@ -28,7 +28,7 @@ def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str
 
 
 def list_names(names: Iterable[str]) -> str:
-    """Names for a message: printable, and not too many."""
+    """Names for a message: printable and shortened."""
     ordered = sorted(names)
     shown = [name if name.isprintable() else ascii(name) for name in ordered[:SHOWN]]
     return " ".join(shown) + (f" and {len(ordered) - SHOWN} more" if len(ordered) > SHOWN else "")
@@ -37,8 +37,8 @@ def list_names(names: Iterable[str]) -> str:
 def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     """The channels of an image: R G B or Y, and A if there is one.
 
-    layer: its layer, or the end of its name; by default the only one, or that without a name or of a name in
-    `MAIN_LAYERS`. Raises LookupError with the rule, and what there is instead of one image.
+    layer: its layer, or the end of the layer's name; by default the only layer, the one without a name, or one named in
+    `MAIN_LAYERS`. Raises LookupError with the rule, and a description of the layers instead.
     """
     layers = _layers(names)
     images = [name for name, own in layers.items() if {"R", "G", "B"} <= own or ("Y" in own and not own & {"RY", "R"})]
@@ -61,11 +61,10 @@ def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
 
 
 def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
-    """The channels that are equally likely to be the depth: the best of the kinds that are there, or none.
+    """The channels that may be the depth: all of the most likely kind, or none.
 
-    Z; else that of a layer called depth; else any other Z or V, but no third component of a vector; else R G B or Y;
-    else the only channel there is. layer: its layer, the end of its name, or that of the channel itself; by default
-    any.
+    Likely kinds in order: Z; a channel of a layer called depth; another Z or V that is not a third vector component; R
+    G B or Y; the only channel. layer: its layer, the end of the layer's name, or the channel's name; by default any.
     """
     if layer is not None:
         if layer in names:
@@ -93,12 +92,12 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
 
 
 def _own(name: str, layer: str | None) -> str:
-    """Name of a channel within the layer that was named, or in the file."""
+    """Name of a channel within the named layer, or within the file."""
     return name if layer is None else name.rpartition(".")[2]
 
 
 def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Names of the channels of each layer within it."""
+    """Channel names within each layer, by layer."""
     layers: dict[str, set[str]] = {}
     for name in names:
         layer, _, own = name.rpartition(".")
@@ -107,7 +106,7 @@ def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:
 
 
 def _matching(layers: Sequence[str], layer: str) -> list[str]:
-    """The layers of a name: exactly, else but for capitals, else as the last of their words."""
+    """The layers that match a name: exactly, else without regard to case, else by its last words."""
     low = layer.lower()
     kinds = (
         [name for name in layers if name == layer],

@@ -1,4 +1,4 @@
-"""matplotlib for figures: the same everywhere, and with nothing of its own outside of clsco's folders."""
+"""Reproducible matplotlib figures that write no files outside of clsco's folders."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ VARIABLE = "MPLCONFIGDIR"
 
 
 def require_matplotlib(what: str, extra: str) -> None:
-    """Import matplotlib, which keeps its list of fonts in clsco's folder; call it before importing modules of it.
+    """Import matplotlib with its font cache in clsco's folder; call this before importing its modules.
 
-    By itself it would take settings from a file `matplotlibrc` of the current folder, which may be a stranger's and can
-    have TeX run, and from the user's. what: begins messages. extra: of clsco that brings it. Raises
-    MissingDependencyError, or ClscoError where there is no folder for its fonts.
+    Otherwise matplotlib would read the user's settings, and a file `matplotlibrc` in the current folder, which may be
+    untrusted and can run TeX. what: begins messages. extra: extra of clsco that installs it. Raises
+    MissingDependencyError, or ClscoError if no folder for fonts can be made.
     """
     require_extra(what, "matplotlib", extra)
     try:

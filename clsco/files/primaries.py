@@ -1,4 +1,4 @@
-"""Primaries of color spaces: matrices that take linear values in them to linear values in those of sRGB."""
+"""Primaries of color spaces: matrices from their linear values to linear sRGB."""
 
 from __future__ import annotations
 
@@ -31,16 +31,17 @@ CICP_CHROMATICITIES = {  # ITU-T H.273, table 2: x and y of white, red, green an
 
 
 def chromaticities_to_srgb(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
-    """Matrix to linear sRGB, (3, 3), from primaries by x and y of white, red, green and blue; None where they span
-    no colors. White stays white, by Bradford's adaptation."""
+    """Matrix (3, 3) to linear sRGB from primaries given as x and y of white, red, green and blue; None if they are
+    collinear. White stays white, by Bradford's adaptation.
+    """
     xyz = colorants(chromaticities)
     return None if xyz is None else colorants_to_srgb(xyz)
 
 
 def colorants_to_srgb(xyz: Matrix) -> Matrix:
-    """Matrix to linear sRGB, (3, 3), from primaries whose X, Y and Z under D50 are the columns of a matrix.
+    """Matrix (3, 3) to linear sRGB from primaries whose X, Y and Z under D50 are the columns of a matrix.
 
-    Exactly 1 for primaries that are those of sRGB but for rounding.
+    Exactly the identity for primaries that equal those of sRGB up to rounding.
     """
     srgb = colorants(SRGB_CHROMATICITIES)
     assert srgb is not None
@@ -51,7 +52,7 @@ def colorants_to_srgb(xyz: Matrix) -> Matrix:
 def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
     """x and y of white, red, green and blue of primaries whose X, Y and Z under D50 are the columns of a matrix.
 
-    white: X, Y and Z of the white that they were adapted from, by Bradford.
+    white: X, Y and Z of the white that they were adapted from, by Bradford's method.
     """
     with np.errstate(all="ignore"):  # numbers that are none span no colors
         native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])
@@ -59,7 +60,7 @@ def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float
 
 
 def adaptation(white: Matrix) -> Matrix:
-    """Bradford's matrix from X, Y and Z under a white to those under D50."""
+    """Bradford's matrix from X, Y and Z under a white to X, Y and Z under D50."""
     return np.asarray(np.linalg.solve(_BRADFORD, ((_BRADFORD @ D50) / (_BRADFORD @ white))[:, None] * _BRADFORD))
 
 
@@ -70,7 +71,7 @@ def white_of(chromaticities: Sequence[float] | Matrix) -> Matrix:
 
 
 def colorants(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
-    """X, Y and Z of red, green and blue, a column each, adapted to D50; None where they span no colors."""
+    """X, Y and Z of red, green and blue as columns, adapted to D50; None if the primaries are collinear."""
     x, y = np.asarray(chromaticities, np.float64).reshape(4, 2).T
     if not np.isfinite([x, y]).all() or y[0] <= 0:
         return None

@@ -1,4 +1,4 @@
-"""Excess of arrays over the range of a file's format."""
+"""Messages on array values outside the range of a file's format."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from clsco.errors import FileError
 
 
 def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
-    """The first of wrong values, its place and how many there are: "nan at row 0, column 1 (2 in all)".
+    """The first wrong value, its position, and the number of wrong values: "nan at row 0, column 1 (2 in all)".
 
     Parameters
     ----------
     values : ndarray, (rows, columns[, ...])
     wrong : ndarray of bool, (rows, columns) or of the shape of `values`
-        At least one of them. Where it has no channels, all channels of the pixel are shown.
+        True for at least one value. Without a channel axis, all channels of the pixel are shown.
     """
     first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
     shown = ", ".join(f"{value:.6g}" for value in np.ravel(values[first]))
@@ -25,7 +25,7 @@ def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
 
 
 def check_values(where: str, rule: str, values: NDArray[Any], wrong: NDArray[np.bool_]) -> None:
-    """Raise FileError `where: rule; got value at row, column (how many in all)` where any value is wrong."""
+    """Raise FileError `where: rule; got value at row, column (number in all)` if any value is wrong."""
     if wrong.any():
         raise FileError(f"{where}: {rule}; got {first_of(values, wrong)}")
 

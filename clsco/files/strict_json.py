@@ -1,4 +1,4 @@
-"""JSON of strangers: of finite numbers, and not nested deeply."""
+"""Parser of untrusted JSON: rejects numbers that are not finite, and deep nesting."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ MOST_DEEP = 64
 
 
 def strict_json(content: bytes | str) -> Any:
-    """Parse JSON. Raises ValueError for other texts, for NaN and infinity, and beyond `MOST_DEEP` levels."""
+    """Parse JSON. Raises ValueError for invalid JSON, NaN, infinity, and more than `MOST_DEEP` levels."""
     try:
         value = json.loads(content, parse_constant=_refuse_number)
     except RecursionError:

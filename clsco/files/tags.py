@@ -1,4 +1,4 @@
-"""Tags of image files: how the camera was held, and the colors that codes stand for."""
+"""Tags of image files: orientation of the camera, and color space of the codes."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _ORIENTATION, _ICC = 0x0112, 0x8773  # in EXIF and TIFF
 class Tags:
     """Tags of an image file.
 
-    orientation: 1 to 8, as EXIF and TIFF count. icc: its ICC profile, or b"". chunks: kind and content of the chunks of
-    a PNG that stand for a profile. chromaticities: the attribute of an EXR, or ().
+    orientation: 1 to 8, as in EXIF and TIFF. icc: its ICC profile, or b"". chunks: kind and content of PNG chunks that
+    act as a profile. chromaticities: the attribute of an EXR, or ().
     """
 
     orientation: int = 1
@@ -40,7 +40,7 @@ class Tags:
 
     @property
     def is_laid_down(self) -> bool:
-        """True where stored rows are columns of the upright image."""
+        """True if stored rows are columns of the upright image."""
         return self.orientation >= 5
 
     def color(self, channels: int) -> Color:
@@ -52,7 +52,7 @@ class Tags:
 
 
 def turn_upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Stored pixels (rows, columns[, channels]) as they are seen: row 0 on top, column 0 on the left."""
+    """Stored pixels (rows, columns[, channels]) turned upright: row 0 on top, column 0 on the left."""
     if orientation in (2, 3, 7):
         data = data[:, ::-1]
     if orientation in (3, 4, 7):
@@ -63,7 +63,7 @@ def turn_upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def png_tags(file: BinaryIO) -> Tags:
-    """Tags of an opened PNG, from its chunks."""
+    """Tags of an open PNG, from its chunks."""
     exif = xmp = icc = b""
     colors: dict[bytes, bytes] = {}
     file.seek(8)
@@ -86,7 +86,7 @@ def png_tags(file: BinaryIO) -> Tags:
 
 
 def jpeg_tags(file: BinaryIO) -> Tags:
-    """Tags of an opened JPEG, from its segments."""
+    """Tags of an open JPEG, from its segments."""
     exif = xmp = b""
     parts: dict[int, bytes] = {}
     for kind, body in jpeg_segments(file):
@@ -100,7 +100,9 @@ def jpeg_tags(file: BinaryIO) -> Tags:
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the segments of a JPEG before its pixels. Raises ValueError or struct.error for damage."""
+    """Kind and content of the segments of a JPEG before its pixels. Raises ValueError or struct.error if it is
+    damaged.
+    """
     file.seek(2)
     while True:
         mark, kind, length = struct.unpack(">BBH", file.read(4))
@@ -121,7 +123,7 @@ def tiff_tags(values: Any) -> Tags:
 
 
 def _inflated(chunk: bytes) -> bytes:
-    """The profile in a chunk iCCP, and one that is refused later in place of a damaged or too large one."""
+    """The profile in a chunk iCCP; a damaged or too large one is replaced by bytes that are rejected later."""
     packed = chunk.partition(b"\0")[2][1:]
     try:
         return zlib.decompressobj().decompress(packed, LARGEST_PROFILE + 1) or b"empty"
@@ -130,7 +132,7 @@ def _inflated(chunk: bytes) -> bytes:
 
 
 def _orientation(exif: bytes, xmp: bytes) -> int:
-    """As the EXIF says, else the XMP; 1 where neither does, or what they say is no orientation."""
+    """Orientation from the EXIF data, else from the XMP; 1 if neither has a valid one."""
     orientation: Any = None
     if exif:
         from PIL import Image

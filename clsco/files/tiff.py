@@ -1,4 +1,6 @@
-"""Pages of TIFF files, by tifffile: called in a process with limits (`run_decoder`), as no header bounds them."""
+"""Reader of TIFF pages by tifffile, called in a process with limits (`run_decoder`) because no header bounds its
+memory.
+"""
 
 from __future__ import annotations
 

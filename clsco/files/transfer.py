@@ -17,12 +17,12 @@ CODES = np.arange(2**16, dtype=np.uint16)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A transfer curve that is none of `TRANSFERS`, such as that of a color profile.
+    """A transfer curve other than `TRANSFERS`, such as that of a color profile.
 
     Attributes
     ----------
     radiance : ndarray of float64, (1 or 3, 65536)
-        Linear radiance of each code of 16 bits, not decreasing: for all channels, or for red, green and blue.
+        Linear radiance of each 16-bit code, not decreasing: for all channels, or for red, green and blue.
     """
 
     radiance: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Curve:
         return self.radiance[:, :: 257 if bits == 8 else 1]
 
     def starts(self, bits: int) -> NDArray[np.float64]:
-        """Radiance (1 or 3, 2^bits - 1) from which on each code but the first is the nearest: that of half codes."""
+        """Radiance (1 or 3, 2^bits - 1) from which each code, except the first, is the nearest: that of half codes."""
         return self._starts_8 if bits == 8 else self._starts_16
 
     @cached_property
@@ -44,7 +44,9 @@ class Curve:
         return self._above_codes(0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:]), 16)
 
     def _above_codes(self, starts: NDArray[np.float64], bits: int) -> NDArray[np.float64]:
-        """Starts of codes, where the curve is flat moved beyond the code below, so that it comes back as itself."""
+        """Starts of codes; on flat parts of the curve moved above the code below, so that each code encodes to
+        itself.
+        """
         below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
         return np.where(starts > below, starts, np.maximum(0.5 * (below + above), np.nextafter(below, 2.0)))
 
@@ -55,9 +57,9 @@ Transfer = str | Curve
 def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]:
     """Linear radiance (float64, 1 = white) of stored values of any shape.
 
-    data: uint8 and uint16 are codes, 0 black and 255 or 65535 white; floats are linear already. transfer: "srgb" (IEC
-    61966-2-1), "linear", or a curve, which for red, green and blue needs them in the last axis. Validated against the
-    standard's formula for every code, and as the inverse of `encode`.
+    data: uint8 and uint16 are codes, 0 black and 255 or 65535 white; floats are already linear. transfer: "srgb" (IEC
+    61966-2-1), "linear", or a curve; a curve for red, green and blue needs these in the last axis. Validated against
+    the standard's formula for every code, and as the inverse of `encode`.
     """
     if data.dtype.kind == "f":
         return data.astype(np.float64)
@@ -72,7 +74,7 @@ def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]
 
 
 def decode_channels(image: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]:
-    """`decode` of an image of any channels: of 2 and 4 the last one is alpha, which is linear."""
+    """`decode` of an image with any number of channels: with 2 or 4, the last one is alpha, which is linear."""
     linear = decode(image, transfer)
     if has_alpha(image):
         linear[..., -1] = decode(image[..., -1], "linear")
@@ -80,7 +82,7 @@ def decode_channels(image: NDArray[np.generic], transfer: Transfer) -> NDArray[n
 
 
 def encode_channels(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArray[Any]:
-    """Codes of an image of any channels; the inverse of `decode_channels`."""
+    """Codes of an image with any number of channels; the inverse of `decode_channels`."""
     codes = encode(linear, bits, transfer)
     if has_alpha(linear):
         codes[..., -1] = encode(linear[..., -1], bits, "linear")
@@ -88,7 +90,7 @@ def encode_channels(linear: NDArray[np.floating], bits: int, transfer: Transfer)
 
 
 def has_alpha(image: NDArray[np.generic]) -> bool:
-    """True for gray, or red, green and blue, with a channel more."""
+    """True for gray or RGB with one more channel, alpha."""
     return image.ndim == 3 and image.shape[2] in (2, 4)
 
 
@@ -97,8 +99,8 @@ def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArr
 
     linear: float32 or float64 of any shape, 1 = white; below 0 and NaN become 0, above 1 the largest code.
 
-    A code starts at the radiance of the half code below it, so no power is taken per pixel: the square root, along
-    which sRGB codes are nearly even, finds a bin with at most one such start, and one comparison decides.
+    A code starts at the radiance of the half code below it. No power is computed per pixel: the square root, along
+    which sRGB codes are nearly even, selects a bin with at most one start, and one comparison decides.
     """
     codes: NDArray[Any] = np.empty(linear.shape, f"u{bits // 8}")
     if isinstance(transfer, Curve):
@@ -148,7 +150,7 @@ def _bin_of(radiance: NDArray[np.floating], top: int) -> NDArray[np.intp]:
 
 @functools.cache
 def _bins(bits: int, transfer: str, dtype: str) -> tuple[NDArray[np.unsignedinteger], NDArray[np.floating]]:
-    """Per bin its smallest code; per code the radiance where the next one starts, rounded up."""
+    """For each bin its smallest code; for each code the radiance at which the next one starts, rounded up."""
     top = 2**bits - 1
     exact = _radiance_of((np.arange(top) + 0.5) / top, transfer)
     start = exact.astype(dtype)

@@ -1,4 +1,4 @@
-"""Video files through PyAV: frames of codes or linear radiance, with exact rates and stated colors; knows no scene."""
+"""Video files by PyAV: frames of codes or linear radiance, with exact rates and explicit color tags."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 
 @dataclass(frozen=True)
 class VideoPreset:
-    """Storage of a clip: FFmpeg's names of container, codec and pixel format, and options of the encoder.
+    """Encoding of a clip: FFmpeg's names of container, codec and pixel format, and options of the encoder.
 
-    suffix: extension of its files. bits: per value. gray: pixel format of gray frames; "" where they are stored as
-    color. least: columns and rows that the encoder needs.
+    suffix: extension of its files. bits: bits per value. gray: pixel format of gray frames; "" to store them in color.
+    least: smallest columns and rows that the encoder accepts.
     """
 
     suffix: str
@@ -49,12 +49,12 @@ class VideoPreset:
 
     @property
     def is_yuv(self) -> bool:
-        """True if it stores luma and color differences; else RGB, or gray as it is, without loss."""
+        """True if it stores luma and color differences; False if it stores RGB or gray without loss."""
         return self.pixels.startswith("yuv")
 
     @property
     def blocks(self) -> tuple[int, int]:
-        """Rows and columns of pixels that share a sample of color."""
+        """Rows and columns of pixels that share a color sample."""
         return {"yuv420": (2, 2), "yuv422": (1, 2)}.get(self.pixels[:6], (1, 1))
 
 
@@ -82,7 +82,7 @@ PRESETS = {
 
 
 def preset_for(path: Path, name: str | None = None) -> str:
-    """Name of the preset of a file: the given one, or the first one of the file's extension.
+    """Name of the preset for a file: `name`, or the first preset with the file's extension.
 
     Raises ArgumentError for an unknown preset, FileError for an extension that is not the preset's.
     """
@@ -100,18 +100,18 @@ def preset_for(path: Path, name: str | None = None) -> str:
 
 
 def require_video(path: Path) -> None:
-    """Raise MissingDependencyError where PyAV is not installed."""
+    """Raise MissingDependencyError if PyAV is not installed."""
     _av(path)
 
 
 def _av(path: Path) -> Any:
-    """Import PyAV, whose wheel has GnuTLS, which would read settings that anybody may put in a shared folder."""
+    """Import PyAV; the settings of its GnuTLS are disabled, because anybody could put them in a shared folder."""
     os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
     return import_extra(path, "av", "video")
 
 
 def require_size(path: Path, name: str, columns: int, rows: int) -> None:
-    """Raise FileError for frames that a preset does not take."""
+    """Raise FileError for frames that a preset does not accept."""
     check_limits(path, columns, rows)
     preset = PRESETS[name]
     if min(columns, rows) < preset.least:
@@ -121,9 +121,9 @@ def require_size(path: Path, name: str, columns: int, rows: int) -> None:
 
 
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
-    """Frames per second, exactly, from a Fraction, a whole number or text like 24, 23.976 or 24000/1001.
+    """Frames per second, exactly, from a Fraction, an integer or text like 24, 23.976 or 24000/1001.
 
-    Raises ArgumentError for anything else, and for rates that are not above 0, or that containers do not hold.
+    Raises ArgumentError for anything else, and for rates that are not positive, or that containers cannot store.
     """
     text = value.strip() if isinstance(value, str) else ""
     if text and len(text) <= 32 and re.fullmatch(r"\d+(\.\d+)?|\d+/0*[1-9]\d*", text, re.ASCII):
@@ -142,7 +142,7 @@ def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fract
     """Frames per second of frames that are `interval` seconds apart, played `speed` times as fast.
 
     An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second,
-    where a rate has to be given.
+    where you must give a rate.
     """
     rate = Fraction(0)
     if 1e-9 < interval < 1e9:
@@ -158,18 +158,18 @@ def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fract
 def write_clip(
     target: Path, frames: Iterable[NDArray[Any]], rate: Fraction, preset: str, transfer: str = "srgb", comment: str = ""
 ) -> tuple[str, ...]:
-    """Write frames as a video file that is whole or absent.
+    """Write frames as a video file, atomically.
 
     frames: (rows, columns[, 3]) of one shape and type: codes (uint8, uint16) or linear radiance (floats, 1 = white),
     which is clipped. rate: frames per second. preset: one of `PRESETS`. transfer: "srgb" or "linear", of the codes, and
     for floats. comment: for the file's metadata, where the container has any.
 
-    Returns notes on changes: 16 bits that became 8, sizes that were padded, a rate that readers of Matroska round.
-    Raises MissingDependencyError without PyAV, and FileError for no frames, frames that differ or are not finite, and
-    where an encoder or the disk fails. Errors that `frames` raises pass as they are, and then nothing is left either.
+    Returns notes on changes: 16 bits reduced to 8, padded sizes, a rate that Matroska readers round. Raises
+    MissingDependencyError without PyAV, and FileError if there are no frames, frames differ or are not finite, or an
+    encoder or the disk fails. Errors raised by `frames` propagate unchanged. After any error no file is left.
 
-    The same frames give the same bytes with the same PyAV. Validated: pixels, rates and tags as read back through PyAV
-    for each preset, and the bits of lossless ones (tests/files/test_video.py).
+    Equal frames give equal bytes with the same PyAV. Validated: pixels, rates and tags as read back through PyAV for
+    each preset, and the bits of lossless ones (tests/files/test_video.py).
     """
     require_video(target)
     source = _showable(target, frames)
@@ -188,14 +188,14 @@ def write_clip(
 
 
 def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
-    """Note on the rate that FFmpeg reads where it is another one: Matroska has it in ns."""
+    """Note on the rate that FFmpeg reads if it differs: Matroska stores the interval in ns."""
     with _av(path).open(str(path.absolute())) as container:
         seen = container.streams.video[0].average_rate
     return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
 
 
 class _FromFramesError(Exception):
-    """An error that the frames raised, to pass where errors of files become FileError."""
+    """Wraps an error raised by the iterator of frames, so that it is not turned into a FileError."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__(str(error))
@@ -203,7 +203,7 @@ class _FromFramesError(Exception):
 
 
 def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """Frames of numbers that can be shown."""
+    """Frames, checked to contain finite numbers."""
     for number, image in enumerate(frames):
         frame, name = np.asarray(image), f"frame {number}"
         if frame.ndim not in (2, 3) or frame.shape[2:] not in ((), (3,)) or 0 in frame.shape:
@@ -216,7 +216,7 @@ def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[A
 
 
 def _check_kinds(where: Path, first: NDArray[Any], others: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """All frames, of which each must be like the first one; raises _FromFramesError."""
+    """All frames, each checked to match the first one; raises _FromFramesError."""
 
     def kind(frame: NDArray[Any]) -> str:
         channels = "gray" if frame.ndim == 2 else "color"
@@ -251,13 +251,13 @@ class _Clip:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Columns and rows that are stored: whole blocks."""
+        """Stored columns and rows: whole blocks."""
         (rows, columns), (down, right) = self.first.shape[:2], self.preset.blocks
         return -(-columns // right) * right, -(-rows // down) * down
 
     @property
     def tags(self) -> dict[str, int]:
-        """Tags of the colors, as attributes of a codec context and of each frame."""
+        """Color tags, as attributes of a codec context and of each frame."""
         is_rgb = not self.preset.is_yuv and self.pixels == self.preset.pixels  # gray is a luma without color
         return {
             "color_primaries": _BT709_PRIMARIES,
@@ -267,7 +267,7 @@ class _Clip:
         }
 
     def encode(self, target: str, frames: Iterator[NDArray[Any]]) -> None:
-        """Write all frames. Raises FileError, and OSError where the disk fails."""
+        """Write all frames. Raises FileError, and OSError if the disk fails."""
         av, preset = _av(self.where), self.preset
         os.environ.setdefault("SVT_LOG", "1")  # errors alone: SVT-AV1 writes two dozen lines to stderr
         files = {"fflags": "+bitexact"} | ({"movflags": "+faststart"} if preset.container in ("mp4", "mov") else {})
@@ -288,7 +288,7 @@ class _Clip:
             raise_file_error(self.where, f"must be encodable and writable, by {what}", error, error)
 
     def _picture(self, av: Any, number: int, frame: NDArray[Any]) -> Any:
-        """A frame as PyAV takes it."""
+        """A frame as a PyAV video frame."""
         columns, rows = self.size
         around = ((0, rows - frame.shape[0]), (0, columns - frame.shape[1]), (0, 0))[: frame.ndim]
         picture = av.VideoFrame(columns, rows, self.pixels)
@@ -303,7 +303,7 @@ class _Clip:
         return picture
 
     def _planes(self, frame: NDArray[Any]) -> list[NDArray[Any]]:
-        """A frame's numbers as its pixel format has them."""
+        """A frame's numbers as the planes of its pixel format."""
         preset = self.preset
         if frame.dtype.kind == "f":
             linear = frame if frame.dtype.itemsize > 2 else frame.astype(np.float32)
@@ -319,7 +319,7 @@ class _Clip:
         return [np.stack([blue, green, red, np.zeros_like(red)], axis=-1)]
 
     def changes(self, name: str) -> tuple[str, ...]:
-        """Changes against the frames that readers see."""
+        """Notes on how stored frames differ from the originals."""
         rows, columns = self.first.shape[:2]
         notes = []
         if self.first.dtype == np.uint16 and self.preset.bits < 16:
@@ -334,7 +334,7 @@ class _Clip:
 
 
 def _with_bits(codes: NDArray[Any], bits: int) -> NDArray[Any]:
-    """Codes of 8 or 16 bits, rounded half up, or widened so that white stays white."""
+    """Codes converted to 8 or 16 bits: rounded half up, or widened so that white stays white."""
     if codes.dtype.itemsize * 8 == bits:
         return codes
     return (

@@ -1,4 +1,4 @@
-"""Codes of red, green and blue to the planes that video encoders take (ITU-R BT.709, limited range)."""
+"""Conversion of red, green and blue codes to the planes of video encoders (ITU-R BT.709, limited range)."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _OFFSETS = np.array([16, 128, 128])
 def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1)) -> list[NDArray[Any]]:
     """Luma and color differences of an image: Y, Cb and Cr, uint8 or uint16 (rows, columns), rounded once.
 
-    codes: uint8 or uint16 (rows, columns[, 3]), of the transfer that the video states. bits: 8 or 10, of the planes.
-    blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0, (1, 2) for 4:2:2; the image
+    codes: uint8 or uint16 (rows, columns[, 3]), in the transfer curve that the video states. bits: of the planes, 8 or
+    10. blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0, (1, 2) for 4:2:2; the image
     consists of whole blocks.
 
-    Color differences lie where players take them to be, as in MPEG-2: on the left one of two columns, where they are
-    the mean with weights 1 2 1, and midway between two rows. libswscale gives the same from codes of 8 bits, but luma
-    of 10 bits that it makes of 16 is too large by 1.7 codes, at most 3.8. Validated against the formula in float64, and
-    through decoders whose planes libswscale turns back.
+    Color differences are sited as in MPEG-2: on the left of two columns, averaged with weights 1 2 1, and midway
+    between two rows. libswscale gives the same from 8-bit codes, but its 10-bit luma from 16-bit codes is too large by
+    1.7 codes, at most 3.8. Validated against the formula in float64, and through decoders whose planes libswscale
+    converts back.
     """
     top, scale = np.iinfo(codes.dtype).max, 2 ** (bits - 8)
     if codes.ndim == 2:
@@ -47,7 +47,7 @@ def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1))
 
 
 def _halved(plane: NDArray[np.float32], down: int, right: int) -> NDArray[np.float32]:
-    """A plane at every second column where `right` is 2, and between every two rows where `down` is."""
+    """A plane sampled at every second column if `right` is 2, and between every two rows if `down` is 2."""
     if right == 2:
         padded = np.pad(plane, ((0, 0), (1, 0)), mode="edge")
         plane = (

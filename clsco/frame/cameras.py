@@ -1,4 +1,4 @@
-"""The cameras of a scene for files: pinholes with their poses, attributes of EXR, and a model for COLMAP."""
+"""The cameras of a scene for files: pinholes with poses, attributes of EXR, and a COLMAP model."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, 
 
 
 def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
-    """The camera of a frame at the middle of its shutter, to which its ground truth belongs.
+    """The camera of a frame at the middle of its shutter, the time of its ground truth.
 
     scene: with its resolution. The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of
-    the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a
-    zoom, that of the middle of the shutter. Validated by points of surfaces that it takes from a frame to the next one,
-    and to the other view, where flow and disparity lead.
+    the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; with a
+    zoom, at the middle of the shutter. Validated by surface points projected to the next frame and the other view,
+    against flow and disparity.
     """
     columns, rows = scene.camera.frame_size
     time = middle_time(scene.sequence, index)
@@ -46,15 +46,16 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
 
 
 def eye_of(frame: Frame) -> Eye:
-    """Eye that a frame is of: the only view of a scene counts as left."""
+    """View of a frame; the only view of a scene counts as left."""
     return "right" if frame.eye == "right" else "left"
 
 
 def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
-    """Mark surface points of a frame that are not before the lens at the middle of the shutter `step` frames later.
+    """Mask of surface points that are behind the lens at the middle of the shutter `step` frames later.
 
     scene: with its resolution. frame: with `depth`, `object_id`, and the flow to that frame. step: 1 for `flow`, -1 for
-    `flow_backward`. Their flow is 0, as no pixel shows them. Validated by a camera that flies past a sphere.
+    `flow_backward`. The flow of these points is 0, as no pixel shows them. Validated by a camera that flies past a
+    sphere.
     """
     flow = frame.flow if step == 1 else frame.flow_backward
     assert flow is not None
@@ -73,19 +74,21 @@ def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]
 
 
 def frame_rate(interval: float) -> Fraction:
-    """Frames per second of an interval in s: 1001/30000 s, as a float, gives 30000/1001. Both numbers have 31 bits."""
+    """Frames per second for an interval in s: 1001/30000 s, as a float, gives 30000/1001. Numerator and denominator
+    have at most 31 bits.
+    """
     larger = max(interval, 1.0 / interval)
     fraction = Fraction(larger).limit_denominator(min(FINEST, int(2**31 / larger)))
     return fraction if interval < 1.0 else 1 / fraction
 
 
 def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any]:
-    """Standard attributes of OpenEXR for a frame of a scene that has its resolution.
+    """Standard OpenEXR attributes for a frame of a scene with a resolution.
 
-    `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as sRGB has it), `worldToCamera` (for row vectors, mm)
-    and `screenWindowWidth`; where time matters, `expTime` (s) and `framesPerSecond`. The camera of OpenEXR looks along
-    +z with x to the left and y up, and sees the screen window at z = 1. The world is that of `pinhole`. Validated by
-    points of surfaces that these attributes project into the frame.
+    `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as for sRGB), `worldToCamera` (for row vectors, mm)
+    and `screenWindowWidth`; for moving scenes `expTime` (s) and `framesPerSecond`. The camera of OpenEXR looks along +z
+    with x to the left and y up, and its screen window is at z = 1. The world is that of `pinhole`. Validated by surface
+    points projected with these attributes.
     """
     camera, lens = pinhole(scene, index, eye), camera_at(scene, middle_time(scene.sequence, index))
     matrix = np.eye(4)
@@ -104,7 +107,7 @@ def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any
 
 
 def all_pinholes(scene: Scene) -> Iterator[tuple[int, Eye, Pinhole]]:
-    """Number, view and camera of every frame of a scene, of a stereo pair left and right after each other."""
+    """Number, view and camera of every frame of a scene; the views of a stereo pair follow each other, left first."""
     for index in range(scene.sequence.frames):
         for eye in views(scene):
             yield index, eye, pinhole(scene, index, eye)

@@ -1,4 +1,4 @@
-"""Channels of an EXR file of a frame."""
+"""Channels of a frame's EXR file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clsco.frame.outputs import ATTRIBUTES, OUTPUTS
 
 
 def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Channels of an array of two or three axes, by its name in files."""
+    """Channels of an array with two or three axes, named after it."""
     row = OUTPUTS[ATTRIBUTES[name]]
     layer = name if row.layer is None else row.layer
     if array.ndim == 2 and not row.letters:
@@ -23,12 +23,12 @@ def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
 
 
 def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Name a frame's arrays, by their names in files, as channels of an EXR.
+    """A frame's arrays as channels of an EXR.
 
-    They are R G B A, Z, sharp.R, N.X, flow.u, uv.u, id, and the others by their own names: coc, or coc.R, coc.G and
-    coc.B where the lens tells colors apart; row_time where it is given for each pixel; raw.Y of a sensor, or of three
-    planes raw.R and so on; sub-frames are sample_00.R. A gray frame has R, G and B, so that every reader shows it. A is
-    the alpha where it was requested, else 1: a photograph covers all of its pixels.
+    arrays: by name in files. Channels are R G B A, Z, sharp.R, N.X, flow.u, uv.u, id, and the others by their own
+    names: coc, or coc.R, coc.G and coc.B if the lens separates colors; row_time as a time per pixel; raw.Y of a sensor,
+    or raw.R and so on of three planes; sample_00.R of sub-frames. A gray frame has R, G and B, so that every reader
+    shows it. A is the alpha if it was requested, else 1: a photograph covers all of its pixels.
     """
     channels: dict[str, NDArray[Any]] = {}
     for name, array in arrays.items():

@@ -1,4 +1,4 @@
-"""Pictures with labels, side by side, as one."""
+"""Contact sheets: labeled pictures side by side in one picture."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ PAPER, INK = (250, 250, 248), (20, 20, 20)
 def contact_sheet(
     rows: Sequence[Sequence[tuple[Picture, str]]], title: str = "", text: int = 12, lines: int = 1
 ) -> Picture:
-    """Draw pictures (rows, columns, 3) with a label below each, one row of them below the other.
+    """Draw rows of pictures (rows, columns, 3) with a label below each.
 
-    rows: pictures and labels from left to right; each has as much room as the widest one. title: above them. text:
-    height of the text, px. lines: of a label.
+    rows: pictures and labels from left to right; all columns are as wide as the widest picture. title: above the rows.
+    text: height of the text, px. lines: lines of text per label.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -42,5 +42,5 @@ def contact_sheet(
 
 
 def split_into_rows(tiles: Sequence[tuple[Picture, str]], across: int = 4) -> list[Sequence[tuple[Picture, str]]]:
-    """Divide pictures and labels into rows of so many; the last one may be shorter."""
+    """Split pictures and labels into rows of `across`; the last row may be shorter."""
     return [tiles[start : start + across] for start in range(0, len(tiles), across)]

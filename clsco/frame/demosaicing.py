@@ -1,4 +1,4 @@
-"""Colors of a Bayer mosaic, of which each pixel has measured one."""
+"""Demosaicing: full color from a Bayer mosaic, whose pixels measure one color each."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -
     Returns
     -------
     ndarray of float64, (rows, columns, 3)
-        Beyond its border the mosaic goes on as its mirror image, which has the same colors.
+        The mosaic is extended by reflection, which preserves its color pattern.
 
     Raises
     ------
     MissingDependencyError
-        For "menon", where colour-demosaicing is missing.
+        For "menon", if colour-demosaicing is not installed.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def _kernel(method: str, measured: int, channel: int, *, same_row: bool) -> Arra
 
 
 def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...]) -> Array:
-    """Sums of neighbors of each second pixel of each second row."""
+    """Weighted sums of neighbors for every second pixel of every second row."""
     total, first = np.zeros(size), _APRON - len(kernel) // 2
     for (dy, dx), weight in np.ndenumerate(kernel):
         if weight:
@@ -95,7 +95,7 @@ def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...
 
 
 def menon_function() -> Any:
-    """The function of colour-demosaicing. Raises MissingDependencyError where it is not installed."""
+    """The function of colour-demosaicing. Raises MissingDependencyError if it is not installed."""
     with warnings.catch_warnings(), np.printoptions():  # it changes how all arrays are printed
         warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
         return import_extra("sensor.demosaic", "colour_demosaicing", "sensor").demosaicing_CFA_Bayer_Menon2007

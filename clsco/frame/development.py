@@ -1,4 +1,4 @@
-"""From the codes of a sensor to the image, and what is known of its noise."""
+"""Developing of sensor codes to the image, and ground truth of their noise."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ LEAST_SIDE = 2  # px, of frames that can be demosaiced
 
 
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
-    """Light that codes (rows, columns, planes) stand for: (code - black) / (gain white), 1 = white.
+    """Irradiance for codes (rows, columns, planes): (code - black) / (gain white), 1 = white.
 
-    Returns float32 (rows, columns[, 3]), demosaiced where the sensor says so. Noise is below 0, too. Of a mosaic in
-    color that is not demosaiced, channels that a pixel has not measured are 0; in gray light each pixel has measured
-    all there is. Raises MissingDependencyError where `demosaic = "menon"` needs colour-demosaicing.
+    Returns float32 (rows, columns[, 3]), demosaiced if the sensor asks for it. Noise may be negative. In a color mosaic
+    that is not demosaiced, channels that a pixel has not measured are 0; in gray each pixel measures the only channel.
+    Raises MissingDependencyError if `demosaic = "menon"` needs colour-demosaicing.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
     light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])
@@ -34,14 +34,14 @@ def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.fl
 
 
 def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
-    """Values of the channels that pixels have measured, (rows, columns, planes) of this size."""
+    """For each pixel the value of the channel that it measures, (rows, columns, planes); size: this shape."""
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
     return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)
 
 
 def check_development(sensor_model: SensorModel, rows: int, columns: int) -> None:
-    """Fail where colour-demosaicing is needed and missing, or frames are too small to be demosaiced."""
+    """Raise an error if colour-demosaicing is needed and missing, or frames are too small to be demosaiced."""
     if sensor_model.sensor.demosaic != "none" and sensor_model.channels > 1:
         if min(rows, columns) < LEAST_SIDE:
             size = f"{columns} x {rows}"
@@ -59,8 +59,7 @@ def sensor_truth(
 ) -> dict[str, NDArray[Any]]:
     """Outputs of a sensor in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, (rows, columns[, 3]).
 
-    raw, saturated: (rows, columns, planes). light: of the exposure, (rows, columns[, 3]), for `electrons` and
-    `noise_sigma`.
+    raw, saturated: (rows, columns, planes). light: irradiance, (rows, columns[, 3]), for `electrons` and `noise_sigma`.
     """
     arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:

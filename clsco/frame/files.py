@@ -1,4 +1,4 @@
-"""The files of a frame, or of the two views of a stereo pair: written together, and found whole again."""
+"""The files of a frame, or of the two views of a stereo pair: written together, and checked for completeness."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from clsco.scene.model import Scene
 
 
 def _single(shot: Shot, file: TruthFile) -> NDArray[Any]:
-    """The array of a file that holds one."""
+    """The array of a file that holds a single one."""
     (frame,) = shot.views
     (array,) = file.arrays(frame).values()
     return array
@@ -56,7 +56,7 @@ def _write_exr(path: Path, shot: Shot, file: TruthFile) -> None:
 
 
 def _per_pixel(shot: Shot, frame: Frame, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays of a frame with a time for each of its pixels, as an EXR has numbers of pixels alone."""
+    """The arrays of a frame with its row times repeated for each pixel, because an EXR holds only arrays of pixels."""
     times = arrays.pop("row_time", None)
     if times is None or shot.scene is None:
         return arrays
@@ -112,7 +112,9 @@ def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
 
 
 def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
-    """Mark known pixels of a flow or a disparity: on surfaces, and of flow on those that do not get behind the lens."""
+    """Mask of known pixels of a flow or a disparity: on surfaces, and for flow on those that stay in front of the
+    lens.
+    """
     (frame,), (name,) = shot.views, file.names
     assert frame.mask is not None  # is among what the format needs besides
     if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
@@ -144,12 +146,14 @@ TRUTH_FORMATS = {
 
 
 def files_of(truth: str, formats: str = "", types: str = "") -> tuple[TruthFile, ...]:
-    """Files of ground truth that hold arrays in formats. Raises SceneError as `choose_files`."""
+    """Files of ground truth for options: arrays in `truth`, each format in `formats`. Raises SceneError as
+    `choose_files`.
+    """
     return choose_files(truth, formats, types, TRUTH_FORMATS)
 
 
 def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
-    """Attributes of a frame besides color that files need, in the order of the frame."""
+    """Attributes of a frame besides color that the files need, in the order of the frame."""
     needed: set[str] = set()
     for file in files:
         known = TRUTH_FORMATS[file.format]
@@ -159,28 +163,28 @@ def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
 
 
 def require_truth_formats(files: Sequence[TruthFile]) -> None:
-    """Raise MissingDependencyError where the extra that a format in `TRUTH_FORMATS` needs is not installed."""
+    """Raise MissingDependencyError if the extra for a format in `TRUTH_FORMATS` is not installed."""
     for file in files:
         if needs := TRUTH_FORMATS[file.format].needs:
             require_extra(f"format {file}", *needs)
 
 
 def _stem(index: int, eye: str) -> str:
-    """Stem of the files of a frame, or of a view of a stereo pair."""
+    """Stem of the file names of a frame, or of a view of a stereo pair."""
     return f"frame_{index:04d}_{eye}" if eye else f"frame_{index:04d}"
 
 
 def _pictures(stem: str, subframes: int) -> list[str]:
-    """Names of the PNG files of a view: its image, and those of its time samples."""
+    """Names of the PNG files of a view: its image and its sub-frames."""
     return [f"{stem}.png", *(f"{stem}_sample_{number:02d}.png" for number in range(subframes))]
 
 
 def _truth_names(
     index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
 ) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
-    """Name of each file of ground truth, with the eyes and the outputs of the views that it holds.
+    """Name of each file of ground truth, with the eyes and the outputs that it holds.
 
-    held: arrays that the frame has, as they are called in files.
+    held: arrays that the frame has, named as in files.
     """
     known = TRUTH_FORMATS[file.format]
     if known.per == "frame":
@@ -199,8 +203,8 @@ def frame_files(
 ) -> set[str]:
     """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
 
-    subframes: time samples whose images are files, too. held: arrays that the frame has, as they are called in files;
-    without "color" it has no PNG.
+    subframes: number of sub-frames that are written. held: arrays that the frame has, named as in files; without
+    "color" it has no PNG.
     """
     eyes = ("left", "right") if stereo else ("",)
     pictured = eyes if "color" in held else ()
@@ -221,17 +225,16 @@ def write_frame(
 
     views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
     EXR holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on. bits:
-    8, 16 or 32, of the textures; 32 makes a PNG of 16. transfer: curve of the PNG alone, which clips radiance below 0
-    and above 1; the others keep it. truth: each file holds the color and all truth of the frame, or the arrays that it
-    names, linear; files of a scene (`write_scene_files`) are left out. about: content of the JSON file besides the
-    frame's own metadata. scene: with its resolution; gives an EXR the attributes of its camera. color: color space of
-    the PNG, whose curve takes the place of "srgb"; of another one than sRGB the JSON file has the name, and an EXR the
-    chromaticities.
+    of the textures, 8, 16 or 32; for 32 the PNG has 16. transfer: curve of the PNG, which clips radiance to 0 to 1; the
+    other files are not clipped. truth: each file holds the color and all ground truth of the frame, or the arrays that
+    it names, linear; files written once per scene (`write_scene_files`) are skipped. about: additional content of the
+    JSON file. scene: with its resolution; gives an EXR the attributes of its camera. color: color space of the PNG,
+    whose curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its chromaticities.
 
-    Returns the content of the JSON file: `about`, the metadata (of a pair `views` with that of each), `truth`, where
-    files of it do not hold all, and `files`, file name to SHA-256. Raises FileError where a file cannot be written, or
-    values do not fit its format. All files get their names when all are on the disk; until then an older frame stays as
-    it is.
+    Returns the content of the JSON file: `about`, the metadata (of a stereo pair in `views`), `truth` if a ground-truth
+    file does not hold everything, and `files`, SHA-256 by file name. Raises FileError if a file cannot be written, or
+    values do not fit its format. Files are renamed when all are complete on the disk; until then an older frame stays
+    unchanged.
     """
     index, stereo = views[0].index, len(views) > 1
     by_eye = {frame.eye: frame for frame in views}
@@ -258,7 +261,7 @@ def write_frame(
 
 
 def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Sequence[TruthFile]) -> None:
-    """Write files of ground truth that a scene, with its resolution, has once for all frames. Raises FileError."""
+    """Write ground-truth files that a scene, with its resolution, has once for all frames. Raises FileError."""
     for file in truth:
         known = TRUTH_FORMATS[file.format]
         if known.per == "scene":
@@ -266,7 +269,7 @@ def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Seque
 
 
 def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] | None:
-    """JSON content of a frame on disk if all files that it names are there, unchanged; else None."""
+    """JSON content of a frame on disk if all files that it names exist unchanged, else None."""
     described = frame_json(folder, index)
 
     def is_as_recorded(name: str, digest: str) -> bool:
@@ -282,8 +285,7 @@ def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] 
 
 
 def holds_truth(content: Mapping[str, Any], truth: Sequence[TruthFile]) -> bool:
-    """True if files of a frame hold the wanted truth, by the content of its JSON file and by no more than their
-    names."""
+    """True if a frame's files hold the requested ground truth, judged only by the content of its JSON file."""
     recorded = content.get("truth")
     texts = [text for text in recorded if isinstance(text, str)] if isinstance(recorded, list) else []
     partial = {re.split("[+:]", text)[0]: text for text in texts}

@@ -125,7 +125,7 @@ class Frame:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The image and all truth that was requested, by their names in files, such as "color" and "coc"."""
+        """The image and all requested ground truth, by name in files, such as "color" and "coc"."""
         by_name = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
         return {name: array for name, array in by_name.items() if array is not None}
 
@@ -206,7 +206,7 @@ class Frame:
         return f"<{parts[0]}: {', '.join(parts[1:])}; {' '.join(names) or 'no truth'}>"
 
     def _repr_png_(self) -> bytes | None:
-        """The image, for notebooks; None where there is none."""
+        """The image as PNG for notebooks; None without color."""
         return png_to_show(self.color) if "color" in self.arrays() else None
 
     def _repr_html_(self) -> str:

@@ -1,4 +1,4 @@
-"""Frames in a folder, as `clsco render` wrote them, by whomever: numbers, rate, images and arrays."""
+"""Folders of frames, as `clsco render` writes them, possibly untrusted: numbers, rate, images and arrays."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 class FrameFolder:
     """Frames of one scene.
 
-    numbers: of the frames, without a hole. eyes: ("",), or ("left", "right") of stereo pairs. interval: seconds from
-    frame to frame. transfer: curve of the PNG files, "srgb" or "linear". of: number of frames that the scene has.
-    scenes: hashes of scenes, one where all frames were rendered from the same file.
+    numbers: of the frames, consecutive. eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between
+    frames. transfer: curve of the PNG files, "srgb" or "linear". of: number of frames of the scene. scenes: hashes of
+    scenes; a single one if all frames were rendered from the same file.
     """
 
     folder: Path
@@ -55,7 +55,7 @@ class FrameFolder:
     def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
         """An array of each frame, from its NPZ or else its EXR.
 
-        Raises FileError where a frame has neither, or it does not hold the array with its channels.
+        Raises FileError if a frame has neither file, or the file does not hold the array with its channels.
         """
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
@@ -73,7 +73,7 @@ class FrameFolder:
             yield array.astype(np.float32, copy=False)
 
     def has(self, name: str, eye: str = "") -> bool:
-        """True where the first frame has an array."""
+        """True if the first frame has an array."""
         try:
             next(self.arrays(name, eye))
         except FileError:
@@ -85,7 +85,7 @@ class FrameFolder:
 
 
 def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
-    """Channels of an array; of blur radii those of three colors where there are these. Raises FileError."""
+    """Channels of an array; for blur radii those of three colors, if they exist. Raises FileError."""
     try:
         return read_exr(path, _CHANNELS[name].split(), eye)
     except FileError as error:
@@ -98,19 +98,19 @@ def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
 
 
 def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
-    """Find the frames of a folder by their JSON files, and read these.
+    """List the frames of a folder from their JSON files.
 
     Parameters
     ----------
     folder : Path
     only : range, optional
-        Numbers of the frames that count; by default all that are there.
+        Numbers of the frames to use; by default all.
 
     Raises
     ------
     SceneError
-        All faults at once: no frames, a hole in their numbers, a JSON file that is none of a frame, frames that differ
-        in interval, transfer or stereo, a PNG that is not there.
+        All faults at once: no frames, missing numbers, an invalid JSON file, frames that differ in interval, transfer
+        or stereo, a missing PNG.
     """
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)
@@ -150,14 +150,14 @@ def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
 
 
 def _numbers(folder: Path) -> Iterator[int]:
-    """Numbers of the frames whose JSON file or PNG is there."""
+    """Numbers of the frames that have a JSON file or a PNG."""
     matches = (re.fullmatch(r"frame_([0-9]{4,9})(_left|_right)?\.(?:json|png)", path.name) for path in folder.iterdir())
     numbers = {match[1] for match in matches if match}
     return (int(text) for text in numbers if text == f"{int(text):04d}")
 
 
 def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
-    """The tables of a JSON file; None with a fault where it is none."""
+    """The content of a JSON file; None, with a fault, if it is invalid."""
     try:
         content = json.loads(read_regular(path, LARGEST_JSON, follow=True))
     except OSError as error:
@@ -172,7 +172,7 @@ def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
 
 
 def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[float, str, bool, int]:
-    """Interval, transfer, whether it is a stereo pair, number of frames; with faults and defaults for wrong values."""
+    """Interval, transfer, True for a stereo pair, number of frames; wrong values become defaults with a fault."""
 
     def value(table: str, key: str, default: Any, is_right: Any) -> Any:
         inner = scene.get(table, {})

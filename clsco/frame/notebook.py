@@ -1,4 +1,4 @@
-"""Frames, records and data sets as people see them: one line of text, and a picture for notebooks."""
+"""Display of frames, records and data sets in notebooks: one line of text, and a picture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def codes_to_show(image: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def png_to_show(image: NDArray[np.floating]) -> bytes:
-    """A PNG of linear radiance (rows, columns[, 3]), no larger than notebooks show it."""
+    """A PNG of linear radiance (rows, columns[, 3]), reduced to the size at which notebooks show it."""
     step = -(-max(image.shape[:2]) // LARGEST_SHOWN)
     if step > 1:
         down, across = (min(step, n) for n in image.shape[:2])  # a strip may be thinner than a square
@@ -35,7 +35,7 @@ def png_to_show(image: NDArray[np.floating]) -> bytes:
 
 
 def html_to_show(line: str, images: Iterable[NDArray[np.floating]] = ()) -> str:
-    """A line with images of linear radiance below it, as HTML that needs no other file."""
+    """A line with images of linear radiance below it, as self-contained HTML."""
     import base64  # as html 1 ms, and few frames are shown
     import html
 

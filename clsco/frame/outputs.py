@@ -1,6 +1,6 @@
-"""Outputs of a frame: a row for each, from which all tables of outputs follow.
+"""Outputs of a frame: a table with a row for each.
 
-Where to add one: a row here and an attribute of `clsco.frame.frame.Frame`; what makes it, in kernels/trace/truth.cl
+To add one, add a row here, an attribute of `clsco.frame.frame.Frame`, and its computation in kernels/trace/truth.cl
 (`by_rays`) or clsco/passes/truth.py.
 """
 
@@ -21,12 +21,12 @@ Group = Literal["always", "motion", "surfaces", "stereo", "readout", "lens", "se
 class Output:
     """An array of a frame.
 
-    name: attribute of `Frame`. dtype, components: of a pixel; 0: the channels of the image. unit, about: what it
-    holds. group: scenes that have it (`clsco.plan.decisions.POSSIBLE`); "image": made by its name only. empty: where
-    no surface is; None: the background has some. by_rays: `ground_truth` of the kernels makes it. figure: difference
-    up to which two of them agree, in `measure`: float32 of values of their size, and for color what an 8-bit image
-    could never show (1/255 is 400 times more). in_file: its name in files. layer: in an EXR, by default that name;
-    letters: of its components there.
+    name: attribute of `Frame`. dtype: type. components: numbers per pixel; 0: the channels of the image. unit, about:
+    unit and description. group: scenes that have it (`clsco.plan.decisions.POSSIBLE`); "image": only made if asked for
+    by name. empty: value without a surface; None: the background has values. by_rays: True if `ground_truth` of the
+    kernels makes it. figure: largest difference, by `measure`, at which two of them agree: rounding of float32 at the
+    size of its values, and for color far below an 8-bit code (1/255 is 400 times more). in_file: its name in files.
+    layer: layer in an EXR, by default that name; letters: of its components there.
     """
 
     name: str
@@ -121,7 +121,7 @@ OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of outputs besides color that users give: some of `ALL_TRUTH` and `IMAGE_NAMES`, one of them, or "all".
+    """Names of outputs besides color from user input: some of `ALL_TRUTH` and `IMAGE_NAMES`, a single name, or "all".
 
     "all" is `ALL_TRUTH`. Raises SceneError for other names.
     """

@@ -48,13 +48,13 @@ def units(scene: Scene) -> dict[str, str]:
 
 
 def _record_units(scene: Scene) -> dict[str, str]:
-    """Units of what a frame's JSON file holds besides the scene's parameters; of a stereo pair those of each view."""
+    """Units of the entries that a frame's JSON file has besides the scene's parameters, per view for a stereo pair."""
     places = [""] if scene.stereo is None else [f"views.{view}." for view in views(scene)]
     return DERIVED_UNITS | {place + key: unit for place in places for key, unit in FRAME_UNITS.items()}
 
 
 def _unit(parts: Iterable[Any]) -> str:
-    """Unit of the first constraint that names one, at any depth of the annotation."""
+    """The first unit in nested constraints of an annotation."""
     for part in parts:
         if unit := part.unit if isinstance(part, Within) else _unit(get_args(part)):
             return unit
@@ -84,10 +84,10 @@ def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
 
 
 def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
-    """SHA-256 of what decides the image: all parameters, and the contents of textures and depths, without their paths.
+    """SHA-256 of everything that decides the image: all parameters, and the contents of textures and depth maps without
+    their paths.
 
-    scene: with its resolution. digests: of `file_digests`, where they are known. Raises FileError for a file that
-    cannot be read.
+    scene: with its resolution. digests: from `file_digests`, if known. Raises FileError for a file that cannot be read.
     """
     known = file_digests([scene]) if digests is None else digests
     content = dump(scene)
@@ -98,10 +98,10 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 
 
 def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Content of a frame's JSON file that comes from its scene.
+    """Entries of a frame's JSON file that come from its scene.
 
-    The parameters as a scene file has them, with a description in place of an array; those derived from them in mm, the
-    units, the hashes and the version. Arguments and errors are those of `scene_sha256`.
+    The parameters as in a scene file, with a description in place of an array; derived parameters in mm, the units, the
+    hashes and the version. Arguments and errors are those of `scene_sha256`.
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests

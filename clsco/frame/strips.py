@@ -1,4 +1,4 @@
-"""Frames in horizontal strips: any size in bounded memory, with the bits of the whole frame."""
+"""Frames in horizontal strips: any size of frame in limited memory, with the same bits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Strip:
-    """A strip of a frame: its first row and number of rows, and rows of the sources' grid above and below those."""
+    """A strip of a frame: its first row, its number of rows, and the rows of its source grid above and below it."""
 
     top: int
     rows: int
@@ -21,17 +21,17 @@ class Strip:
 
     @property
     def height(self) -> int:
-        """Rows of the grid."""
+        """Rows of the source grid."""
         return self.above + self.rows + self.below
 
     @property
     def inside(self) -> slice:
-        """Rows of the frame."""
+        """Rows of the frame, as a slice."""
         return slice(self.top, self.top + self.rows)
 
 
 def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
-    """Cut a frame of so many rows into strips; the first one is the tallest.
+    """Cut a frame of `rows` rows into strips; the first one is the tallest.
 
     tallest: rows of a strip at most, a multiple of BAND or all rows. guard: rows of the apron before the first and
     after the last row of the frame. reach: distance in rows at which a source may still contribute to a pixel. step:
@@ -42,9 +42,9 @@ def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -
 
 
 def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
-    """The strip from one row of a frame to the one before another; the other arguments as for `cut_strips`.
+    """The strip from row `top` to before row `end`; the other arguments as for `cut_strips`.
 
-    It has the bits of the whole frame where it begins at a multiple of BAND, and ends at one or with the frame.
+    Its bits equal those of the whole frame if it begins at a multiple of BAND, and ends at one or at the frame's end.
     """
     above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
     return Strip(top, end - top, above + (top + guard - above) % step, below)
@@ -53,9 +53,9 @@ def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int 
 def with_apron(
     plane: NDArray[Any], strip: Strip, guard: int, outside: Literal["symmetric", "constant"] = "symmetric"
 ) -> NDArray[Any]:
-    """The part of an image (rows, columns[, channels]) that is on the grid of a strip, (height, width[, channels]).
+    """The part of an image (rows, columns[, channels]) on the source grid of a strip, (height, width[, channels]).
 
-    guard: width of the apron beyond the image's border, px, which holds its mirror image, or 0.
+    guard: width of the apron beyond the image's border, px; the apron holds the mirror image, or 0.
     """
     begin, end = strip.top - strip.above, strip.top + strip.rows + strip.below
     first, last = max(begin, 0), min(end, len(plane))
@@ -65,10 +65,9 @@ def with_apron(
 
 @dataclass(frozen=True)
 class Grid:
-    """Sizes that buffers are made for: of a frame, or of the tallest of its strips, with the apron of sources.
+    """Sizes that buffers are allocated for: of a frame, or of its tallest strip, with the apron of sources.
 
-    rows, columns: of the frame, or the strip, px. guard: width of the apron, px. height: rows of the tallest grid of
-    sources.
+    rows, columns: of the frame or strip, px. guard: width of the apron, px. height: rows of the tallest source grid.
     """
 
     rows: int
@@ -79,20 +78,20 @@ class Grid:
 
     @classmethod
     def of(cls, strips: Sequence[Strip], columns: int, guard: int, channels: int) -> Self:
-        """For strips of a frame, of which the first one is the tallest."""
+        """Sizes for the strips of a frame, the first of which is the tallest."""
         return cls(strips[0].rows, columns, guard, channels, max(strip.height for strip in strips))
 
     @classmethod
     def whole(cls, rows: int, columns: int, guard: int, channels: int) -> Self:
-        """For a frame that is made at once."""
+        """Sizes for a frame rendered in one piece."""
         return cls(rows, columns, guard, channels, rows + 2 * guard)
 
     @property
     def width(self) -> int:
-        """Columns of the grid of sources."""
+        """Columns of the source grid."""
         return self.columns + 2 * self.guard
 
     @property
     def sources(self) -> int:
-        """Pixels of the grid of sources."""
+        """Pixels of the source grid."""
         return self.width * self.height

@@ -1,7 +1,7 @@
-"""Files of ground truth: arrays by name, the formats that hold them, and the types of their numbers.
+"""Files of ground truth: named arrays, file formats, and number types.
 
-The JSON file of a frame records a file as FORMAT+OPTION:ARRAY,..., such as "npz", "npz:depth,coc", "npz+compressed" or
-"npy+depth=float16:depth,mask".
+The JSON file of a frame records such a file as FORMAT+OPTION:ARRAY,..., for example "npz", "npz:depth,coc",
+"npz+compressed" or "npy+depth=float16:depth,mask".
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ OF_THE_IMAGE = frozenset({"color", "alpha", "subframes", "raw", "electrons", "no
 
 @dataclass(frozen=True)
 class TruthFile:
-    """A file of ground truth, or one for each array, as a user names it.
+    """A file of ground truth, or one per array, as a user asks for it.
 
-    format: key of `clsco.frame.files.TRUTH_FORMATS`. names: arrays in it, as they are called in files; () for all of
-    them. float16: arrays whose floats have 16 bits (11 significant ones, and sizes up to 65504); ("all",) for all of
-    them. compressed: floats are compressed as well.
+    format: key of `clsco.frame.files.TRUTH_FORMATS`. names: its arrays, named as in files; () for all. float16: arrays
+    stored as float16 (11 significant bits, values up to 65504); ("all",) for all arrays. compressed: also compress
+    floats.
     """
 
     format: str
@@ -48,7 +48,9 @@ class TruthFile:
         return f"{self.format}{options}" + (f":{','.join(self.names)}" if self.names else "")
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
-        """The arrays of a frame in it, as they are called in files. Raises FileError for floats beyond float16."""
+        """The arrays of a frame that belong in the file, named as in files. Raises FileError for floats beyond
+        float16.
+        """
         known = frame.arrays()
         held = {name: array for name, array in known.items() if name in (self.names or known)}
         halves = held if ALL in self.float16 else self.float16
@@ -57,7 +59,9 @@ class TruthFile:
 
 
 def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
-    """An array of floats in 16 bits; all others, and times, as they are. Raises FileError for what is beyond them."""
+    """Convert an array of floats to float16; other arrays, and times, stay unchanged. Raises FileError for values
+    beyond its range.
+    """
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
     with np.errstate(over="ignore"):  # what becomes infinite is refused next
@@ -82,11 +86,11 @@ class Shot:
 class TruthFormat:
     """A format of ground truth.
 
-    name: of its files, "{stem}_{array}.flo"; of a scene's its folder. write: takes a path, the content and the file
-    that a user named; of a file `per` array with that one name. per: both views of a stereo pair together ("frame"),
-    each view, each array of a view, or the whole scene have a file. arrays: that it can hold. besides: attributes of a
-    frame that say where its arrays hold. options: "compressed" where its floats may be compressed, "float16" where they
-    may have 16 bits. needs: a module, and the extra of clsco that brings it.
+    name: pattern of file names, "{stem}_{array}.flo", or the folder of files of a whole scene. write: takes a path, the
+    content, and the file that a user asked for; if `per` is "array", this has a single name. per: content of one file:
+    both views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: arrays that it can
+    hold. besides: other attributes of a frame that it needs, to mark known pixels. options: "compressed" if its floats
+    can be compressed, "float16" if they can have 16 bits. needs: a module, and the extra of clsco that installs it.
     """
 
     name: str
@@ -99,8 +103,9 @@ class TruthFormat:
 
 
 def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of arrays in files, in the order of these; "blur_radius" is "coc", and "all" is all truth of the scene.
-    Raises SceneError for other names."""
+    """Names of arrays in files, in their order; "blur_radius" is "coc", and "all" is all ground truth of the scene.
+    Raises SceneError for other names.
+    """
     if truth == ALL:
         truth = ALL_TRUTH
     names = {FILE_NAMES.get(name, name) for name in (truth.split(",") if isinstance(truth, str) else truth) if name}
@@ -110,9 +115,9 @@ def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 
 
 def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Types in which arrays are stored, by name.
+    """Stored types of arrays, by name.
 
-    text: such as "color=float32,depth=float16"; "all=float16" is for every array that is not named and can have it.
+    text: such as "color=float32,depth=float16"; "all=float16" applies to every array that is not named and can have it.
     known: types that each array can have. Raises SceneError with a message for each fault.
     """
     types: dict[str, str] = {}
@@ -136,11 +141,11 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
 
 
 def choose_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
-    """Files of ground truth that hold arrays in formats; none without truth and formats.
+    """Files of ground truth from options; empty without truth and formats.
 
-    truth: such as "depth,coc"; "all", and "" with formats, for all that they can hold. formats: with their options,
-    such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as `parse_types` takes them. Raises
-    SceneError for other words, an array that no format can hold, and a format that can hold none of the arrays.
+    truth: such as "depth,coc"; "all", or "" with formats, means every array that they can hold. formats: with options,
+    such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as for `parse_types`. Raises SceneError
+    for unknown words, an array that no format can hold, and a format that can hold none of the arrays.
     """
     if not (truth or formats):
         if types:
@@ -159,7 +164,7 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
-    """A file of a format, given with its options, that holds what it can of arrays."""
+    """A file of a format, given with its options, with those of the named arrays that it can hold."""
     form, *options = text.split("+")
     if form not in known:
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")

@@ -1,4 +1,4 @@
-"""Frames, and those of a folder, as video clips."""
+"""Video clips of frames, or of a folder of frames."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def write_video(
     transfer: str = "srgb",
     comment: str = "",
 ) -> tuple[str, ...]:
-    """Write frames as a video file, whole or not at all.
+    """Write frames as a video file, atomically.
 
     Parameters
     ----------
     path : path
-        .mp4, .webm, .mkv, .mov or .y4m, as the preset has it.
+        .mp4, .webm, .mkv, .mov or .y4m, as the preset requires.
     frames : iterable of Frame or of ndarray, (rows, columns) or (rows, columns, 3)
         The color of frames of one view, or arrays of one shape and type: uint8 or uint16 codes, or floats of linear
-        radiance, 1 = white; values beyond 0 and 1 become black and white.
+        radiance, 1 = white; values below 0 become black, above 1 white.
     rate : Fraction, int or str
         Frames per second, exactly: Fraction(30000, 1001), 24, "24000/1001".
     preset : str, optional
@@ -54,17 +54,17 @@ def write_video(
     Returns
     -------
     tuple of str
-        Changes that were made, one line each: codes of 16 bits that were rounded, sizes that were padded to be even.
+        Changes, one line each: codes of 16 bits rounded to fewer, sizes padded to even numbers.
 
     Raises
     ------
     MissingDependencyError
         The extra `video` is missing.
     ArgumentError
-        There is no such preset, rate or transfer, or frames are of two views.
+        The preset, rate or transfer is unknown, or the frames have two views.
     FileError
-        Frames differ in size or type, or are not finite; the encoder or the disk fails. Nothing is left then. An
-        error that `frames` raises passes as it is.
+        Frames differ in size or type, or are not finite; the encoder or the disk fails. No file is left then. An error
+        raised by `frames` propagates unchanged.
 
     Notes
     -----
@@ -103,7 +103,7 @@ def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Playing:
-    """Speed at which a clip plays: frames per second, or how many times as fast as the scene."""
+    """Playback speed of a clip: frames per second, or a factor relative to the scene."""
 
     fps: Fraction | None = None
     speed: Fraction = Fraction(1)
@@ -113,7 +113,7 @@ class Playing:
         return rate_of(interval, where, self.speed) if self.fps is None else self.fps
 
     def about(self, interval: float, where: str) -> str:
-        """Describe the rate, and how it differs from the scene's."""
+        """Description of the rate, and how it differs from the scene's."""
         rate = self.rate(interval, where)
         text = f"{rate} frames per second"
         if self.fps is None and self.speed == 1:
@@ -137,8 +137,8 @@ def write_folder_clip(
     eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side
     (compare); depth, coc or flow as colors, on one scale for the clip. advance: called after each frame.
 
-    Returns notes for users: the rate, the scale of colors, and what `write_clip` changed. Raises FileError as
-    `write_clip`, and where files are missing or damaged.
+    Returns notes for users: the rate, the scale of colors, and changes made by `write_clip`. Raises FileError as
+    `write_clip`, and if files are missing or damaged.
     """
     where = str(frames.folder)
     facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]
@@ -164,8 +164,9 @@ def write_folder_clip(
 
 
 def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
-    """An array of each frame; blur radii, of several colors those of green, are +inf where nothing is, as far as
-    the depth is there to say so."""
+    """An array of each frame; blur radii (green if there are several colors) become +inf where no surface is, if the
+    folder also has the depth.
+    """
     arrays = frames.arrays(name, eye)
     if name == "coc":
         arrays = (radius if radius.ndim == 2 else radius[..., GREEN] for radius in arrays)
@@ -176,7 +177,7 @@ def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]
 
 
 def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]]:
-    """Color, sharp, or both."""
+    """Color, sharp, or both side by side, of each frame."""
     if view == "color":
         return frames.images(eye)
     sharp = frames.arrays("sharp", eye)
@@ -186,7 +187,7 @@ def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]
 
 
 def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
-    """Two images next to each other, the left one, linear, in the codes of the right one."""
+    """Two images side by side; the left one is linear, and encoded as the right one."""
     if left.shape[:2] != right.shape[:2]:
         raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     left = encode(left, 8 * right.dtype.itemsize, transfer)
@@ -196,7 +197,7 @@ def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[A
 
 
 def clip_path(path: Path, eye: str) -> Path:
-    """Path of the clip of a view: of a stereo pair clip_left.mp4 and clip_right.mp4."""
+    """Path of the clip of a view; clip_left.mp4 and clip_right.mp4 for a stereo pair."""
     return path.with_name(f"{path.stem}_{eye}{path.suffix}") if eye else path
 
 

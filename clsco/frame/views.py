@@ -1,4 +1,4 @@
-"""Depth, blur radius and flow as colors, on one scale for all frames of a clip."""
+"""Depth, blur radius and flow as colors, with one scale for all frames of a clip."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 
 @dataclass(frozen=True)
 class FrameView:
-    """An array, by its name in files, as colors.
+    """Color display of an array, given by its name in files.
 
-    extent: numbers of an array, of which the largest over a clip make its scale. paint: takes the array and the scale;
-    gives 8-bit RGB. label: says the scale.
+    extent: numbers of an array, whose maxima over a clip make its scale. paint: takes the array and the scale; returns
+    8-bit RGB. label: text that states the scale.
     """
 
     array: str
@@ -43,7 +43,7 @@ class FrameView:
 
 
 def _require(array: NDArray[Any], name: str, also: float | None = None) -> NDArray[Any]:
-    """Raise FileError for numbers that are not finite, nor `also`; returns which are finite."""
+    """Mask of finite numbers; raises FileError for other numbers than these and `also`."""
     finite: NDArray[Any] = np.isfinite(array)
     if not (finite if also is None else finite | (array == also)).all():
         raise FileError(f"view: {name} must be finite{'' if also is None else f' or {also}'}; got other numbers")
@@ -56,7 +56,7 @@ def _depth_extent(depth: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _paint_depth(depth: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Near dark, far bright; black where nothing is."""
+    """Near depths dark, far ones bright; black without a surface."""
     seen = np.isfinite(depth)
     painted = viridis(np.where(seen, depth, 0.0), -scale[0], scale[1])
     return np.where(seen[..., None], painted, np.uint8(0))
@@ -74,7 +74,7 @@ def _radius_extent(radius: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _paint_radius(radius: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Near dark, far bright; black where nothing is, which is not in focus."""
+    """Radii before the focus dark, behind it bright; black without a surface."""
     seen = np.isfinite(radius)
     painted = viridis(np.where(seen, radius, 0.0), -scale[0], scale[0])
     return np.where(seen[..., None], painted, np.uint8(0))
@@ -111,7 +111,7 @@ def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
 
     Notes
     -----
-    Between 18 of the 256 colors of viridis; within 5 codes of all of them (tests/frame/test_views.py).
+    Interpolated between 18 of the 256 colors of viridis; within 5 codes of all of them (tests/frame/test_views.py).
     """
     table = np.array([list(bytes.fromhex(color)) for color in VIRIDIS.split()], np.float64)
     span = high - low
@@ -124,8 +124,8 @@ def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
 def flow_colors(flow: NDArray[Any], longest: float) -> Picture:
     """Colors of displacements, (rows, columns, 2) to (rows, columns, 3).
 
-    x right, y down, px: the direction is the hue, `longest` is full color, and what is not finite is black. Validated
-    against the C++ of Middlebury, transcribed (tests/frame/test_views.py).
+    x right, y down, px: the hue shows the direction, full color is reached at `longest`, and pixels that are not finite
+    are black. Validated against a transcription of Middlebury's C++ (tests/frame/test_views.py).
     """
     known = np.isfinite(flow).all(axis=2, keepdims=True)
     x, y = np.moveaxis(np.where(known, flow, 0.0).astype(np.float64), 2, 0) / (longest if longest > 0 else 1.0)

@@ -1,10 +1,10 @@
-"""Smooth surfaces across holes, on the device: the biharmonic equation.
+"""Inpainting with smooth surfaces on the device, by the biharmonic equation.
 
-In the holes the Laplacian of the Laplacian is 0, which goes on with values and slopes at their rims (Damelin and Hoang
-2018, doi:10.1155/2018/3950312; scikit-image's `inpaint_biharmonic` solves the same equations directly). Here they are
-solved by conjugate gradients, preconditioned by quadratic B-splines of every size that lie in the holes (Bramble,
-Pasciak and Xu 1990, doi:10.2307/2008789; Oswald 1992): the number of steps hardly grows with the size of holes, and
-memory is a fixed number of bytes per missing pixel.
+In the holes the Laplacian of the Laplacian is 0, which continues values and slopes at their outlines (Damelin and Hoang
+2018, doi:10.1155/2018/3950312; scikit-image's `inpaint_biharmonic` solves the same equations directly). They are solved
+here by conjugate gradients, preconditioned by quadratic B-splines of every size that lie in the holes (Bramble, Pasciak
+and Xu 1990, doi:10.2307/2008789; Oswald 1992): the number of steps hardly grows with the size of holes, and memory is a
+fixed number of bytes per missing pixel.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def fill_biharmonic(
 ) -> NDArray[np.float32]:
     """Values (N, channels) of the N missing pixels of an image, row by row.
 
-    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: gets
-    the share that is done, 0 to 1, after each tile. Filled values stay in the range of known ones nearby. The same
-    bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; per
-    pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes, per missing one of it 43 channels + 5.
-    Raises ArgumentError where nothing is known, DeviceError. Validated against
-    direct solutions: a dense one (tests/kernels/test_biharmonic.py) and scikit-image's (benchmarks/inpainting).
+    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: called
+    with the fraction done, 0 to 1, after each tile. Filled values are limited to the range of nearby known ones. Every
+    run on a device gives the same bits. Memory besides the image: a byte per pixel, 8 bytes and the result per missing
+    pixel; for each tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes per pixel, and 43 channels + 5 per missing
+    one. Raises ArgumentError if no pixel is known, DeviceError. Validated against direct solutions: a dense one
+    (tests/kernels/test_biharmonic.py) and scikit-image's (benchmarks/inpainting).
     """
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2]}
@@ -49,7 +49,7 @@ def fill_biharmonic(
 
 @dataclass(frozen=True)
 class _Level:
-    """Unknowns of one size: pixels of the image at that size, and the vector that the preconditioner keeps there."""
+    """Unknowns at one resolution: pixels of the image at that resolution, and the preconditioner's vector there."""
 
     rows: np.int32
     columns: np.int32
@@ -73,7 +73,7 @@ def _fill(
 
 
 class _Solver:
-    """Conjugate gradients in the holes of one image; its buffers live as long as it does."""
+    """Conjugate gradients in the holes of one image; it owns its buffers."""
 
     def __init__(
         self, session: Session, program: Program, real: Real, channels: int, missing: NDArray[np.bool_]
@@ -121,7 +121,7 @@ class _Solver:
         return found.astype(np.float32)
 
     def _precondition(self) -> None:
-        """Residual -> better, through all sizes."""
+        """Apply the preconditioner to the residual, through all resolutions."""
         pairs = list(zip(self.levels, self.levels[1:], strict=False))
         for fine, coarse in pairs:
             gain = self.real(FIRST_GAIN if fine is self.levels[0] else FINER_GAIN)

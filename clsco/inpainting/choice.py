@@ -1,4 +1,4 @@
-"""Choice of the method that fills the holes of an image best: tried on known pixels, in holes of the same shape."""
+"""Choice of the best method for the holes of an image: each is tried on known pixels, in holes of the same shape."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ MARGIN = 1.25
 def choose_method(
     session: Session, image: NDArray[Any], missing: NDArray[np.bool_]
 ) -> Literal["biharmonic", "texture"]:
-    """The method with the smaller square error where known pixels are taken for missing.
+    """The method with the smaller square error at known pixels that are treated as missing.
 
     image: (rows, columns, channels), of any type; missing: (rows, columns). In at most MOST_WINDOWS windows, evenly
-    taken from those that have holes, the holes are moved by SHIFT, out at one side and in at the other, and filled
-    together with the true ones by each method; the windows lie below each other in one image, so that few launches do.
-    Where nothing can be tried it is `texture`. The same answer on every run of a device; the cost does not grow with
-    the image. What it gains and loses: benchmarks/inpainting.
+    chosen among those with holes, the holes are shifted cyclically by SHIFT and filled together with the true ones by
+    each method; the windows are stacked in one image, so that few launches suffice. If no window is usable, the method
+    is `texture`. Every run on a device gives the same answer; the cost does not grow with the image. Gains and losses:
+    benchmarks/inpainting.
     """
     windows = _windows(missing)
     if not windows:
@@ -48,7 +48,7 @@ def choose_method(
 
 
 def _windows(missing: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
-    """Windows to examine; an image that is smaller along an axis gives its whole size."""
+    """Windows to examine; along an axis where the image is smaller, a window has its whole size."""
     rows, columns = (range(0, max(size - WINDOW, 0) + 1, WINDOW) for size in missing.shape)
     places = [(slice(i, i + WINDOW), slice(j, j + WINDOW)) for i in rows for j in columns]
     with_holes = [place for place in places if missing[place].any()]
@@ -57,7 +57,7 @@ def _windows(missing: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
 
 
 def _tried(holes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mask of known pixels of a window that are taken for missing."""
+    """Mask of known pixels of a window that are treated as missing."""
     tried = np.roll(holes, SHIFT, axis=(0, 1)) & ~holes
     for axis in (0, 1):
         rim = min(RIM, holes.shape[axis] // 4)

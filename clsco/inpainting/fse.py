@@ -1,11 +1,11 @@
-"""Texture and structure across holes, on the device: frequency-selective extrapolation, coarse to fine.
+"""Inpainting with texture and structure on the device, by frequency-selective extrapolation, coarse to fine.
 
-The image around a block of pixels is taken apart into a few waves, which are extrapolated into the block: the
-weighted residual's strongest wave is taken out, again and again (Seiler and Kaup 2010, doi:10.1109/LSP.2010.2052560;
-number of waves and preference of low frequencies: Genser et al. 2017 and 2018; OpenCV's xphoto has it as FSR). Here the
-channels share their waves, blocks are 2 x 2 px, and all that are equally far from what is known are computed at once.
-Holes wider than a block are first filled in the image at half its size, by the same method: what is found there
-counts a little in every window, so that wide holes are neither flat nor dominated by chance.
+The image around a block of pixels is decomposed into a few waves, which are extrapolated into the block: the strongest
+wave of the weighted residual is subtracted repeatedly (Seiler and Kaup 2010, doi:10.1109/LSP.2010.2052560; number of
+waves and preference of low frequencies: Genser et al. 2017 and 2018; OpenCV's xphoto has it as FSR). Here the channels
+share their waves, blocks are 2 x 2 px, and blocks at the same distance from known pixels are computed at once. Holes
+wider than a block are first filled in the image at half its size, by the same method: this result gets a small weight
+in every window, so that wide holes are neither flat nor dominated by chance.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ def fill_texture(
 ) -> NDArray[np.float32]:
     """Values (N, channels) of the N missing pixels of an image, row by row.
 
-    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: gets
-    the share that is done, 0 to 1, after each tile. Filled values stay in the range of known ones nearby. The same
-    bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; and that
-    of one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
-    Raises ArgumentError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
-    (tests/kernels/test_fse.py) and beside OpenCV's FSR (benchmarks/inpainting).
+    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: called
+    with the fraction done, 0 to 1, after each tile. Filled values are limited to the range of nearby known ones. Every
+    run on a device gives the same bits. Memory besides the image: a byte per pixel, 8 bytes and the result per missing
+    pixel; for one tile (`clsco.inpainting.tiles`) about 28 channels + 12 bytes per pixel of 1024 x 1024. Raises
+    ArgumentError if no pixel is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
+    (tests/kernels/test_fse.py), and compared with OpenCV's FSR (benchmarks/inpainting).
     """
     features = {"CHANNELS": image.shape[2]}
     program = build(session, ["inpainting/fse.cl"], features, structs("float"), "float")

@@ -1,4 +1,4 @@
-"""Frequency-selective extrapolation: its settings and tables, for the device and the reference alike."""
+"""Settings and tables of frequency-selective extrapolation, shared by device and reference."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GUESS = 0.01  # what a pixel counts that is known from the coarser image only
 
 
 class Tables(NamedTuple):
-    """Float32 tables of the kernel `extrapolate_blocks`, by the names of its arguments."""
+    """Float32 tables of the kernel `extrapolate_blocks`, by argument name."""
 
     window: NDArray[np.float32]
     preference: NDArray[np.float32]
@@ -30,9 +30,11 @@ class Tables(NamedTuple):
 
 @cache
 def tables() -> Tables:
-    """window (FSE_SIDE, FSE_SIDE): DECAY to the distance from the block's center. preference (FSE_SIDE, FSE_SIDE / 2):
-    squares of 1 - |frequency| / the highest (Genser et al. 2018), 0 for the mirrors in the first column and beyond the
-    highest. cosines, sines: (FSE_SIDE, FSE_SIDE / 2), of 2 pi a v / FSE_SIDE."""
+    """Make the tables. window (FSE_SIDE, FSE_SIDE): DECAY to the power of the distance from the block's center.
+    preference (FSE_SIDE, FSE_SIDE / 2): squares of 1 - |frequency| / the highest (Genser et al. 2018), 0 for the
+    mirrors in the first column and beyond the highest. cosines, sines: (FSE_SIDE, FSE_SIDE / 2), of 2 pi a v /
+    FSE_SIDE.
+    """
     place = np.arange(FSE_SIDE)
     distance = place + 0.5 - FSE_SIDE / 2
     window = DECAY ** np.hypot(distance[:, None], distance)

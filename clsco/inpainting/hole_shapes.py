@@ -1,4 +1,4 @@
-"""Holes of an image: their order, the image at half its size, and back. What device and reference share."""
+"""Holes of an image: their filling order, and changes of resolution; shared by device and reference."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ MOST_STEPS = 500  # 12 to 90 are needed for holes from single pixels to 300 px
 
 
 def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
-    """Order of filling blocks (ceil(H / block), ceil(W / block)): their turn from 0 on, -1 for those that miss nothing.
+    """Turn in which each block (ceil(H / block), ceil(W / block)) is filled, from 0; -1 for blocks without missing
+    pixels.
 
-    missing: (H, W), not all of it. From what is known inwards, ring by ring, and of each ring first the blocks of one
-    color of a chessboard, then those of the other. A block with known pixels is in ring 0, one that is wholly missing
-    in the ring of its distance to such a block, in blocks, diagonals counting 1: exact by two passes (Rosenfeld and
+    missing: (H, W), not all True. Filling goes inwards ring by ring, and in each ring first over the black squares of a
+    chessboard of blocks, then over the white ones. A block with known pixels is in ring 0; a fully missing block is in
+    the ring of its chessboard distance, in blocks, to such a block. Two passes compute this exactly (Rosenfeld and
     Pfaltz 1968). Validated against scipy's distance transform.
     """
     rows, columns = missing.shape
@@ -44,7 +45,9 @@ def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
 
 
 def halved(image: Array, missing: Mask) -> tuple[Array, Mask]:
-    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: means of the known ones of 2 x 2 pixels."""
+    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: means of the known pixels of each 2 x 2
+    block.
+    """
     rows, columns = missing.shape
     padding = ((0, rows % 2), (0, columns % 2))
     known = np.pad(~missing, padding)
@@ -73,11 +76,11 @@ def doubled(coarse: Array, missing: Mask) -> Array:
 
 
 def spline_holes(missing: Mask) -> Mask:
-    """Mask of quadratic B-splines of twice the size that lie in the holes (H, W) as a whole: (ceil(H / 2), ceil(W /
+    """Mask of quadratic B-splines at twice the pixel size that lie entirely in the holes (H, W): (ceil(H / 2), ceil(W /
     2)).
 
-    A coarse pixel's spline is refined into those of the fine pixels 2 k - 1 to 2 k + 2 along each axis; what is beyond
-    the border does not count.
+    A coarse pixel's spline is refined into those of the fine pixels 2 k - 1 to 2 k + 2 along each axis; pixels beyond
+    the border are ignored.
     """
     for _ in range(2):
         half = (len(missing) + 1) // 2

@@ -1,7 +1,7 @@
 """Host side of mean/median filling of an image with a mask (thesis, chapter 5).
 
-The device holds only pixels in and around holes, so that work and memory of all stages but the scoring follow the
-missing pixels, wherever they are; scoring passes over the image in bands of rows.
+The device holds only pixels in and around holes, so work and memory of all stages except scoring depend only on the
+number of missing pixels; scoring processes the image in bands of rows.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whol
 
 @dataclass(eq=False)
 class Stages:
-    """Results of the stages for the missing pixels (M,), and for known ones beside them (B,); K channels.
+    """Results of the stages for the M missing pixels, and for the B known pixels beside them; K channels.
 
-    pixels, border: numbers in the order of rows; filled, smoothed: (M, K) after stages 1 and 2; gradients: (B,)
-    Sobel's magnitude; blended: (B, K) medians, which those pixels take that have the `histogram`'s threshold; score:
-    None where it was turned off, histogram: None without a border or where it was turned off; sweeps: those that have
-    filled something; seconds: by stage.
+    pixels, border: pixel numbers, row by row; filled, smoothed: (M, K) after stages 1 and 2; gradients: (B,) magnitude
+    by Sobel's operator; blended: (B, K) medians, used for pixels that reach the `histogram`'s threshold; score: None if
+    turned off; histogram: None if turned off or without border pixels; sweeps: number of sweeps that filled pixels;
+    seconds: by stage.
     """
 
     pixels: Pixels
@@ -76,7 +76,7 @@ class Stages:
 
     @property
     def is_blended(self) -> Mask:
-        """Mask of the border pixels (B,) that take their median."""
+        """Mask (B,) of the border pixels that are replaced by their median."""
         if self.histogram is None or self.histogram.threshold is None:
             return np.zeros(self.border.size, np.bool_)
         return self.gradients >= self.histogram.threshold
@@ -85,12 +85,12 @@ class Stages:
 def fill_mean_median(
     session: Session, image: NDArray[Any], missing: Mask, span: float, constants: MeanMedian, progress: Progress
 ) -> Stages:
-    """All stages of the thesis' method on an image with missing pixels.
+    """Run all stages of the thesis' method on an image with missing pixels.
 
-    image: (rows, columns, K), codes or floats, of which those of missing pixels do not matter; missing: (rows,
-    columns), some but not all; span: range of the values; progress: gets the share that is done, from 0 to 1.
-    Takes 100 to 200 bytes per missing pixel and known one beside it, and up to 8 per pixel of the image.
-    Raises DeviceError. Validated against `clsco.reference.inpainting.mean_median`, bit by bit.
+    image: (rows, columns, K), codes or floats; values of missing pixels are ignored; missing: (rows, columns), some but
+    not all True; span: range of the values; progress: called with the fraction done, from 0 to 1. Takes 100 to 200
+    bytes per missing pixel and per known pixel beside it, and up to 8 per pixel of the image. Raises DeviceError.
+    Validated against `clsco.reference.inpainting.mean_median`, bit by bit.
     """
     program = _program(session, image.shape[2], image.dtype == np.uint8)
     layout = Layout(missing)
@@ -136,15 +136,15 @@ def _program(session: Session, channels: int, codes: bool) -> Program:
 
 
 def group_size(session: Session) -> int:
-    """Work-items of the group of sweep_holes."""
+    """Work-group size of sweep_holes."""
     return 1 if session.device.kind == "cpu" else min(GROUP, session.device.max_work_group)
 
 
 class Layout:
-    """The numbers of missing pixels (M of them), of known ones beside them (B), and of the frame around the image.
+    """Numbering of M missing pixels, of B known pixels beside them, and of the frame around the image.
 
-    missing: (rows, columns). pixels, border: (M,) and (B,) places in the image, in the order of rows; slots: how many
-    numbers there are; at, beside: (M,) and (M, 2), numbers of missing pixels and of those above and below.
+    missing: (rows, columns). pixels, border: (M,) and (B,) positions in the image, row by row; slots: total of numbers;
+    at, beside: (M,) and (M, 2), numbers of missing pixels and of their neighbors above and below.
     """
 
     def __init__(self, missing: Mask) -> None:
@@ -160,7 +160,7 @@ class Layout:
         self.beside = np.stack([above, below], axis=1)
 
     def on_border(self) -> NDArray[np.int64]:
-        """The numbers (B,) of the known pixels."""
+        """Numbers (B,) of the known pixels beside holes."""
         return self._number.take(self._framed(self.border)).astype(np.int64)
 
     def near(self) -> NDArray[np.int32]:
@@ -173,13 +173,13 @@ class Layout:
         return known.ravel().take(self._framed_pixels).astype(np.int32)
 
     def _framed(self, pixels: Pixels) -> Pixels:
-        """Places in the image with its frame."""
+        """Positions in the image extended by its frame."""
         columns = self.shape[1] - 2
         return pixels + 2 * (pixels // columns) + (columns + 3)
 
 
 def dilated(missing: Mask) -> Mask:
-    """Pixels (rows, columns) that are missing, or any of their eight neighbors is."""
+    """Mask (rows, columns) of missing pixels and their eight neighbors."""
     wide = missing.copy()
     wide[:, 1:] |= missing[:, :-1]
     wide[:, :-1] |= missing[:, 1:]
@@ -191,10 +191,10 @@ def dilated(missing: Mask) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Rows of an image from `top` to before `bottom`, with those beside them.
+    """Rows of an image from `top` to before `bottom`, and the rows next to them.
 
-    above: the first row that there is; value: (count, columns, K) and CODE_LANES pixels more, finite where pixels are
-    missing; overwritten by the next band.
+    above: the first row in the band; value: (count, columns, K) and CODE_LANES more pixels, finite at missing pixels;
+    overwritten by the next band.
     """
 
     top: int
@@ -205,12 +205,12 @@ class Band:
 
     @property
     def count(self) -> int:
-        """Rows that there are."""
+        """Number of rows in the band."""
         return self.missing.shape[0]
 
 
 def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) -> Iterator[Band]:
-    """The bands of an image (rows, columns, K) with any wanted row (rows,), as numbers of a type."""
+    """Bands of an image (rows, columns, K) that contain any `wanted` row (rows,), converted to a type."""
     rows, columns, channels = image.shape
     step, most = max(1, BAND_VALUES // (columns * channels)), CODE_LANES * channels
     room = np.zeros(channels * columns * min(step + 2, rows) + most + ALIGNED, dtype)
@@ -231,7 +231,7 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) ->
 def score_image(
     session: Session, program: Program, image: NDArray[Any], missing: Mask, scale: float, progress: Progress
 ) -> Score:
-    """Stage 0; arguments as of `fill_mean_median`."""
+    """Stage 0: score mean and median; arguments as for `fill_mean_median`."""
     rows, columns, _ = image.shape
     segments, found = -(-columns // SCORED_COLUMNS), [np.zeros((1, SCORE_SUMS), np.int64)]
     for band in bands(image, missing, np.ones(rows, np.bool_), np.uint8 if image.dtype == np.uint8 else np.float32):
@@ -245,7 +245,7 @@ def score_image(
 
 
 class Holes:
-    """Owns the buffers of holes on the device, as mean_median.cl has them, and fills the holes."""
+    """Fills the holes; owns their buffers on the device, laid out as in mean_median.cl."""
 
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
         self.session, self.program, self.channels = session, program, image.shape[2]
@@ -262,7 +262,7 @@ class Holes:
         self.value, self.found = copied(self.session, values), copied(self.session, values)
 
     def fill(self, wins: np.int32, minimum: int, limit: int, progress: Progress) -> int:
-        """Stage 1; returns the number of sweeps. wins: bit k where the median is taken of k neighbors.
+        """Stage 1; returns the number of sweeps. wins: bit k is set to use the median of k neighbors.
 
         limit: sweeps after which a single neighbor is enough.
         """
@@ -279,8 +279,8 @@ class Holes:
     ) -> NDArray[np.int32]:  # fmt: skip
         """Fill in sweeps, at most `limit`, until no pixel is missing; return the counts of sweeps and of filled pixels.
 
-        level: valid neighbors of missing pixels (M,), 0 where one is filled; before: such numbers. Short sweeps run one
-        after another on the device, long ones are launched one by one.
+        level: number of valid neighbors of missing pixels (M,), 0 if filled; before: the numbers before. Short sweeps
+        follow each other on the device, long ones are launched one by one.
         """
         queue, count, group = self.session.queue, int(self.missing), group_size(self.session)
         lists, state = self._lists(np.minimum(level, minimum), minimum)
@@ -309,7 +309,7 @@ class Holes:
         return state[0]
 
     def _lists(self, level: NDArray[np.int32], minimum: int) -> tuple[cl.Buffer, NDArray[np.int32]]:
-        """The lists and the state before the first of some sweeps; level: (M,), 0 to minimum."""
+        """Pixel lists and the state before the first of some sweeps; level: (M,), 0 to minimum."""
         state = np.zeros((minimum + 1, 2), np.int32)
         lists = np.empty((minimum, self.at.size), np.int32)
         for k in range(1, minimum + 1):
@@ -319,7 +319,7 @@ class Holes:
         return copied(self.session, lists), state
 
     def smooth(self, rounds: int, progress: Progress) -> Floats:
-        """Stage 2, to and fro between two sets of values; returns those of missing pixels."""
+        """Stage 2: smooth in alternation between two buffers; returns the values of missing pixels."""
         run, single, alone = parts(self.at, self.level == 8)
         buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
         items = len(run) + -(-single.size // FILL_LANES)
@@ -348,8 +348,9 @@ class Holes:
 
 
 def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
-    """Missing pixels by their numbers (M,) for smooth_holes: runs (R, 2), single ones (S,), and how many of these
-    are `alone` (M,); they come last."""
+    """Missing pixels by number (M,) for smooth_holes: runs (R, 2), single pixels (S,), and the count of single pixels
+    that are `alone` (M,), which come last.
+    """
     starts = np.flatnonzero(np.diff(at, prepend=-2) != 1)
     within = np.arange(at.size) - np.repeat(starts, np.diff(starts, append=at.size))
     first = np.flatnonzero(within % FILL_LANES == 0)
@@ -364,7 +365,7 @@ def blend_border(
     session: Session, program: Program, border: Pixels, image: NDArray[Any], missing: Mask, stages: Stages,
     progress: Progress,
 ) -> None:  # fmt: skip
-    """Stage 3 of all border pixels: their gradients and medians, for the threshold to choose among."""
+    """Stage 3: gradients and medians of all border pixels; the threshold selects among them later."""
     rows, columns, channels = image.shape
     stages.gradients = np.empty(border.size, np.float64)
     stages.blended = np.empty((border.size, channels), np.float32)

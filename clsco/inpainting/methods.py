@@ -1,4 +1,4 @@
-"""The methods of inpainting by name, and which one `auto` picks."""
+"""Inpainting methods by name, and the choice for `auto`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ THESIS = "mean-median"
 class Task:
     """An image (rows, columns, K) of codes or floats with missing pixels (rows, columns), some but not all.
 
-    span: range of the values; constants: of the thesis' method; progress: gets the share that is done.
+    span: range of the values; constants: of the thesis' method; progress: called with the fraction done.
     """
 
     image: NDArray[Any]
@@ -36,7 +36,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """Result of a method: values (N, K) of pixels by their numbers (N,) in the image, and its stages if any."""
+    """Result of a method: pixel numbers (N,), their values (N, K), and stages for mean-median."""
 
     pixels: NDArray[np.int64]
     values: NDArray[np.float32]
@@ -51,7 +51,7 @@ def _mean_median(session: Session, task: Task) -> Filled:
 
 
 def _solver(fill: Callable[..., NDArray[np.float32]]) -> Callable[[Session, Task], Filled]:
-    """A method that knows nothing but the image."""
+    """Make a method from a function of image and mask."""
 
     def method(session: Session, task: Task) -> Filled:
         return Filled(np.flatnonzero(task.missing), fill(session, task.image, task.missing, task.progress))
@@ -67,11 +67,11 @@ METHODS: dict[str, Callable[[Session, Task], Filled]] = {
 
 
 def check_method(name: str) -> None:
-    """Raises SceneError for a name that is no method's."""
+    """Raise SceneError for an unknown method."""
     if name != "auto" and name not in METHODS:
         raise SceneError(f"method: must be one of auto, {', '.join(METHODS)}; got {name}")
 
 
 def method_for(session: Session, task: Task, name: str) -> str:
-    """The method to take: `name`, or for "auto" the one that does best on known pixels."""
+    """The method to use: `name`, or for "auto" the method that is better on known pixels."""
     return choose_method(session, task.image, task.missing) if name == "auto" else name

@@ -1,4 +1,4 @@
-"""The report of inpainting: figures, plots and images of the stages, as the thesis shows them (chapter 5)."""
+"""The report of inpainting: figures, plots and images of the stages, as in the thesis (chapter 5)."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ MEAN, MEDIAN = "#0072b2", "#d55e00"
 class Report:
     """Report on filling an image.
 
-    method: that was used; device: its name; shape, dtype: of the image; missing_pixels; seconds: in all; stages: of the
-    method mean-median, None where nothing was missing and of other methods; constants: of that method.
+    method: method used; device: its name; shape, dtype: of the image; missing_pixels: their number; seconds: total;
+    stages: of mean-median, None for other methods and if no pixel was missing; constants: of mean-median.
     """
 
     method: str
@@ -41,10 +41,10 @@ class Report:
     constants: MeanMedian
 
     def figures(self) -> dict[str, Any]:
-        """The figures for JSON; those of the table in figure 5.21 are of the method mean-median.
+        """The figures for JSON; for mean-median they include those of the table in figure 5.21.
 
         Gradients are in the image's unit; mse: mean square errors of mean and median by the number of known neighbors,
-        in its square; empty where no pixel has eight known neighbors.
+        in the square of that unit; empty if no pixel has eight known neighbors.
         """
         found: dict[str, Any] = {
             "method": self.method, "device": self.device, "shape": list(self.shape), "dtype": self.dtype,
@@ -68,12 +68,12 @@ class Report:
 def write_report(
     folder: Path, report: Report, image: NDArray[Any], missing: NDArray[np.bool_], filled: NDArray[Any]
 ) -> list[str]:
-    """Write report.json, images and plots, all or none; returns the names of the files.
+    """Write report.json, images and plots, atomically; returns the names of the files.
 
-    image, filled: (rows, columns[, K]) before and after; missing: (rows, columns). Always there is
-    before_mask_after.png; of the method mean-median also 1_filled.png, 2_smoothed.png and 3_blended.png, the image
-    after these stages, mse.png (figure 5.3) and gradients.png (figure 5.6), as far as the stages were not turned off.
-    Raises ClscoError without matplotlib, FileError where the folder cannot be written.
+    image, filled: (rows, columns[, K]) before and after; missing: (rows, columns). Always writes before_mask_after.png;
+    for mean-median also 1_filled.png, 2_smoothed.png and 3_blended.png, the image after these stages, mse.png (figure
+    5.3) and gradients.png (figure 5.6), unless a stage was turned off. Raises ClscoError without matplotlib, FileError
+    if the folder is not writable.
     """
     require_matplotlib("report", "report")
     display, stages = Display(image, missing), report.stages
@@ -96,8 +96,9 @@ def write_report(
 
 
 class Display:
-    """Display of an image of any kind in 8 bits: codes as they are, floats as sRGB, relative to white or the brightest
-    value."""
+    """Conversion of any image to 8-bit codes: codes unchanged, floats as sRGB, relative to white or the brightest
+    value.
+    """
 
     def __init__(self, image: NDArray[Any], missing: NDArray[np.bool_]) -> None:
         self.white = 1.0
@@ -105,7 +106,7 @@ class Display:
             self.white = max(1.0, float(image[~missing].max()))
 
     def codes(self, image: NDArray[Any]) -> NDArray[np.uint8]:
-        """(rows, columns[, 3]); of other numbers of channels the first one."""
+        """Codes (rows, columns[, 3]) of an image; with 2 or over 3 channels only the first is shown."""
         shown = image if image.ndim == 2 or image.shape[2] == 3 else image[..., 0]
         if image.dtype == np.uint16:
             return (shown >> 8).astype(np.uint8)
@@ -115,7 +116,7 @@ class Display:
 
 
 def beside_each_other(images: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Images (rows, columns[, 3]) of one size in a row, white between them, in color."""
+    """Images (rows, columns[, 3]) of one size in a row, with white gaps, in color."""
     colored = [image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1) for image in images]
     gap = np.full((colored[0].shape[0], GAP, 3), 255, np.uint8)
     return np.hstack([part for image in colored for part in (gap, image)][1:])
@@ -127,7 +128,7 @@ def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _with(image: NDArray[Any], pixels: NDArray[np.int64], values: NDArray[np.float32]) -> NDArray[Any]:
-    """An image in which pixels have other values; they are rounded as the result is."""
+    """An image with some pixels replaced; values are rounded as in the result."""
     from clsco.inpainting.rules import as_stored
 
     result = image.copy()
@@ -136,7 +137,7 @@ def _with(image: NDArray[Any], pixels: NDArray[np.int64], values: NDArray[np.flo
 
 
 def plots(report: Report) -> Mapping[str, Any]:
-    """Figures of matplotlib by file name, of the stages that there were."""
+    """Figures of matplotlib by file name, for the stages that ran."""
     found, stages = {}, report.stages
     if stages is not None and stages.score is not None and stages.score.samples:
         found["mse.png"] = _mse_plot(*stages.score.mean_square_errors())

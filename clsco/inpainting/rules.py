@@ -1,7 +1,7 @@
-"""Rules of mean/median filling (thesis, chapter 5) that host and reference share: constants, scores, threshold.
+"""Rules of mean/median filling (thesis, chapter 5), shared by host and reference: constants, scores, threshold.
 
-Whole numbers decide, so that every device and the reference choose alike: scores are exact sums of differences in
-steps of a 2^-16th of the range of the values.
+Decisions use integers, so that every device and the reference agree: scores are exact sums of differences in steps of
+2^-16 of the range of the values.
 """
 
 from __future__ import annotations
@@ -66,21 +66,21 @@ class MeanMedian:
 
 
 def most_sweeps(rows: int, columns: int) -> int:
-    """Sweeps with the minimum of known neighbors, after which a single one is enough.
+    """Number of sweeps with the minimum of known neighbors, after which a single known neighbor is enough.
 
-    Then each sweep brings the known pixels nearer by one from all sides, and max(rows, columns) of them end it: stage 1
-    takes less than 4 (rows + columns) sweeps whatever the mask. Without it, 1 random mask in 10,000 takes more (61 x 51
-    pixels with 55 known ones: 4.09); some 40 get to this limit.
+    After that, each sweep moves the known pixels inwards by one, and max(rows, columns) sweeps suffice: stage 1 takes
+    fewer than 4 (rows + columns) sweeps for any mask. Without this limit, 1 random mask in 10,000 takes more (61 x 51
+    pixels with 55 known ones: 4.09); about 40 reach the limit.
     """
     return 3 * (rows + columns)
 
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of mean and median of k known neighbors as estimates of known pixels (figure 5.3).
+    """Errors of the mean and the median of k known neighbors as estimates of known pixels (figure 5.3).
 
     mean, median: squared errors by k, summed over all pixels with eight known neighbors, all channels and all subsets
-    of k neighbors, times (2 k scale)^2, which makes them whole numbers; entries below 4 are 0. samples: pixels times
+    of k neighbors, times (2 k scale)^2, which makes them integers; entries below 4 are 0. samples: pixels times
     channels.
     """
 
@@ -90,13 +90,15 @@ class Score:
     scale: float
 
     def median_wins(self, estimator: str = "scored") -> NDArray[np.bool_]:
-        """For which k (9,) the median is taken: where its error is smaller, and of equals the mean."""
+        """Mask over k (9,): True where the median has the smaller error; ties go to the mean."""
         if estimator != "scored":
             return (np.arange(9) >= COUNTS.start) & (estimator == "median")
         return np.array([median < mean for mean, median in zip(self.mean, self.median, strict=True)])
 
     def mean_square_errors(self) -> tuple[list[float], list[float]]:
-        """Mean square errors of mean and of median for k = 4..8, in squares of the values' unit; () without samples."""
+        """Mean square errors of mean and of median for k = 4..8, in the squared unit of the values; () without
+        samples.
+        """
         if not self.samples:
             return [], []
         share = {k: 1.0 / ((2.0 * k * self.scale) ** 2 * comb(8, k) * self.samples) for k in COUNTS}
@@ -104,9 +106,10 @@ class Score:
 
 
 def score_scale(span: float) -> float:
-    """Factor of values before they are rounded for scores: a power of two, span times it at most 2^16.
+    """Factor by which values are multiplied before rounding for scores: the largest power of two with span times it at
+    most 2^16.
 
-    span: largest less smallest value, 0 or more.
+    span: largest minus smallest value, 0 or more.
     """
     mantissa, exponent = frexp(span)
     above = exponent - (mantissa == 0.5)  # span is at most 2^above
@@ -114,10 +117,10 @@ def score_scale(span: float) -> float:
 
 
 def score_of_sums(sums: NDArray[np.int64], scale: float) -> Score:
-    """The score from sums of the kernel `score_mean_median`, (any number, SCORE_SUMS).
+    """The score from partial sums of the kernel `score_mean_median`, (any number, SCORE_SUMS).
 
-    Binomial coefficients count the subsets of k neighbors with a certain one, and with a certain two, in them; of the
-    sorted ones those whose median is the i-th, or lies between the i-th and the j-th.
+    Binomial coefficients count the subsets of k neighbors that contain one given neighbor or two given ones, and, for
+    sorted neighbors, the subsets whose median is the i-th or lies between the i-th and the j-th.
     """
     # In two halves, since the whole of a large image may need more than 64 bits.
     high, low = (half.sum(axis=0).tolist() for half in (sums >> 32, sums & 0xFFFFFFFF))
@@ -139,16 +142,16 @@ def score_of_sums(sums: NDArray[np.int64], scale: float) -> Score:
 
 
 def bits_of(wins: NDArray[np.bool_]) -> int:
-    """Bit k for k neighbors, as kernels have it."""
+    """Bit mask for kernels: bit k for k neighbors."""
     return int((wins << np.arange(wins.size)).sum())
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """Gradients of the border pixels (figure 5.6): how many there are of each, and from where on they are blended.
+    """Histogram of gradients of the border pixels (figure 5.6), and the threshold from which they are blended.
 
-    counts: of gradients from n step up to (n + 1) step; step: in the values' unit; least, most: gradients that occur;
-    threshold: a multiple of step, or None where nothing is blended.
+    counts: of gradients from n step to below (n + 1) step; step: in the values' unit; least, most: smallest and largest
+    gradient; threshold: a multiple of step, or None if no pixel is blended.
     """
 
     counts: NDArray[np.int64]
@@ -159,9 +162,10 @@ class Histogram:
 
 
 def border_histogram(gradients: NDArray[Any], step: float, share: float) -> Histogram:
-    """Histogram of gradient magnitudes (N,), N > 0, and the threshold above which `share` of them lie.
+    """Histogram of gradient magnitudes (N,), N > 0, and the threshold above which `share` of them are.
 
-    Counted down from the largest, the threshold is the step at which the share is reached. A share of 0 has none.
+    The threshold is the step at which the share is reached, counted down from the largest gradient. A share of 0 has
+    none.
     """
     place = (gradients.astype(np.float64) / step).astype(np.int64) if step else np.zeros(gradients.size, np.int64)
     counts = np.bincount(place)
@@ -172,7 +176,9 @@ def border_histogram(gradients: NDArray[Any], step: float, share: float) -> Hist
 
 
 def value_span(image: NDArray[Any], missing: NDArray[np.bool_]) -> float:
-    """Range of the values of an image (rows, columns[, K]): of codes the largest, of floats that of known ones."""
+    """Range of the values of an image (rows, columns[, K]): for codes the largest possible code, for floats the range
+    of known values.
+    """
     if image.dtype.kind != "f":
         return float(np.iinfo(image.dtype).max)
     known = ~missing if image.ndim == 2 else ~missing[..., None]
@@ -181,7 +187,7 @@ def value_span(image: NDArray[Any], missing: NDArray[np.bool_]) -> float:
 
 
 def as_stored(values: NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Values in the type of an image; codes are rounded, halves to even."""
+    """Values converted to the type of an image; codes are rounded, halves to even."""
     if dtype.kind == "f":
         return values.astype(dtype)
     return np.clip(np.rint(values), 0, np.iinfo(dtype).max).astype(dtype)

@@ -1,4 +1,4 @@
-"""Holes of any image filled tile by tile, so that memory beyond the image does not depend on its size."""
+"""Fills holes of an image tile by tile, so that memory besides the image does not depend on its size."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MARGIN = 96  # around a tile, px, which its filling reads; an image of up to TIL
 
 
 def no_progress(done: float) -> None:
-    """Progress that is not shown."""
+    """Ignore the progress."""
 
 
 def fill_in_tiles(
@@ -27,10 +27,10 @@ def fill_in_tiles(
 ) -> Image:
     """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
-    fill: takes a part of the image, scaled so that what is known in it runs from 0 to 1 in each channel, and its
-    holes; what it returns is kept within that range. progress: gets the share that is done after each tile. Tiles go
-    row by row, each with MARGIN px around it, in which what former tiles have filled is known; those that have nothing
-    known in there wait. Only one tile at a time is made floats. Raises ArgumentError where nothing is known.
+    fill: takes a part of the image, scaled so that its known values span 0 to 1 in each channel, and its holes; its
+    result is clipped to that range. progress: called with the fraction done after each tile. Tiles are filled row by
+    row, each with a margin of MARGIN px, in which values filled before count as known; tiles without any known pixel
+    wait. Only one tile at a time is converted to floats. Raises ArgumentError if no pixel is known.
     """
     if missing.all():
         raise ArgumentError(f"missing: must leave a pixel known; got all {missing.size} missing")
@@ -62,8 +62,9 @@ def fill_in_tiles(
 def _within(
     part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Select the pixels (N,), numbers in an image of so many columns, in a part: their positions, row and column
-    there."""
+    """Select the pixels (N,), numbered in an image of `columns` columns, that are in a part: their positions in the
+    list, rows and columns there.
+    """
     first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
     row, column = np.divmod(pixels[first:end], columns)
     inside = np.flatnonzero((column >= part[1].start) & (column < part[1].stop))
@@ -71,7 +72,7 @@ def _within(
 
 
 def _tiles(shape: tuple[int, ...]) -> list[tuple[tuple[slice, ...], tuple[slice, ...]]]:
-    """Rows and columns of the tiles, and of each with its margin."""
+    """Rows and columns of each tile, without and with its margin."""
     axes: list[list[tuple[slice, slice]]] = []
     for size in shape:
         step = TILE if size > TILE + 2 * MARGIN else size

@@ -1,4 +1,4 @@
-"""Textures of other channels: gray ones in color, and some channels of colored ones."""
+"""Channels of textures: gray ones converted to color, and selected channels of color ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from clsco.inputs.textures import Texture
 
 
 def to_color(texture: Texture) -> Texture:
-    """A texture of three channels."""
+    """A texture converted to three channels."""
     if texture.radiance.ndim == 3:
         return texture
     images = [np.broadcast_to(image[..., None], (*image.shape, 3)) for image in texture.images]
@@ -19,7 +19,7 @@ def to_color(texture: Texture) -> Texture:
 
 
 def select_channels(texture: Texture, channels: tuple[int, ...]) -> Texture:
-    """A texture of some channels of another one; of a gray one, which has one for all, itself."""
+    """A texture of selected channels; a gray one is returned unchanged."""
     if texture.radiance.ndim == 2:
         return texture
     images = [

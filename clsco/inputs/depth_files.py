@@ -1,4 +1,4 @@
-"""Files of depth maps: PNG, JPEG, TIFF, EXR, PFM, NPY, NPZ, DPT to arrays."""
+"""Reader of depth maps: PNG, JPEG, TIFF, EXR, PFM, NPY, NPZ and DPT files to arrays."""
 
 from __future__ import annotations
 
@@ -23,18 +23,16 @@ DEPTH_FORMATS = IMAGE_FORMATS | {".npz": "NPZ", ".dpt": "DPT"}
 
 
 def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[Any]:
-    """Read the numbers of a depth file as it stores them; their meaning is for `inverse_depth`.
+    """Read the numbers of a depth file as stored; `inverse_depth` interprets them.
 
     PNG (8 or 16 bits; fewer bits become 8), JPEG, TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array `depth`, or
-    the only one with two dimensions) and EXR (a channel of the layer, as `clsco.files.layers.depth_channels`
-    chooses it; pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM
-    is not applied, as in the readers of Middlebury's files.
-    TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`.
-    Returns (rows, columns), integers as stored or float64, row 0 on top, any value: zero, negative, NaN and infinite
-    ones too.
-    Raises FileError, in one line, for all that is not exactly one such map: no readable file, wrong
-    extension, damaged, over 2^27 pixels or 65536 a side (refused from the header), channels that differ.
-    Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
+    the only one with two dimensions) and EXR (a channel of the layer, chosen by `clsco.files.layers.depth_channels`;
+    pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM is not applied, as
+    in readers of Middlebury's files. TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`. Returns
+    (rows, columns), integers as stored or float64, row 0 on top, of any value, including zero, negative, NaN and
+    infinity. Raises FileError, in one line, for anything that is not exactly one such map: unreadable, wrong extension,
+    damaged, over 2^27 pixels or 65536 a side (rejected from the header), channels that differ. Validated against files
+    written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
     """
     with open_format(path, DEPTH_FORMATS) as (file, kind):
         if kind == "EXR":
@@ -51,7 +49,7 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
 
 
 def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
-    """Take one of three equal channels, and turn floats into float64."""
+    """Reduce three equal channels to one, and convert floats to float64."""
     path = Path(file.name)
     if data.dtype.kind not in "iuf":
         raise_file_error(path, "values must be integers or floats", data.dtype)
@@ -113,7 +111,7 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
 
 
 def _decode_dpt(file: BinaryIO) -> NDArray[Any]:
-    """Depth in a file of Sintel: a tag, which is a float, columns, rows, and floats after them, all little endian."""
+    """Depth in a file of Sintel: a tag (a float), columns, rows, and floats, all little endian."""
     columns, rows = struct.unpack("<4xii", file.read(12))
     check_limits(Path(file.name), columns, rows)
     size, there = 4 * columns * rows, os.fstat(file.fileno()).st_size - 12

@@ -1,4 +1,6 @@
-"""Depth files to the inverse depth that a surface has in each pixel (float64, pure but for reading the file)."""
+"""Conversion of depth files to the inverse depth of the surface in each pixel (float64, pure except for reading
+files).
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,11 @@ ROUNDING = 1e-6  # of the radius at infinity: float32 files reach it, and pass i
 
 @dataclass(frozen=True, eq=False)
 class DepthValues:
-    """Depths of a map, in the units of the program.
+    """Depths of a map, in clsco's units.
 
-    inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface.
-    zero, negative, nan, infinite: pixels without a surface, by the value that the file has there.
-    far: pixels with a surface that is infinitely far, whose inverse depth is `FARTHEST`.
-    soft: pixels whose depth was between those of two surfaces at their edge, and is now that of one of them.
+    inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface. Counts of pixels: zero, negative, nan,
+    infinite: without a surface, by the value in the file; far: with an infinitely far surface, whose inverse depth is
+    `FARTHEST`; soft: with a depth between those of two surfaces at their edge, now assigned to one of them.
     """
 
     inverse_depth: Array
@@ -47,12 +48,13 @@ class DepthValues:
 
     @property
     def invalid(self) -> int:
-        """Pixels without a surface."""
+        """Number of pixels without a surface."""
         return self.zero + self.negative + self.nan + self.infinite
 
     def report(self) -> str:
-        """One line: how many pixels have no depth and why, how many are infinitely far, and how many depths between
-        two surfaces belong to one of them; "" where none."""
+        """One line: pixels without depth and why, pixels infinitely far, and pixels assigned to one of two surfaces; ""
+        if there are none.
+        """
         kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
         why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
@@ -70,7 +72,7 @@ class DepthValues:
 def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str = "depth") -> DepthValues:
     """Turn the numbers of a depth file into inverse depth.
 
-    raw: (rows, columns), integers or float64. item: says what they mean. where: name for the messages.
+    raw: (rows, columns), integers or float64. item: defines their meaning. where: name for the messages.
 
     unit         inverse depth w of v = raw scale + offset   no surface               missing code   infinitely far
     mm, m        1 / v                                       v = 0, negative, NaN     0              +inf, as 1e10 m
@@ -80,14 +82,13 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
                                                              +inf
     coc          K - v / kappa, v the signed R in px         NaN, infinite            none           R = kappa K
 
-    A missing code is an integer for pixels that were not measured, as 0 in KITTI's PNGs of scale 1/256, whatever the
-    offset; of floats NaN, and inf in Middlebury's PFMs, say so. With near and far, between which the range of all
-    finite numbers is mapped, no number is missing.
-    What is infinitely far, or farther than 1e12 mm, gets 1e-12 per mm: it is there, and blurs as at infinity.
-    Raises FileError where no pixel has a surface; where |R| passes 512 px, with the unit that is probably
-    meant; nearer than 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and where near and
-    far are given for numbers that are all the same.
-    Validated against the formulas in exact fractions, and by converting analytic depth to every unit and back.
+    A missing code is an integer that marks unmeasured pixels, such as 0 in KITTI's PNGs of scale 1/256, whatever the
+    offset; among floats NaN marks them, and inf in Middlebury's PFMs. With near and far, which the range of all finite
+    numbers is mapped to, no number is missing. A surface infinitely far, or farther than 1e12 mm, gets 1e-12 per mm,
+    and is blurred as at infinity. Raises FileError if no pixel has a surface; if |R| exceeds 512 px, with a guess of
+    the intended unit; below 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and with near
+    and far if all numbers are equal. Validated against the formulas in exact fractions, and by converting analytic
+    depth to every unit and back.
     """
     unit, nowhere = item.unit, np.zeros(raw.shape, np.bool_)
     with np.errstate(over="ignore"):
@@ -127,12 +128,12 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
 
 
 def fill_depth(w: Array) -> Array:
-    """Inverse depth (rows, columns) in 1/mm with that of pixels that have none, 0, taken from around them.
+    """Inverse depth (rows, columns) in 1/mm with pixels that have none (0) filled from their surroundings.
 
-    Between the nearest known pixels of a row, and of a column, w goes on as it does on a plane, linearly; where the
-    ends are at the depths of two surfaces it is that of the farther one, so that nothing grows over an edge. The two
-    are weighted by the inverse of the gaps' widths, or where they are two surfaces the narrower gap counts, of equal
-    ones the farther surface. Validated on tilted planes, which come back exactly, and on steps.
+    Between the nearest known pixels of a row, and of a column, w is interpolated linearly, as on a plane; if the ends
+    belong to two surfaces, it is that of the farther one, so that no surface grows over an edge. Row and column are
+    weighted by the inverse width of their gaps; if they give two surfaces, the narrower gap decides, or for equal gaps
+    the farther surface. Validated on tilted planes, which are restored exactly, and on steps.
     """
     for _ in range(2):  # a pixel whose row and column are empty has pixels of the first round in both
         along, width = _across(w)
@@ -146,7 +147,9 @@ def fill_depth(w: Array) -> Array:
 
 
 def _across(w: Array) -> tuple[Array, Array]:
-    """For every pixel w between the nearest known ones of its row, 0 without any, and px between these or inf."""
+    """For every pixel, w interpolated between the nearest known pixels of its row, 0 without any, and their distance in
+    px or inf.
+    """
     column = np.broadcast_to(np.arange(w.shape[1]), w.shape)
     left = np.maximum.accumulate(np.where(w > 0, column, -1), axis=1)
     right = np.minimum.accumulate(np.where(w > 0, column, w.shape[1])[:, ::-1], axis=1)[:, ::-1]
@@ -167,7 +170,7 @@ def load_scene_depths(
 ) -> tuple[Array | None, ...]:  # fmt: skip
     """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
-    scene: with its resolution. load: gives it for an object, by default from its file or array. Raises FileError for
+    scene: with its resolution. load: returns it for an object, by default from its file or array. Raises FileError for
     the first file that cannot be read, has another size than the frame, or does not fit the camera.
     """
     of_map = load or _loaded
@@ -182,7 +185,7 @@ def _loaded(scene: Scene, item: DepthMap) -> Array:
 
 
 def depth_numbers(source: Input) -> NDArray[Any]:
-    """Numbers (rows, columns) of a depth file, or of an array, which nobody may change. Raises as `read_depth`."""
+    """Numbers (rows, columns) of a depth file or an array, which callers must not change. Raises as `read_depth`."""
     if isinstance(source, ArrayInput):
         return source.array
     from clsco.inputs.depth_files import read_depth
@@ -193,13 +196,12 @@ def depth_numbers(source: Input) -> NDArray[Any]:
 def map_values(
     scene: Scene, item: DepthMap, raw: NDArray[Any], image: Callable[[], NDArray[np.float32]] | None = None
 ) -> DepthValues:
-    """Depths of an object of a scene, and the counts of what its file or array has.
+    """Depths of a scene's object, and counts of the values in its file or array.
 
-    scene: with its resolution. raw: numbers of its file or array. image: gives its radiance, which is only asked for
-    where edges are soft (`assign_soft_edges`); without it depths alone decide. Where the file has no depth it is
-    infinite or taken from around (`fill_depth`), so that the image is complete; of the latter nothing is there if
-    fill.method is none.
-    Raises FileError where the size is not that of the frame, and as `inverse_depth`.
+    scene: with its resolution. raw: numbers of its file or array. image: returns its radiance, called only if edges are
+    soft (`assign_soft_edges`); without it, depths alone decide. Pixels without depth become infinitely far, or are
+    filled from their surroundings (`fill_depth`), so that the image is complete; with fill.method = "none" the latter
+    have no surface. Raises FileError if the size is not that of the frame, and as `inverse_depth`.
     """
     from clsco.files.images import check_sizes
 
@@ -225,7 +227,9 @@ def map_values(
 def _without_soft_edges(
     values: DepthValues, depth: Array | None, camera: Camera, image: Callable[[], NDArray[np.float32]] | None
 ) -> DepthValues:
-    """depth: numbers of the file where they are not linear in the blur radius."""
+    """Assign soft edges to one of their surfaces. depth: numbers of the file, if they are not linear in the blur
+    radius.
+    """
     from clsco.inputs.soft_edges import assign_soft_edges  # 1 ms, and few scenes have depth maps
 
     w, per_px = values.inverse_depth, abs(Lens.of(camera).blur_scale)
@@ -242,7 +246,9 @@ def _without_soft_edges(
 
 
 def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> Array:
-    """Numbers in `unit`, the nearest one at `near` and the farthest one at `far`, mm; what is not finite stays so."""
+    """Numbers in `unit`, scaled so that the nearest one is at `near` and the farthest one at `far`, mm; numbers that
+    are not finite stay so.
+    """
     finite = np.isfinite(value)
     if not finite.any():
         return value
@@ -256,7 +262,7 @@ def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> A
 
 
 def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) -> Array:
-    """Inverse depth in 1/mm of values that have one; not above 0 where they are infinitely far."""
+    """Inverse depth in 1/mm of valid values; 0 or negative for infinitely far ones."""
     with np.errstate(over="ignore", divide="ignore"):  # what overflows is too near, and refused as that
         if unit == "disparity":
             return value * (camera.pixel_pitch / ((baseline or 1.0) * camera.normalization_distance))
@@ -276,7 +282,7 @@ def _ray_lengths(shape: tuple[int, ...], camera: Camera) -> Array:
 
 
 def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: Camera, where: str) -> None:
-    """scale: None where `near` and `far` are in its place."""
+    """Raise FileError if a blur radius is too large. scale: None if `near` and `far` replace it."""
     # Linear in w: one of the ends has the largest.
     largest, at = max((abs(float(blur_radius(camera, w[at]))), -int(at)) for at in (w.argmin(), w.argmax()))
     if largest > LARGEST_BLUR:
@@ -291,7 +297,7 @@ def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: 
 
 
 def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> str:
-    """Name the unit in which no radius is too large, and the radii are not all as at infinity."""
+    """Name of a unit in which no radius is too large, and not all radii are as at infinity."""
     at_infinity = abs(float(blur_radius(camera, 0.0)))
     if at_infinity > LARGEST_BLUR:
         return f"the camera has {at_infinity:.4g} px at infinity: aperture_diameter or pixel_pitch is probably wrong"
@@ -316,7 +322,7 @@ def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> st
 
 
 def _check_reach(radius: Array, camera: Camera, where: str) -> None:
-    """Refuse a radius that the camera has at no depth: beyond infinity, by more than rounding explains."""
+    """Raise an error for a radius that the camera has at no depth: beyond infinity, by more than rounding explains."""
     at_infinity, largest = float(blur_radius(camera, 0.0)), float(radius.max())
     if largest > at_infinity + ROUNDING * abs(at_infinity):
         rule = f"radii must be at most {at_infinity:.6g} px, which the camera has at infinity"

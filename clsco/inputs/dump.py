@@ -1,4 +1,4 @@
-"""Scenes to scene files, with the arrays that they have in memory beside them."""
+"""Writer of scene files and of the arrays that a scene has in memory."""
 
 from __future__ import annotations
 
@@ -36,14 +36,13 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     Raises
     ------
     SceneError
-        The scene has arrays in memory and there is no path, or that does not end in .toml.
+        The scene has arrays in memory, and `path` is missing or does not end in .toml.
     FileError
-        A file cannot be written; then no file is.
+        A file cannot be written; then none is.
 
     Notes
     -----
-    From the file of a scene with arrays `clsco.load_scene` makes a scene with the names of their files, and frames of
-    the same bits.
+    `clsco.load_scene` reads a scene with arrays back with the names of their files; its frames have the same bits.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Textures and depth maps of scenes, each file decoded once: kept by its content."""
+"""Cache of textures and depth maps: each file is decoded once per content."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Maps = tuple[NDArray[np.float64] | None, ...]
 
 
 class About(NamedTuple):
-    """An image without its pixels: whether it has one channel, its color space, and `Picture.notes`."""
+    """Properties of an image without its pixels: True for one channel, its color space, and `Picture.notes`."""
 
     is_gray: bool
     color: Color
@@ -57,10 +57,10 @@ class About(NamedTuple):
 
 
 class InputFiles:
-    """Decoded files that scenes name. Safe to share between threads.
+    """Decoded files of scenes. Threads may share it.
 
-    limit: most bytes that are kept in memory; the least recently used files go. A file is what it contains: a copy of
-    it elsewhere is the same, and one that has changed is read again. So is an array in memory.
+    limit: most bytes in memory; the least recently used files are evicted. Files are identified by their content: a
+    copy is not decoded again, a changed file is. The same holds for arrays in memory.
     """
 
     def __init__(self, limit: int = CACHE_BYTES) -> None:
@@ -68,8 +68,9 @@ class InputFiles:
         self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
-        """The textures of all objects in the size of the frame, each with the radiance of its file or pattern, times
-        the light of the aperture. Raises FileError as `clsco.inputs.textures.load_texture`."""
+        """The textures of all objects at the size of the frame: radiance of each file or pattern, times the aperture's
+        light. Raises FileError as `clsco.inputs.textures.load_texture`.
+        """
         loaded = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
         if scene.aperture.exposure == "normalized":
             return loaded
@@ -114,11 +115,11 @@ class InputFiles:
 
     @cached_property
     def _drawn(self) -> ArrayCache:
-        """Patterns on disk; its folder is made when one is drawn, and not where scenes are only looked at."""
+        """Cache of patterns on disk; its folder is made only when a pattern is drawn."""
         return user_cache("textures")
 
     def _pattern(self, name: str, transfer: str, size: tuple[int, int] | None) -> NDArray[np.float32]:
-        """A built-in pattern, from the disk where it has been drawn before."""
+        """A built-in pattern, read from the disk cache if possible."""
         key = f"{_code()} {name} {transfer} {size}"
         arrays = self._drawn.get(key)
         if arrays is not None and arrays.keys() == {"radiance"}:
@@ -132,7 +133,7 @@ class InputFiles:
         return self._once("picture", source, lambda: picture_of(source), lambda picture: picture.data.nbytes)
 
     def about(self, source: Input) -> About:
-        """Facts of `picture` without its pixels, read once per content."""
+        """Properties of `picture` without its pixels, read once per content."""
 
         def read() -> About:
             picture = self.picture(source)
@@ -169,7 +170,7 @@ class InputFiles:
         )
 
     def digest(self, path: str) -> str:
-        """SHA-256 of a file, computed once while it does not change. Raises OSError where it cannot be read."""
+        """SHA-256 of a file, computed again only if the file changes. Raises OSError if it cannot be read."""
         stamp, known = _stamp(path), self._digests.get(path)
         if known is not None and known[0] == stamp:
             return known[1]
@@ -186,8 +187,9 @@ class InputFiles:
         return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Input) -> Hashable | None:
-        """Key of an array, or of a file's content, how it is read and its layer; None where there is none, as of a
-        pipe."""
+        """Key from an array, or from a file's content, reader and layer; None for sources without one, such as
+        pipes.
+        """
         if isinstance(source, ArrayInput):
             return "array", source.sha256
         path, layer = str(source), source.layer if isinstance(source, LayerInput) else None
@@ -208,11 +210,11 @@ def _code() -> str:
 
 @cache
 def shared_files() -> InputFiles:
-    """The files of all renderings in this process that have none of their own."""
+    """The files that renderings in this process share by default."""
     return InputFiles()
 
 
 def _stamp(path: str) -> tuple[int, ...]:
-    """Stamp of a file, which changes when the file does; the last two numbers are times in ns."""
+    """Size and times of a file, which change when the file does; the last two numbers are times in ns."""
     state = Path(path).stat()
     return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns

@@ -1,4 +1,4 @@
-"""Focus: the line on what a lens does to depth maps, and lenses that focus on a point or a share of a scene."""
+"""Focus: describes the blur of depth maps, and focuses lenses on a point or on a share of the depths."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ MOST_POINTS = 2**20  # of a frame, whose depths a share is taken of
 
 @dataclass(frozen=True)
 class Focus:
-    """Target of the focus: a pixel (column, row), or the share of the picture that is nearer, 0 to 1."""
+    """Target of the focus: a pixel (column, row), or the fraction of the picture that is nearer, 0 to 1."""
 
     on: tuple[int, int] | float
 
 
 def lens_line(scene: Scene, w: Array) -> str:
-    """Range of the blur radius over a depth map, how much of it is in focus, and why it may not be intended.
+    """Text on a depth map: the range of its blur radius, the share in focus, and why this may not be intended.
 
-    w: inverse depth (rows, columns), 1/mm; 0 where nothing is; some pixel has one. Such as "R -0.1 to 33 px; in focus:
-    12 % of the picture". In focus is what has |R| of at most `SHARP`.
+    w: inverse depth (rows, columns), 1/mm; 0 without a surface, but not everywhere. Example: "R -0.1 to 33 px; in
+    focus: 12 % of the picture". In focus means |R| of at most `SHARP`.
     """
     seen = w[w > 0]
     near, far, camera = float(seen.max()), float(seen.min()), scene.camera
@@ -60,12 +60,12 @@ def _distance(w: float) -> str:
 
 
 def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
-    """The scene with a lens that is focused on the surface at a point, or on a share of the depths, at t = 0.
+    """The scene with its lens focused, at t = 0, on the surface at a point or at a quantile of the depths.
 
-    scene: with its resolution. Its lens gets a focus distance, or where that is infinite the detector at the focal
-    length. Raises SceneError where the point is outside of the picture, nothing is there, it is within the focal
-    length, or a depth map has blur radii, whose depths follow from the focus; FileError where a depth map cannot be
-    read. Shares are of at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
+    scene: with its resolution. The lens gets a focus distance, or, for infinity, the detector at the focal length.
+    Raises SceneError if the point is outside of the picture, shows no surface, is within the focal length, or a depth
+    map has blur radii, whose depths depend on the focus; FileError if a depth map cannot be read. Quantiles use at most
+    2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
     """
     columns, rows = scene.camera.frame_size
     if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):
@@ -94,10 +94,10 @@ def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
 def find_visible(
     scene: Scene, maps: Sequence[Array | None], i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Inverse depth in 1/mm and number of the object that is seen in rows i and columns j at t = 0, (len(i), len(j)).
+    """Inverse depth in 1/mm and number of the object visible in rows i and columns j at t = 0, (len(i), len(j)).
 
-    Where no surface is, w is 0, and the number that of a background, or -1. Rows and columns of a depth map, see
-    `InputFiles.maps`, lie in the frame.
+    Without a surface, w is 0, and the number that of a background, or -1. Rows and columns of a depth map, see
+    `InputFiles.maps`, must be in the frame.
     """
     x, y = ray_slopes(camera_at(scene, 0.0), i[:, None], j)
     behind = next((number for number, item in enumerate(scene.objects) if item.is_background), -1)

@@ -1,4 +1,4 @@
-"""Mipmaps: an image and its copies at half, a quarter ... of its size, for filters of large footprints (pure)."""
+"""Mipmaps: an image at full, half, a quarter ... of its size, for filters with large footprints (pure)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def level_sizes(columns: int, rows: int) -> list[tuple[int, int]]:
 
 
 def mipmap_floats(columns: int, rows: int, channels: int, sides: int) -> int:
-    """Floats of a mipmap of so many sides (1, or 6 of a cube map)."""
+    """Number of floats in a mipmap; sides: 1, or 6 for a cube map."""
     border = 2 * CUBE_BORDER if sides > 1 else 0
     return sides * channels * sum((width + border) * (height + border) for width, height in level_sizes(columns, rows))
 
@@ -41,10 +41,9 @@ def mipmap_floats(columns: int, rows: int, channels: int, sides: int) -> int:
 def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
     """All levels of an image (rows, columns, channels), or of the six of a cube map in the order of `SIDES`.
 
-    out: `mipmap_floats` floats that get the levels one after the other. Returns each level, (sides, rows, columns,
-    channels): the one before without what its texels cannot hold, by a cubic as wide as two of them, of no second
-    moment, so that what is interpolated between texels is no wider than the image. Around the sides of a cube map are
-    CUBE_BORDER texels of their neighbors.
+    out: `mipmap_floats` floats to which the levels are written in order. Returns each level, (sides, rows, columns,
+    channels): the one before, low-pass filtered by a cubic two texels wide without second moment, so that interpolation
+    between texels does not widen the image. Each side of a cube map is bordered by CUBE_BORDER texels of its neighbors.
     """
     rows, columns, channels = images[0].shape
     if out is None:
@@ -65,7 +64,7 @@ def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
 
 
 def _shrunk(image: Floats, size: int, axis: int) -> Floats:
-    """An image (rows, columns, channels) with `size` rows or columns, of which it has up to twice as many."""
+    """Reduce an image (rows, columns, channels) to `size` rows or columns, at least half as many as it has."""
     if image.shape[axis] == size:
         return image
     if image.shape[axis] == 2 * size:
@@ -108,13 +107,13 @@ def _half_as_wide(image: Floats) -> Floats:
 
 
 def _parts(rows: int, width: int) -> Iterator[tuple[int, int]]:
-    """Parts of so many rows of a width, each as large as the cache of the processor holds."""
+    """Split rows of a given width into parts that fit the processor's cache."""
     step = max(1, AT_A_TIME // width)
     return ((begin, min(begin + step, rows)) for begin in range(0, rows, step))
 
 
 def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Sum of eight taps, which are the caller's."""
+    """Weighted sum of eight taps, which it overwrites."""
     total = np.zeros_like(taps[0])
     for k in (3, 2, 1, 0):
         total += _TAPS[3 - k] * (taps[k] + taps[7 - k])
@@ -122,7 +121,9 @@ def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (..., 3) at coordinates from -1 to 1, right and up, on a side of a cube; beyond that on its plane."""
+    """Points (..., 3) at coordinates from -1 to 1, right and up, on a side of a cube; other coordinates are on the
+    side's plane.
+    """
     (out, sign), (right, right_sign), (up, up_sign) = SIDES[side]
     points = np.empty((*np.shape(x), 3))
     points[..., out], points[..., right], points[..., up] = sign, right_sign * x, up_sign * y
@@ -130,7 +131,7 @@ def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
 
 
 def cube_side(q: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-    """Side of a cube that directions (..., 3) meet, and the coordinates there; of equally near ones the first axis."""
+    """Side of a cube that directions (..., 3) meet, and the coordinates there; ties go to the first axis."""
     axis = np.argmax(np.abs(q), axis=-1)
     size = np.take_along_axis(q, axis[..., None], -1)[..., 0]
     # Right, top and front are the positive ends of the axes.
@@ -145,7 +146,7 @@ def cube_side(q: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.floa
 
 
 def bordered(sides: Floats) -> Floats:
-    """The sides of a cube map (6, rows, columns, channels) with what is next to them, CUBE_BORDER texels wide."""
+    """The sides of a cube map (6, rows, columns, channels), each extended by CUBE_BORDER texels of its neighbors."""
     _, rows, columns, channels = sides.shape
     i, j = (np.arange(-CUBE_BORDER, n + CUBE_BORDER) for n in (rows, columns))
     wider = np.empty((6, i.size, j.size, channels), np.float32)

@@ -1,4 +1,4 @@
-"""Point spreads whose pupil may be an image file or an array, and textures in the light that it lets through."""
+"""Point spread functions whose pupil may be an image, and textures scaled by the light that the aperture transmits."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ Load = Callable[[Input], "Picture"]
 def load_point_spread(
     psf: Psf, aperture: Aperture, transfer: str = "srgb", load: Load = picture_of, camera: Camera | None = None
 ) -> PointSpread:  # fmt: skip
-    """Point spread of a PSF and an aperture, with the image of its pupil.
+    """Point spread function of a PSF section and an aperture, with the image of its pupil.
 
-    transfer: of images with 8 and 16 bits, as for textures. load: `clsco.inputs.textures.picture_of`, or what stands
-    for it. camera: which psf.model = "wave" needs. Raises FileError where the image of the aperture cannot be read, is
-    no square or not gray, or lets no light pass.
+    transfer: of images with 8 and 16 bits, as for textures. load: `clsco.inputs.textures.picture_of`, or a replacement.
+    camera: required by psf.model = "wave". Raises FileError if the image of the aperture cannot be read, is not square
+    or not gray, or is black.
     """
     source = aperture.inputs().get("image")
     if source is None:
@@ -45,12 +45,12 @@ def load_point_spread(
 
 
 def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
-    """Point spread of a scene, see `load_point_spread`."""
+    """Point spread function of a scene, see `load_point_spread`."""
     return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load, scene.camera)
 
 
 def scale_radiance(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
-    """Textures with their radiance times a factor."""
+    """Textures with their radiance multiplied by a factor."""
     if factor == 1.0:
         return tuple(textures)
     scaled = {}
@@ -62,7 +62,7 @@ def scale_radiance(textures: Sequence[Texture], factor: float) -> tuple[Texture,
 
 
 def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:
-    """Pupil of a picture, of at most MOST_CELLS a side."""
+    """Pupil from a picture, reduced to at most MOST_CELLS a side."""
     from clsco.optics.pupils.image import MOST_CELLS, image_pupil
 
     rows, columns = picture.data.shape[:2]

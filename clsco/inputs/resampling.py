@@ -1,4 +1,4 @@
-"""Images at another size (float64, pure)."""
+"""Resampling of images to another size (float64, pure)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ def resample(
 ) -> Floats:
     """Resample an image to another size with the same outer borders, without aliasing.
 
-    linear: (rows, columns[, channels]), linear. size: (rows, columns). first, end: which rows of it are wanted, by
-    default all. part: where `linear` has some rows of an image, which `rows_for` gives, the number of the first and how
-    many there are in all. Returns size[, channels], >= 0.
-    Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981), as wide as an output pixel
-    where the image shrinks. Each output pixel's weights sum to 1; beyond the border the nearest pixel
-    repeats; what rings below 0 is 0. Validated on constants, cosines, mirrored images, and by the mean.
+    linear: (rows, columns[, channels]), linear. size: (rows, columns). first, end: range of its rows to compute, by
+    default all. part: if `linear` is only the rows of an image that `rows_for` gives, the number of its first row and
+    the image's total. Returns size[, channels], >= 0. Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of
+    Keys 1981), as wide as an output pixel where the image shrinks. The weights of each output pixel sum to 1; beyond
+    the border the nearest pixel repeats; undershoot below 0 becomes 0. Validated on constants, cosines, mirrored
+    images, and by the mean.
     """
     if linear.shape[:2] == size:
         return linear[first:end]
@@ -32,7 +32,9 @@ def resample(
 
 
 def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
-    """First row and end of those of an image with `before` rows that these ones depend on where it has `rows`."""
+    """First row and end of the rows, of an image with `before` rows, needed for rows `first` to `end` of the one with
+    `rows`.
+    """
     if before == rows:
         return first, end
     taps, _ = _taps(before, rows, np.array([first, end - 1]))
@@ -40,8 +42,9 @@ def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
 
 
 def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Rows (wanted, taps) of an image with `before` rows that are summed for each wanted one of `rows`, and how far
-    they are from it, in widths of the cubic."""
+    """For each requested row of `rows`: the rows (wanted, taps) of an image with `before` rows to sum, and their
+    distances from it in widths of the cubic.
+    """
     width = max(before / rows, 1.0)
     center: Floats = (numbers + 0.5) * before / rows - 0.5
     taps: Floats = np.floor(center - 2 * width)[:, None] + np.arange(int(np.ceil(4 * width)) + 2)
@@ -51,8 +54,9 @@ def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Fl
 def resample_rows(
     image: Floats, rows: int, numbers: NDArray[np.intp], above: int = 0, before: int | None = None
 ) -> Floats:
-    """The wanted ones of the rows of an image that has `rows` then; see `resample`, and for the last two its `part`.
-    Keeps second moments: the cubic has none of its own. May be below 0."""
+    """The requested rows of an image resampled to `rows` rows; see `resample`, and its `part` for the last two
+    arguments. Preserves second moments, as the cubic has none. May be negative.
+    """
     before = image.shape[0] if before is None else before
     taps, t = _taps(before, rows, numbers)
     outer = np.where(t < 2, ((2.5 - 0.5 * t) * t - 4) * t + 2, 0)

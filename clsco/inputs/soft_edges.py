@@ -1,8 +1,8 @@
-"""Soft depth edges: depths between two surfaces at their common edge, each given to one of the two (float64, pure).
+"""Soft depth edges: pixels with depths between two surfaces at their edge are assigned to one of them (float64, pure).
 
 A depth that was averaged over its pixel, resampled, blurred or compressed goes from one surface to the other in a few
-steps. Each row and each column is searched for such steps by itself: they have one sign, are steepest in the middle,
-and begin and end at surfaces that are flat next to them.
+steps. Each row and each column is searched separately for such steps: they have one sign, are steepest in the middle,
+and begin and end at surfaces that are flat there.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ MIXED = 5.0  # standard deviations of the surfaces' color from all of their mixt
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Soft edges that lines cross, one per entry.
+    """Soft edges crossed by lines (rows or columns), one per entry.
 
-    line: that crosses it. first: place in it of the last pixel of the first surface, after which `count` pixels are
-    between the two. step: of the whole edge, with its sign, px. begin, end: radii of the surfaces at their last pixels.
-    begin_slope, end_slope: what those change by from pixel to pixel away from the edge. begin_over, end_over: how many
-    of the last pixels of a surface the edge overshoots in.
+    line: the line. first: position in it of the last pixel of the first surface, after which `count` pixels are between
+    the two. step: of the whole edge, signed, px. begin, end: radii of the surfaces at their last pixels. begin_slope,
+    end_slope: changes of these per pixel away from the edge. begin_over, end_over: number of each surface's last pixels
+    that overshoot.
     """
 
     line: Indices
@@ -67,31 +67,32 @@ class _Edges:
 def assign_soft_edges(
     radius: Array, stored: Array | None = None, image: Callable[[], NDArray[Any]] | None = None
 ) -> tuple[Indices, Array]:
-    """Find the pixels of a map whose depth is between two surfaces, and the depth of one of them for each.
+    """Find the pixels of a map with a depth between two surfaces, and the depth of the surface that each is assigned
+    to.
 
     Parameters
     ----------
     radius : ndarray (rows, columns)
-        Anything linear in the inverse depth, in px of the blur radius; NaN where nothing is.
+        Any quantity linear in the inverse depth, in px of the blur radius; NaN without a surface.
     stored : ndarray (rows, columns), optional
-        Values that were averaged or blurred where these are not linear in the radius, such as the depth; NaN where
-        nothing is. An edge is where they have half of their step.
+        The values that were averaged or blurred, such as the depth, if they are not linear in the radius; NaN without a
+        surface. An edge lies where they reach half of their step.
     image : callable, optional
-        Gives linear radiance (rows, columns[, channels]); called where there is a soft edge. Where the surfaces differ
-        in color, a pixel is of the one whose color it has more of.
+        Returns linear radiance (rows, columns[, channels]); called only if there is a soft edge. If the surfaces differ
+        in color, a pixel is assigned to the surface whose color is closer.
 
     Returns
     -------
     ndarray (pixels,)
-        Numbers of the pixels in the order of rows.
+        Numbers of the pixels, row by row.
     ndarray (pixels,)
-        `radius` of the surface that each belongs to.
+        `radius` of the surface that each is assigned to.
 
     Notes
     -----
-    Nothing is found between surfaces that differ by less than LEAST_STEP, in steps of one px, as of hard edges and
-    stairs, on ramps, at the limb of a sphere, where a line beside it has no such edge, nor where a pixel between the
-    two has a color that is no mixture of theirs.
+    Not found are: edges between surfaces that differ by less than LEAST_STEP; steps of one px, as at hard edges and
+    stairs; ramps; the limb of a sphere, where a neighboring line has no such edge; and edges with a pixel whose color
+    is not a mixture of the two surfaces' colors.
     """
     pixels, values = _found(radius, stored, image)
     if not len(pixels):
@@ -125,7 +126,7 @@ def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]
 
 
 def _soft_edges(radius: Array, shapes: list[Array]) -> _Edges:
-    """Find the edges that rows cross, in any of the shapes."""
+    """Find the edges that rows cross, of any of the shapes."""
     parts = []
     for top in range(0, len(radius), ROWS):
         strip = slice(top, top + ROWS)
@@ -139,7 +140,7 @@ def _soft_edges(radius: Array, shapes: list[Array]) -> _Edges:
 
 
 def _steep(radius: Array) -> tuple[Indices, Indices]:
-    """Lines and columns of steps that may be the steepest of an edge."""
+    """Lines and columns of the steps that may be the steepest of an edge."""
     steps = radius[:, 1:] - radius[:, :-1]
     least = LEAST_STEP * LEAST_STEEPEST
     if not steps.size or (steps.max() < least and steps.min() > -least):  # at a fifth of what looking for them takes
@@ -175,8 +176,9 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
 
 
 def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.bool_]:
-    """Mark places with a step in reach on either side that may be of a surface: on ramps there is none, and looking at
-    all steps around each place takes long."""
+    """Mark places with nearly flat steps within reach on both sides: ramps have none, and this test is cheaper than
+    examining all steps around each place.
+    """
     size = np.zeros((len(stored), stored.shape[1] - 1 + 2 * REACH))  # of the steps, 0 beyond the border
     np.abs(stored[:, 1:] - stored[:, :-1], out=size[:, REACH:-REACH])
     least, length = size, 1  # of so many steps, from each on
@@ -188,7 +190,7 @@ def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.b
 
 
 def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
-    """Steps (places, 2 reach + 1) up to `reach` before and after those that begin at places, 0 beyond the border."""
+    """Steps (places, 2 reach + 1) up to `reach` before and after each place, 0 beyond the border."""
     at = column[:, None] + np.arange(-reach, reach + 1)
     inside = np.clip(at, 0, stored.shape[1] - 2)
     steps = stored[line[:, None], inside + 1] - stored[line[:, None], inside]
@@ -196,8 +198,9 @@ def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
 
 
 def _length(steps: Array) -> Indices:
-    """Steps that belong to an edge, of those (edges, REACH) from its steepest one outwards, which is 1; -1 where the
-    surface behind them is not flat."""
+    """Number of steps that belong to an edge, among steps (edges, REACH) outwards from its steepest one, scaled to 1;
+    -1 if the surface behind them is not flat.
+    """
     run = np.minimum.accumulate(steps > LEAST, axis=1).sum(axis=1)
     lengths = np.full(len(steps), -1)
     for n in range(LONGEST + 1):
@@ -211,9 +214,10 @@ def _length(steps: Array) -> Indices:
 def _surface(
     radius: Array, stored: Array, line: Indices, place: Indices, other: Indices, way: int
 ) -> tuple[Array, Array, Indices]:
-    """Radius of a surface at its last pixel, its slope away from the edge, and pixels in which the edge overshoots it.
+    """Radius of a surface at its last pixel, its slope away from the edge, and the number of pixels in which the edge
+    overshoots it.
 
-    place, other: of the last pixels of this surface and the other one; way: from the edge, 1 or -1.
+    place, other: last pixels of this surface and of the other one; way: direction from the edge, 1 or -1.
     """
     at = line[:, None], np.clip(place[:, None] + way * np.arange(2 * SURFACE), 0, radius.shape[1] - 1)
     values, shape = radius[at], stored[at]
@@ -232,7 +236,7 @@ def _surface(
 
 
 def _supported(edges: _Edges, columns: int) -> _Edges:
-    """Select edges that go on in the line above or below, up to two pixels to the side."""
+    """Select edges that continue in the line above or below, up to two pixels to the side."""
     middle = edges.first + (edges.count + 1) // 2
     width = columns + 4
     supported = np.zeros(len(middle), np.bool_)
@@ -245,7 +249,7 @@ def _supported(edges: _Edges, columns: int) -> _Edges:
 
 
 def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges, _Edges]:
-    """Without edges between what are no surfaces, but pixels of a larger edge that the other lines cross."""
+    """Remove edges between pixels of a larger edge that the other lines cross."""
 
     def pixels(edges: _Edges, place: Indices) -> Indices:
         line = edges.line[:, None]
@@ -275,7 +279,7 @@ def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges
 def _assigned(
     edges: _Edges, stored: Array, image: NDArray[Any] | None
 ) -> tuple[Indices, Indices, Array, Array, Indices]:
-    """Line, place in it and new value of the pixels that are on no surface, and the step and count of their edges."""
+    """Line, position in it and new value of the pixels between surfaces, and the step and count of their edges."""
     most = int(edges.count.max(initial=0))
     inner = np.arange(1, most + 1)
     between = inner <= edges.count[:, None]
@@ -301,7 +305,7 @@ def _assigned(
 
 
 def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
-    """Pixels of the first surface, with a fraction: where `stored` has half of its step."""
+    """Number, with a fraction, of pixels of the first surface: up to where `stored` has half of its step."""
     before = stored[edges.line, edges.first + cut]
     after = stored[edges.line, edges.first + cut + 1]
     step = np.where(after == before, 1.0, after - before)
@@ -311,7 +315,9 @@ def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
 def _cut_by_color(
     image: NDArray[Any], edges: _Edges, places: Indices, between: NDArray[np.bool_], where: Array
 ) -> tuple[Indices, NDArray[np.bool_]]:
-    """The likeliest number of pixels of the first surface, and whether those between are mixtures of the two."""
+    """The likeliest number of pixels of the first surface, and a mask of edges whose pixels between are mixtures of the
+    two colors.
+    """
     line, side = edges.line[:, None], np.arange(AROUND)
     last = edges.first + edges.count + 1
     ends = [np.clip(place, 0, image.shape[1] - 1) for place in (edges.first[:, None] - side, last[:, None] + side)]

@@ -1,6 +1,7 @@
-"""Textures in linear radiance: built-in patterns, or image files resampled to the frame (pure).
+"""Textures in linear radiance: built-in patterns, and image files resampled to the frame (pure).
 
-Computed in float64, some rows at a time, and kept in float32: what a frame of 8192 x 8192 takes besides is little.
+Computed in float64, some rows at a time, and stored in float32, so that even a frame of 8192 x 8192 needs little extra
+memory.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ TextureSource = str | os.PathLike[str] | ArrayInput  # a LayerInput is a path
 class Texture:
     """Image of a surface, in linear radiance.
 
-    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, finite; row 0 on top.
-    bits: 8, 16 or 32 per value, as it was stored. source: name of the pattern, path of the file, or what an array is
-    called in messages. content: what identifies the radiance, the same for the same values; None where that is not
-    known. others: of a cube map, the radiance of the sides after the first, in the order of `clsco.inputs.mipmaps`.
+    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, finite; row 0 on top. bits: 8, 16 or 32 per
+    value, as stored. source: name of the pattern, path of the file, or name of an array in messages. content:
+    identifies the radiance, equal for equal values; None if unknown. others: for a cube map, the radiance of the sides
+    after the first, in the order of `clsco.inputs.mipmaps`.
     """
 
     radiance: NDArray[np.float32]
@@ -57,23 +58,22 @@ class Texture:
 
     @cached_property
     def brightest(self) -> float:
-        """Largest radiance; where some is negative, the span of all of it and 0, which no size exceeds."""
+        """Largest radiance; if some is negative, the range that includes 0, which bounds every magnitude."""
         return max(radiance_span(image) for image in self.images)
 
     @property
     def images(self) -> tuple[NDArray[np.float32], ...]:
-        """The radiance, or the six of a cube map."""
+        """The radiance, or the six images of a cube map."""
         return (self.radiance, *self.others)
 
     def mipmap(self, out: NDArray[np.float32], channels: int) -> None:
-        """Put all levels of `clsco.inputs.mipmaps.mipmap` of an image with so many channels in `out`, one after the
-        other."""
+        """Write all levels of `clsco.inputs.mipmaps.mipmap` to `out`, for an image with this number of channels."""
         wide = [image[..., None] if image.ndim == 2 else image for image in self.images]
         mipmap([np.broadcast_to(image, (*image.shape[:2], channels)) for image in wide], out)
 
 
 def radiance_span(image: NDArray[np.floating]) -> float:
-    """Largest less smallest radiance of an image, 0 among them."""
+    """Range of an image's radiance, 0 included."""
     return float(image.max(initial=0.0)) - float(image.min(initial=0.0))
 
 
@@ -83,11 +83,10 @@ def load_texture(
     """Load a built-in pattern, an image file or an array as linear radiance.
 
     source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
-    or "linear", of patterns and colors, which have 8 bits, and of images with 8 and 16 bits, whose own curve takes the
-    place of "srgb" where their color profile has another one; floats are linear.
-    size: (rows, columns) of the frame; an image of another size is resampled to it (`resample`), a pattern is
-    made for it, 512 x 512 by default. to_srgb: whether an image gets the primaries of sRGB (`Color.to_srgb`).
-    Raises FileError where there is no such pattern or file, or the file cannot be read.
+    or "linear"; curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; a color profile's own
+    curve replaces "srgb"; floats are linear. size: (rows, columns) of the frame; an image of another size is resampled
+    to it (`resample`), a pattern is made for it, 512 x 512 by default. to_srgb: True to convert an image to the
+    primaries of sRGB (`Color.to_srgb`). Raises FileError if the pattern or file does not exist or cannot be read.
     """
     if is_drawn(source):
         return Texture(radiance_of(str(source), transfer, size), 8, str(source))
@@ -110,7 +109,7 @@ def radiance_of(
 ) -> NDArray[np.float32]:  # fmt: skip
     """Linear radiance of a picture, or of a built-in pattern by its name, (rows, columns[, 3]); see `load_texture`.
 
-    Not to be written to: several scenes may have it.
+    Read-only: several scenes may share it.
     """
     if isinstance(picture, str):
         rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
@@ -137,12 +136,12 @@ def radiance_of(
 
 
 def _rows_of(image: NDArray[np.generic], values: int) -> int:
-    """Rows of an image that have so many values."""
+    """Number of rows of an image that together have about `values` values."""
     return max(1, values * len(image) // image.size)
 
 
 def color_codes(color: str) -> Codes:
-    """The codes of a color "#rrggbb", (3,), or () where red, green and blue are the same."""
+    """The codes of a color "#rrggbb", (3,), or () if red, green and blue are equal."""
     codes = np.frombuffer(bytes.fromhex(color[1:]), np.uint8)
     return codes[0, ...] if (codes == codes[0]).all() else codes
 
@@ -153,7 +152,7 @@ def is_gray(name: str) -> bool:
 
 
 def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
-    """A texture of so many channels, and one more: 1 where it covers surfaces behind it, else 0."""
+    """A texture of `channels` channels and one more: 1 if it covers surfaces behind it, else 0."""
     images = []
     for image in texture.images:
         wider = empty_image((*image.shape[:2], channels + 1))
@@ -168,7 +167,9 @@ def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
 def _by_rows(
     shape: tuple[int, ...], rows_of: Callable[[int, int], Floats], step: int = ROWS_AT_A_TIME
 ) -> NDArray[np.float32]:
-    """An image of this shape in float32, aligned; rows_of: gives its rows from one up to another, `step` at a time."""
+    """An image of this shape in float32, aligned; rows_of: returns rows from the first argument to before the second,
+    `step` at a time.
+    """
     image = empty_image(shape)
     for first in range(0, shape[0], step):
         end = min(first + step, shape[0])
@@ -178,7 +179,7 @@ def _by_rows(
 
 
 def aligned(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A copy of an image that lies where devices in the host's memory can use it; not to be written to."""
+    """A copy of an image, aligned so that devices in host memory can use it; read-only."""
     copy = empty_image(image.shape)
     copy[...] = image
     copy.flags.writeable = False
@@ -186,7 +187,7 @@ def aligned(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def empty_image(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """An image, not initialized, that lies where devices in the host's memory can use it."""
+    """An uninitialized image, aligned so that devices in host memory can use it."""
     image = np.empty(4 * math.prod(shape) + ALIGNMENT, np.uint8)
     start = -image.ctypes.data % ALIGNMENT
     return image[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)
@@ -205,7 +206,7 @@ def texture_size(source: TextureSource) -> tuple[int, int]:
 
 
 def image_files(scene: Scene) -> list[str | LayerInput]:
-    """Image files of all objects, or layers of them, each once."""
+    """Image files of all objects, or layers of them, without duplicates."""
     named = (item.inputs()[key] for item in scene.objects for key in item.files() if key != "depth")
     return [image for image in dict.fromkeys(named) if not isinstance(image, ArrayInput)]
 
@@ -218,12 +219,11 @@ def color_of(image: str | LayerInput) -> Color:
 def load_scene_textures(
     scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str | LayerInput], Color] = color_of
 ) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
-    """Load the textures of all objects, each file once: in the size of the frame, or in their own where they lie on a
-    surface; and in the primaries of sRGB, where images have different color profiles.
+    """Load the textures of all objects, each file once: at the size of the frame, or at their own size on surfaces; and
+    converted to the primaries of sRGB if images have different color profiles.
 
-    load, color: `load_texture` and `color_of`, or what stands for them. Returns the scene with its resolution, which
-    the first object's texture gives where the scene does not, and a texture per object. Raises FileError as
-    `load_texture`.
+    load, color: `load_texture` and `color_of`, or replacements. Returns the scene with its resolution, by default that
+    of the first object's texture, and a texture per object. Raises FileError as `load_texture`.
     """
     names = [item.textures() for item in scene.objects]
     columns, rows = scene.camera.resolution or texture_size(names[0][0])
@@ -242,10 +242,11 @@ def load_scene_textures(
 
 
 def find_stretched(scenes: Iterable[Scene]) -> list[str]:
-    """Projected images of another aspect than the frame, each with the first object that has it; drawn ones have none.
+    """Messages on projected images whose aspect ratio differs from the frame's, each with the first object that has it.
 
-    scenes: with their resolutions. Like "object[0].texture: is stretched from 640 x 480 to the frame's 512 x 512 px",
-    each once. A side that is rounded to a whole pixel does not count. Raises FileError as `texture_size`.
+    scenes: with their resolutions. A message is like "object[0].texture: is stretched from 640 x 480 to the frame's 512
+    x 512 px". A side rounded to a whole pixel does not count, and neither do patterns. Raises FileError as
+    `texture_size`.
     """
     size_of, notes = cache(texture_size), dict[str, None]()
     for scene in scenes:
@@ -261,12 +262,12 @@ def find_stretched(scenes: Iterable[Scene]) -> list[str]:
 
 
 def own_size(source: TextureSource) -> tuple[int, int] | None:
-    """Rows and columns that a texture on a surface is loaded in: its own, and one texel of a color."""
+    """Rows and columns of a texture on a surface: its own size, or one texel for a color."""
     return (1, 1) if is_drawn(source) and source not in PATTERNS else None
 
 
 def mapped_size(sources: tuple[TextureSource, ...]) -> tuple[int, int]:
-    """Columns and rows of a texture on a surface, of one side of a cube map. Raises FileError as `load_texture`."""
+    """Columns and rows of a texture on a surface, or of one side of a cube map. Raises FileError as `load_texture`."""
     known = {(1, 1) if own_size(source) else texture_size(source) for source in sources}
     sizes = known - {(1, 1)} or known
     if len(sizes) > 1:
@@ -276,7 +277,7 @@ def mapped_size(sources: tuple[TextureSource, ...]) -> tuple[int, int]:
 
 
 def cube_map(sides: Sequence[Texture]) -> Texture:
-    """One texture of the six sides of a cube map; colors are made as large as the others. Raises FileError."""
+    """One texture from the six sides of a cube map; colors are enlarged to the size of the others. Raises FileError."""
     shape = max(
         (side.radiance.shape[:2] for side in sides), key=lambda shape_of_side: shape_of_side[0] * shape_of_side[1]
     )
@@ -293,7 +294,7 @@ def cube_map(sides: Sequence[Texture]) -> Texture:
 
 
 def require_suffix(source: str) -> None:
-    """Raise FileError for a name that is neither a pattern nor has an extension."""
+    """Raise FileError for a name without an extension that is not a pattern."""
     if not Path(source).suffix:
         raise FileError(f"texture: {missing_texture(source)}; got {Path(source).name!r}")
 
@@ -304,7 +305,7 @@ def require_suffix(source: str) -> None:
 def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw a brick wall in running bond with detail at all scales; 14 courses over the shorter side.
 
-    Returns sRGB codes (rows, columns), the same everywhere: only fixed random numbers, and algebra.
+    Returns sRGB codes (rows, columns), the same on every machine: it uses only fixed random numbers and algebra.
     """
     scale = DEFAULT_SIDE / min(rows, columns)  # the wall is laid out in pixels of a 512 x 512 image
     step = max(1, round(2.5 / scale))  # how far a shadow falls: rows above those that are wanted are needed
@@ -355,7 +356,7 @@ def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> C
 
 
 def _noise(x: Floats, y: Floats, layer: int) -> Floats:
-    """Value noise from 0 to 1 where columns x and rows y cross: random lattice points, interpolated."""
+    """Value noise from 0 to 1 on the grid of columns x and rows y: interpolated random lattice points."""
     left, top = np.floor(x), np.floor(y)
     u, v = x - left, (y - top)[:, None]
     u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
@@ -367,7 +368,7 @@ def _noise(x: Floats, y: Floats, layer: int) -> Floats:
 
 
 def _random(row: NDArray[np.intp], column: NDArray[np.intp], layer: int) -> Floats:
-    """Give every pair of whole numbers its fixed random number from 0 to 1; repeats after 512."""
+    """Fixed random numbers from 0 to 1 for pairs of integers; they repeat after 512."""
     numbers: Floats = _random_table()[(row + 37 * layer) & 511, (column + 151 * layer) & 511]
     return numbers
 
@@ -389,8 +390,8 @@ def checkerboard(rows: int, columns: int, first: int = 0, end: int | None = None
 def slanted_edge(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw a straight edge through the center, 5 degrees from the vertical, for an MTF after ISO 12233.
 
-    Returns sRGB codes (rows, columns): radiance 0.2 on the left, 0.8 on the right, 4 : 1, and in each pixel on
-    the edge the mean by exact area, to the nearest code.
+    Returns sRGB codes (rows, columns): radiance 0.2 on the left, 0.8 on the right, 4 : 1; pixels on the edge have the
+    mean by exact area, to the nearest code.
     """
     angle = np.deg2rad(5.0)
     i, j = np.arange(rows)[first:end, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
@@ -401,8 +402,8 @@ def slanted_edge(rows: int, columns: int, first: int = 0, end: int | None = None
 def siemens_star(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
     """Draw 36 bright and 36 dark spokes, radiance 0.8 and 0.05, around the center.
 
-    Returns sRGB codes (rows, columns). A pixel that one edge crosses has the mean by exact area, to
-    the nearest code; near the center, where several cross, the mean of 16 x 16 samples.
+    Returns sRGB codes (rows, columns). A pixel crossed by one edge has the mean by exact area, to the nearest code;
+    near the center, where several edges cross, the mean of 16 x 16 samples.
     """
     i, j = np.arange(rows)[first:end, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
     edge = np.rint(np.arctan2(i, j) * 36 / np.pi)  # the nearest edge, between spoke edge - 1 and spoke edge
@@ -420,11 +421,11 @@ def siemens_star(rows: int, columns: int, first: int = 0, end: int | None = None
 
 
 def _area_beyond(distance: Floats, normal_x: float | Floats, normal_y: float | Floats) -> Floats:
-    """Share of unit squares that lies beyond a straight line.
+    """Area fraction of unit squares beyond a straight line.
 
-    distance: of the square's center, along the unit normal, positive beyond. The square's sides, projected
-    on the normal, are two intervals: along the longer one the area grows as a ramp, and the shorter one
-    takes the mean of that ramp.
+    distance: of the square's center, along the unit normal, positive beyond. The square's sides, projected on the
+    normal, are two intervals: along the longer one the area is a ramp, and averaging the ramp over the shorter one
+    gives the result.
     """
     distance = np.clip(distance, -2, 2)
     a, b = np.maximum(np.abs(normal_x), 1e-7) / 2, np.maximum(np.abs(normal_y), 1e-7) / 2

@@ -1,1 +1,1 @@
-"""Devices, sessions, programs and buffers. Knows no scenes."""
+"""Devices, sessions, programs and buffers of OpenCL; independent of scenes."""

@@ -1,4 +1,4 @@
-"""Arrays that users give to `clsco.defocus` and `clsco.inpaint`: NumPy's, or pyopencl's of one queue."""
+"""Arrays that users give to `clsco.defocus` and `clsco.inpaint`: of NumPy, or of pyopencl in one queue."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ MOST_CHANNELS = 16
 
 
 def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[Any]], Callable[[NDArray[Any]], Any]]:
-    """Session for arrays of any shape, the arrays as NumPy's, and what makes the result one of their kind.
+    """Session for arrays of any shape, the arrays as NumPy arrays, and a function that converts the result to their
+    kind.
 
-    arrays: by the name that messages use. Where one of them is pyopencl's, the session is that of its queue, and the
-    result goes there; else it is that of `device`. The arrays of NumPy stay what they are: masked ones keep their mask.
-    Raises DeviceError for an array without a queue and where there is no such device, ArgumentError for pyopencl arrays
-    with gaps.
+    arrays: by the name used in messages. With a pyopencl array, the session uses its queue, and the result is returned
+    there; else it uses `device`. NumPy arrays are passed through: masked ones keep their mask. Raises DeviceError for
+    an array without a queue or an unknown device, ArgumentError for pyopencl arrays with gaps.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:
@@ -38,7 +38,7 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
 
 
 def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """The array itself, or the values of a masked one. Raises ArgumentError where any is masked."""
+    """The array itself, or the values of a masked array. Raises ArgumentError if any value is masked."""
     masked = int(np.count_nonzero(np.ma.getmaskarray(array))) if isinstance(array, np.ma.MaskedArray) else 0
     if masked:
         raise ArgumentError(
@@ -48,7 +48,7 @@ def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_image(image: NDArray[Any]) -> None:
-    """Raises ArgumentError unless it is (rows, columns) or (rows, columns, channels) with a pixel at least."""
+    """Raise ArgumentError unless the shape is (rows, columns) or (rows, columns, channels) with at least one pixel."""
     if image.ndim not in (2, 3) or 0 in image.shape or (image.ndim == 3 and image.shape[2] > MOST_CHANNELS):
         raise ArgumentError(
             f"image: must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS}); got {image.shape}"

@@ -1,4 +1,4 @@
-"""Arrays to the device and back."""
+"""Transfer of arrays to the device and back."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ from clsco.opencl.session import Session
 def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
     """A read-only buffer with the contents of `array`, in C order.
 
-    Where the device works in the host's memory, an aligned C-ordered array is used in place: the buffer then
-    keeps it alive, and the caller must neither write to it nor drop the buffer before the last kernel that reads it
-    has ended.
-    Otherwise it is copied. Raises DeviceError when the array is larger than the device allows for one buffer.
+    If the device uses host memory, an aligned C-ordered array is used in place: the buffer keeps it alive, and the
+    caller must neither write to it nor drop the buffer before the last kernel that reads it has ended. Otherwise it is
+    copied. Raises DeviceError if the array is larger than the device allows for one buffer.
     """
     packed = np.ascontiguousarray(array)
     _check_size(session, packed.nbytes)
@@ -38,8 +37,9 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """A buffer for kernels to read an array in C order: where the device works in the host's memory the array itself,
-    wherever it lies, which nobody may write to while kernels run; else a copy. Raises DeviceError as `upload`."""
+    """A read-only buffer of an array in C order: if the device uses host memory, the array itself at any alignment,
+    which must not change while kernels run; else a copy. Raises DeviceError as `upload`.
+    """
     if not session.device.unified_memory or array.nbytes == 0:
         return upload(session, array)
     _check_size(session, array.nbytes)
@@ -50,8 +50,9 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
-    """`upload` of an array that nobody ever changes: once, as long as the session keeps it, and no other array in its
-    place."""
+    """`upload` of an array that never changes, cached in the session; it replaces the array cached for the same
+    `place`.
+    """
     key = ("array", place)
     for _ in range(2):
         buffer, owner = session.cache.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
@@ -63,7 +64,7 @@ def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.
 
 
 def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """A buffer with a copy of `array`, in C order, for kernels to read and write. Raises DeviceError as `upload`."""
+    """A read-write buffer with a copy of `array`, in C order. Raises DeviceError as `upload`."""
     packed = np.ascontiguousarray(array)
     if not 0 < packed.nbytes < LARGE:
         buffer = empty(session, packed.nbytes)
@@ -78,8 +79,7 @@ def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def empty(session: Session, size: int) -> cl.Buffer:
-    """A buffer of `size` bytes, not initialized, for kernels to read and write. Raises DeviceError as
-    `upload`."""
+    """An uninitialized read-write buffer of `size` bytes. Raises DeviceError as `upload`."""
     _check_size(session, size)
     flags = cl.mem_flags.READ_WRITE
     try:
@@ -91,14 +91,14 @@ def empty(session: Session, size: int) -> cl.Buffer:
 
 
 class Refilled:
-    """A buffer that the host fills again while launches in the queue still read it: each copy waits for its turn."""
+    """A buffer that the host refills while queued launches still read it: each copy is enqueued behind them."""
 
     def __init__(self, session: Session, size: int) -> None:
         self.session, self.buffer = session, empty(session, size)
         self._copy: cl.Event | None = None
 
     def fill(self, array: NDArray[Any]) -> cl.Buffer:
-        """Enqueue a copy of an array, which the caller must not write to; waits for the copy before it."""
+        """Enqueue a copy of an array, which the caller must not change; waits for the previous copy."""
         queue, packed = self.session.queue, np.ascontiguousarray(array)
         # pyopencl waits for a copy before its event goes.
         self._copy = cl.enqueue_copy(queue, self.buffer, packed, is_blocking=False) if packed.nbytes else None
@@ -106,21 +106,21 @@ class Refilled:
 
 
 def allocate(session: Session, sizes: Mapping[str, int]) -> dict[str, cl.Buffer]:
-    """A buffer for each name of a table of sizes in bytes. Raises DeviceError as `upload`."""
+    """A buffer for each name, with its size in bytes. Raises DeviceError as `upload`."""
     return {name: empty(session, size) for name, size in sizes.items()}
 
 
 def filled_with(session: Session, size: int, value: float = 0.0) -> cl.Buffer:
-    """A buffer of so many bytes, all floats of one value."""
+    """A buffer of `size` bytes in which all floats have one value."""
     buffer = empty(session, size)
     cl.enqueue_fill_buffer(session.queue, buffer, np.array([value], np.float32), 0, size)
     return buffer
 
 
 def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
-    """Wait for everything enqueued so far and return a copy of the buffer's beginning, the caller's own.
+    """Wait for all enqueued commands, and return a copy of the buffer's beginning, which the caller owns.
 
-    shape, dtype: of the array to return. Raises DeviceError when the device fails.
+    shape, dtype: of the returned array. Raises DeviceError if the device fails.
     """
     array = np.empty(tuple(shape), dtype)
     download_into(session, buffer, array)
@@ -128,7 +128,7 @@ def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: D
 
 
 def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> None:
-    """Wait for all that is enqueued and copy the buffer's beginning to a C-ordered array. Raises as `download`."""
+    """Wait for all enqueued commands, and copy the buffer's beginning to a C-ordered array. Raises as `download`."""
     if array.nbytes:
         try:
             cl.enqueue_copy(session.queue, array, buffer, is_blocking=True)
@@ -138,9 +138,9 @@ def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> N
 
 @contextmanager
 def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
-    """Wait for all that is enqueued and read the buffer's beginning where it is; on a processor nothing is copied.
+    """Wait for all enqueued commands, and map the buffer's beginning; on a processor without a copy.
 
-    shape: of the array, which is gone after the block. Raises as `download`.
+    shape: of the array, which is valid only in the block. Raises as `download`.
     """
     try:
         flags = cl.map_flags.READ

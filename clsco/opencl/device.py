@@ -1,4 +1,4 @@
-"""OpenCL devices: which there are, which one is used and why, what it can do, and a queue on it."""
+"""OpenCL devices: lists them, chooses one with a reason, and describes its features."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _REASONS = (
 
 @dataclass(frozen=True)
 class Device:
-    """An OpenCL device and what clsco has to know about it; sizes in bytes."""
+    """An OpenCL device and its properties that clsco uses; sizes in bytes."""
 
     name: str
     platform: str
@@ -62,7 +62,7 @@ class Device:
 
 @dataclass(frozen=True)
 class Choice:
-    """The device that would be used (None: there is no usable one) and the reason, in words."""
+    """The device to use, or None if none is usable, and the reason in words."""
 
     device: Device | None
     reason: str
@@ -106,9 +106,9 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
 def choose(name: str | None = None, source: str = "device") -> Device:
     """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor.
 
-    Never prompts.
-    `name`, in any case, is "gpu", "cpu" or the device's name, else a part of the platform's name or version, else of
-    the device's name; source: what messages call it. Raises DeviceError when no device is there or none matches.
+    Never prompts. `name`, in any case, is "gpu", "cpu" or the device's name, else a part of the platform's name or
+    version, else a part of the device's name; source: origin of `name` for messages. Raises DeviceError if there is no
+    device or none matches.
     """
     chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
@@ -123,9 +123,9 @@ def pick(
     by_pyopencl: Callable[[str], cl.Device],
     origin: str = "device",
 ) -> Choice:
-    """The rule of `choose`, on a given list and environment; `by_pyopencl` resolves a PYOPENCL_CTX.
+    """The rule of `choose` for a given list and environment; `by_pyopencl` resolves PYOPENCL_CTX.
 
-    origin: what messages call `name`.
+    origin: origin of `name` for messages.
     """
     if not devices:
         return Choice(None, NO_DEVICE)
@@ -140,7 +140,7 @@ def pick(
 
 
 def failure(device: Device, what: str, error: cl.Error | OSError) -> DeviceError:
-    """The error to raise where a device fails: `what` it must do, and what OpenCL raised."""
+    """The error to raise if a device fails; what: the failed task; error: OpenCL's."""
     short = isinstance(error, cl.MemoryError | OSError) or any(word in str(error) for word in _SHORT_OF_MEMORY)
     return DeviceError(f"device {device}: must {what}; got {error}", short_of_memory=short)
 
@@ -149,7 +149,7 @@ _process: int | None = None  # the one in which OpenCL was asked for the first t
 
 
 def _not_forked() -> None:
-    """Raise DeviceError in a fork of a process that has asked OpenCL for anything: PoCL would wait for ever."""
+    """Raise DeviceError in a fork of a process that has used OpenCL, where PoCL would hang."""
     global _process
     _process = _process or os.getpid()
     if _process != os.getpid():
@@ -169,8 +169,9 @@ def _matching(devices: Sequence[Device], source: str, wanted: str) -> Device:
     part = wanted.lower()
 
     def likeness(device: Device) -> int:
-        """0: its kind or whole name; 1: a part of its platform's name; 2: of its own, as drivers of others may have it;
-        3: nothing."""
+        """Rank of a match: 0 its kind or whole name, 1 a part of its platform's name, 2 a part of its own name, as
+        drivers of other vendors may have it, 3 no match.
+        """
         name, platform = device.name.lower(), (device.platform.lower(), device.platform_version.lower())
         if part in (device.kind, name):
             return 0

@@ -1,4 +1,4 @@
-"""Features: what programs are compiled for. Each is 0 unless it is asked for."""
+"""Features: compile-time options of programs, 0 by default."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Pace of launches: their times, and how far the host is ahead of the device, a fraction of a second at most.
+"""Pacing of launches: measures their times, and limits the host's lead over the device to a fraction of a second.
 
-Python hears of a signal when a call of OpenCL returns, and nothing takes back what is enqueued. So long launches are
-cut into pieces whose size follows from the time of those before, and the host stays a fraction of a second ahead of the
-device. What takes less is launched at once, and nothing waits for it.
+Python handles a signal only when a call of OpenCL returns, and enqueued commands cannot be revoked. So long launches
+are cut into pieces, sized by the times of earlier ones, and the host stays at most a fraction of a second ahead of the
+device. Short launches are enqueued at once, without waiting.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _END, _START = cl.profiling_info.END, cl.profiling_info.START
 
 
 class Pace:
-    """Times of the kernels of a queue, and how far the host is ahead of the device."""
+    """Times of the kernels of a queue, and the host's lead over the device."""
 
     def __init__(self) -> None:
         self._rates: dict[Hashable, float] = {}  # s per unit of work
@@ -32,7 +32,7 @@ class Pace:
         self._mark: cl.Event | None = None
 
     def expected(self, key: Hashable, work: float) -> float:
-        """Seconds that so much work of a kernel will take, by what it took last."""
+        """Expected seconds for `work` of a kernel, from its latest time."""
         if (pending := self._pending.get(key)) is not None:
             events, done = pending
             if (status := events[-1].command_execution_status) <= 0:  # done, or failed
@@ -42,7 +42,7 @@ class Pace:
         return self._rates.get(key, UNIT) * work
 
     def launched(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
-        """Note a launch of so much work, expected to take so long, and wait where the host is too far ahead."""
+        """Record a launch and its expected seconds, and wait if the host is too far ahead of the device."""
         if left := self._untimed.get(key, 0):
             self._untimed[key] = left - 1
         elif key not in self._pending:
@@ -54,12 +54,12 @@ class Pace:
             self._mark, self._ahead = events[-1], 0.0
 
     def measured(self, key: Hashable, work: float, seconds: float) -> None:
-        """Note what so much work took."""
+        """Record the seconds that an amount of work took."""
         self._rates[key] = seconds / work
         self._untimed[key] = TIMED - 1 if seconds < PIECE / AT_ONCE else 0
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all records."""
         self._rates.clear()
         self._pending.clear()
         self._untimed.clear()
@@ -67,11 +67,11 @@ class Pace:
 
 
 def spent(event: cl.Event) -> float:
-    """Seconds that a command took on the device, which is done with it."""
+    """Seconds that a completed command took on the device."""
     info: Any = event.get_profiling_info
     return 1e-9 * float(info(_END) - info(_START))
 
 
 def resized(size: int, seconds: float) -> int:
-    """Size of a piece after one of this size that took so long."""
+    """Next size of a piece, after one of `size` that took `seconds`."""
     return max(1, int(size * min(PIECE / max(seconds, 1e-9), GROWTH)))

@@ -1,4 +1,6 @@
-"""Host memory of buffers on a processor, from render to render: pages that the system has cleared are used again."""
+"""Pool of host memory for buffers on a processor: pages are reused from render to render, as clearing new ones is
+slow.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,12 @@ CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger
 
 
 class Pages:
-    """Blocks of memory that come back when the arrays in them are gone. Safe to share between threads.
+    """Pool of memory blocks, which return to it when their arrays are freed. Threads may share it.
 
     Parameters
     ----------
     limit : int
-        Most bytes of blocks that nobody uses; those given back longest ago go to the system.
+        Most bytes of unused blocks; the longest unused ones are returned to the system.
     """
 
     def __init__(self, limit: int = SPARE_BYTES) -> None:
@@ -40,9 +42,10 @@ class Pages:
         self._bytes = 0
 
     def take(self, size: int) -> NDArray[np.uint8]:
-        """Bytes that are not initialized, in pages of 2 MiB where the system has them; back when the array is gone.
+        """An uninitialized array of `size` bytes, in pages of 2 MiB if the system has them; it returns to the pool when
+        freed.
 
-        Raises OSError where there is no memory.
+        Raises OSError if there is no memory.
         """
         wanted = block_size(size)
         with self._lock:
@@ -75,11 +78,11 @@ class Pages:
 
     @property
     def bytes(self) -> int:
-        """Size of the blocks that nobody uses."""
+        """Bytes of the unused blocks."""
         return self._bytes
 
     def clear(self) -> None:
-        """Give all blocks that nobody uses back to the system."""
+        """Return all unused blocks to the system."""
         with self._lock:
             self._take_back()
             self._free.clear()
@@ -87,15 +90,16 @@ class Pages:
 
 
 def in_pages(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy of an array, in C order, in pages of its own: devices in the host's memory use it as it is, and the system
-    has them back when it is gone."""
+    """A copy of an array, in C order, in its own pages: devices that use host memory read it in place, and freeing it
+    returns the pages.
+    """
     copy = np.frombuffer(_cleared(array.nbytes), array.dtype).reshape(array.shape)
     copy[...] = array
     return copy
 
 
 def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays one after the other along their first axis, as `in_pages`."""
+    """Arrays concatenated along their first axis, in pages as from `in_pages`."""
     shape = (sum(len(array) for array in arrays), *arrays[0].shape[1:])
     size = sum(array.nbytes for array in arrays)
     if size == 0:
@@ -105,18 +109,18 @@ def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def is_in_pages(array: NDArray[Any]) -> bool:
-    """True of an array of `in_pages` or `joined_in_pages`."""
+    """True for an array from `in_pages` or `joined_in_pages`."""
     return array.ctypes.data % mmap.PAGESIZE == 0
 
 
 def trim() -> None:
-    """Have the C library give the system what is free of its memory, between what is not as well, where it can."""
+    """Let the C library return its free memory to the system, if it supports this."""
     with suppress(AttributeError, OSError, TypeError):  # not the GNU C library, or Windows
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _cleared(size: int) -> mmap.mmap:
-    """Memory of so many bytes from the system, in pages of 2 MiB where it has them and that is LARGE."""
+    """New memory of `size` bytes from the system; from LARGE on in pages of 2 MiB if it has them."""
     if sys.platform != "linux":
         return mmap.mmap(-1, size)
     block = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
@@ -127,12 +131,12 @@ def _cleared(size: int) -> mmap.mmap:
 
 
 def block_size(size: int) -> int:
-    """Bytes of the block for so many: whole pages, and one of CLASSES sizes per octave."""
+    """Block size in bytes for a request: a whole number of pages, one of CLASSES sizes per octave."""
     step = max(1 << max(size.bit_length() - 1, 0), mmap.PAGESIZE * CLASSES) // CLASSES
     return -(-size // step) * step
 
 
 @cache
 def shared_pages() -> Pages:
-    """The blocks of all sessions of this process."""
+    """The pool that all sessions of this process share."""
     return Pages()

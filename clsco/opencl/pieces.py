@@ -1,4 +1,4 @@
-"""Launches in pieces of a fraction of a second, so that Ctrl-C, a cancel and a look at the progress come soon."""
+"""Splits launches into pieces of a fraction of a second, so that Ctrl-C, cancellation and progress are quick."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def in_pieces(
     ----------
     session : Session
     key : hashable
-        Key of launches that take as long for as much work.
+        Key shared by launches whose time per work is the same.
     units : int
     work : float
-        Work of all units, in what takes UNIT s before any was measured.
+        Work of all units; one unit of work is assumed to take UNIT seconds until measured.
     expected : float
-        Seconds that all units will take.
+        Expected seconds for all units.
     enqueue : callable
-        Enqueues from the first unit to the end; returns the event.
+        Enqueues the units from the first argument to before the second; returns the event.
 
     Returns
     -------

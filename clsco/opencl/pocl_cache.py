@@ -1,10 +1,9 @@
-"""PoCL's cache of compiled kernels: an own folder, one process at a time, and never a damaged file.
+"""PoCL's cache of compiled kernels: a separate folder with a lock between processes and checksums of its files.
 
-PoCL compiles a kernel into a folder that all processes share, at the build and at the first launch. It loads
-what it finds there without a check: a damaged file ends the process (SIGABRT or SIGBUS), and two processes
-that compile the same kernel at once sometimes damage it. So the folder is ours, a lock is held wherever PoCL
-may write to it, and a list of checksums tells whether the files are still those that were written under the
-lock.
+PoCL compiles a kernel into a folder that all processes share, at the build and at the first launch. It loads files from
+there without a check: a damaged file crashes the process (SIGABRT or SIGBUS), and two processes that compile the same
+kernel at once sometimes damage it. So clsco uses its own folder, holds a lock whenever PoCL may write to it, and
+compares the files with checksums recorded under the lock.
 """
 
 from __future__ import annotations
@@ -50,13 +49,12 @@ _listings: dict[str, _Listing] = {}
 
 
 def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
-    """Point PoCL at its own, versioned cache folder; to be called before the first query of the platforms.
+    """Set PoCL's own, versioned cache folder; call this before the first query of the platforms.
 
-    A POCL_CACHE_DIR that the user has set stays. PoCL compiles each kernel once, unless the user's
-    POCL_WORK_GROUP_SPECIALIZATION has it compile others for small grids and for an offset, which are not faster. The
-    folder is `clsco/pocl-<versions>` in the user's cache
-    folder, or, where that cannot be written, or others may write to it, a temporary one that is removed when the
-    process ends.
+    A POCL_CACHE_DIR set by the user is left unchanged. PoCL compiles each kernel once; variants for small grids and for
+    an offset, which are not faster, are off unless the user sets POCL_WORK_GROUP_SPECIALIZATION. The folder is
+    `clsco/pocl-<versions>` in the user's cache folder; if that is not writable, or is writable by others, it is a
+    temporary one that is removed at exit.
     """
     environ.setdefault(SPECIALIZATION, "0")
     if environ.get(VARIABLE):
@@ -75,7 +73,7 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
 
 
 def is_on_disk() -> bool:
-    """True if PoCL's folder is where files can be, which /proc is not."""
+    """True if PoCL's folder is in a file system that can hold files, unlike /proc."""
     try:
         return shutil.disk_usage(_folder()).total > 0
     except OSError:  # a folder of the user's that is not there yet
@@ -83,7 +81,9 @@ def is_on_disk() -> bool:
 
 
 def has_room(folder: Path | None = None) -> bool:
-    """True if programs can be compiled into a folder, by default PoCL's, which ends the process on a full disk."""
+    """True if the disk has room to compile programs into a folder, by default PoCL's; PoCL aborts the process on a full
+    disk.
+    """
     try:
         return shutil.disk_usage(folder or _folder()).free >= ROOM
     except OSError:  # a folder of the user's that is not there yet
@@ -91,9 +91,9 @@ def has_room(folder: Path | None = None) -> bool:
 
 
 def check() -> int:
-    """Remove each compiled program of which a file is not as it was recorded; the number of programs removed.
+    """Remove each compiled program with a file that differs from its record; returns the number of programs removed.
 
-    A cache that grew too large is removed as a whole. Does nothing in a folder that the user has set.
+    A cache above its size limit is removed as a whole. Does nothing in a folder that the user has set.
     """
     folder = _folder()
     if not _is_ours(folder):
@@ -121,7 +121,7 @@ def check() -> int:
 
 @contextmanager
 def exclusive() -> Iterator[None]:
-    """Hold the cache folder alone among all processes while PoCL may write to it; record what it wrote."""
+    """Lock the cache folder against other processes while PoCL may write to it, and record the new files."""
     folder = _folder()
     with _locked(folder):
         try:
@@ -132,9 +132,9 @@ def exclusive() -> Iterator[None]:
 
 
 def wipe_cache() -> Path | None:
-    """Remove every compiled kernel from PoCL's cache folder and return the folder, None if there is none.
+    """Remove every compiled kernel from PoCL's cache folder; returns the folder, None if there is none.
 
-    In a folder that the user has set, only what PoCL itself puts there is removed.
+    In a folder that the user has set, only PoCL's own files are removed.
     """
     prepare()
     folder = _folder()
@@ -182,9 +182,9 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _names(folder: Path) -> Iterator[tuple[str, bool]]:
-    """All compiled files, and of each whether its folder is as it was when this process last looked.
+    """All compiled files, each with True if its folder is unchanged since this process last read it.
 
-    Plain strings, because this is done after every compilation, and paths take ten times as long.
+    Plain strings, because this runs after every compilation, and paths take ten times as long.
     """
     waiting = [""]
     while waiting:
@@ -198,7 +198,7 @@ def _names(folder: Path) -> Iterator[tuple[str, bool]]:
 
 
 def _listed(path: str) -> tuple[_Listing, bool]:
-    """Content of a folder, and whether this process has read it before, since it changed."""
+    """Content of a folder, and True if this process has read it before in this state."""
     changed = os.stat(path).st_mtime_ns  # noqa: PTH116
     known = _listings.get(path)
     if known is not None and known[0] == changed:
@@ -220,7 +220,7 @@ def _program(name: str) -> str:
 
 
 def _state(path: str, recorded: list[int] | None = None) -> list[int]:
-    """Size, time of change and checksum of a file; the recorded one where size and time are as they were."""
+    """Size, time of change and checksum of a file; the recorded values if size and time are unchanged."""
     handle = os.open(path, os.O_RDONLY | _AT_ONCE)
     try:
         status = os.fstat(handle)

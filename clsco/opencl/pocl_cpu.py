@@ -1,13 +1,13 @@
-"""A name for processors that are newer than PoCL, which could not build a kernel for them.
+"""Replacement name for processors newer than PoCL's LLVM, for which no kernel would build.
 
-PoCL takes the processor's name from the LLVM that it was built with. For one that this LLVM does not know, as a Zen 5
-in PoCL 3.0, the name is "generic", and Clang ends every build with "unknown target CPU 'generic'" (issues 512 and 1049
-of pocl/pocl). No option and no variable sets the name: options come before it on Clang's command line. So it is
-replaced where PoCL keeps it, in the device's structure, before the first build: only where a trial build of an empty
-kernel fails, with one line on stderr, or where CLSCO_POCL_CPU=1 in the environment asks for it, without a trial.
+PoCL takes the processor's name from the LLVM that it was built with. For a processor that this LLVM does not know, as a
+Zen 5 in PoCL 3.0, the name is "generic", and Clang ends every build with "unknown target CPU 'generic'" (issues 512 and
+1049 of pocl/pocl). No option and no variable sets the name: options come before it on Clang's command line. So it is
+replaced in the device's structure in memory, before the first build, if a trial build of an empty kernel fails, with
+one line on stderr, or without a trial if CLSCO_POCL_CPU=1 is set.
 
-The name must have the features of the library of built-in functions, which PoCL chooses by what the processor itself
-reports: vectors of 64 bytes are passed otherwise than their caller expects, and the process ends, where they differ.
+The name must have the CPU features of the library of built-in functions, which PoCL chooses by the real processor:
+otherwise caller and callee pass vectors of 64 bytes differently, and the process crashes.
 
 To be deleted with the next wheel of PoCL.
 """
@@ -37,11 +37,11 @@ _BY_FLAGS = (
 
 
 def ensure_known(device: cl.Device) -> None:
-    """Give a device of PoCL that LLVM has no name for one that it knows; all others stay as they are.
+    """Give a PoCL device without a name in LLVM a known one; other devices stay unchanged.
 
-    Changes nothing where PoCL builds nevertheless and CLSCO_POCL_CPU is not 1; nor, so that the first build raises,
-    where no name fits or PoCL's structure is not as expected. Found to be needed, and to work, on a Zen 5 with the
-    wheel of PoCL 3.0, where it is what all tests run with.
+    Changes nothing if PoCL builds anyway and CLSCO_POCL_CPU is not 1; nor if no name fits or PoCL's structure is not as
+    expected, so that the first build raises the error. Needed and tested on a Zen 5 with the wheel of PoCL 3.0, where
+    all tests use it.
     """
     if not _is_nameless(device):
         return
@@ -63,7 +63,7 @@ def _is_nameless(device: cl.Device) -> bool:
 
 @lru_cache
 def _builds_nothing(device: cl.Device) -> bool:
-    """True if a build of an empty kernel fails: 3 ms where it does, 30 ms where it does not."""
+    """True if a build of an empty kernel fails: 3 ms if it fails, 30 ms if it succeeds."""
     if not pocl_cache.has_room():  # what succeeds is written there, and would end the process
         return False
     with pocl_cache.exclusive(), warnings.catch_warnings():
@@ -77,20 +77,20 @@ def _builds_nothing(device: cl.Device) -> bool:
 
 @lru_cache
 def _report(name: str) -> None:
-    """Once per process."""
+    """Print one line on stderr, once per process."""
     rule = f"builds nothing for this processor, which is newer; its name was set to {name} in PoCL's memory"
     logging.getLogger("clsco").warning("PoCL %s (%s=1 agrees to it without this line)", rule, VARIABLE)
 
 
 def known_name(flags: set[str]) -> bytes | None:
-    """LLVM's name of the best processor that PoCL has a library for, of one with these flags of /proc/cpuinfo."""
+    """LLVM's name of the best processor that PoCL has a library for, given the flags of /proc/cpuinfo."""
     return next((name for needed, name in _BY_FLAGS if needed <= flags), None)
 
 
 def name_in(address: int) -> int | None:
-    """Address of the pointer to "generic" in the device's structure at an address, None if there is none.
+    """Address of the pointer to "generic" in the device's structure at `address`, None if there is none.
 
-    It follows one to the kind of machine: others, behind the structure, are not to be written to.
+    It is the one after the pointer to the kind of machine; matches behind the structure must not be overwritten.
     """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))
@@ -102,7 +102,7 @@ def name_in(address: int) -> int | None:
 
 
 def _read(address: int, count: int) -> bytes:
-    """Up to `count` bytes of this process; fewer, or none, where there is no memory."""
+    """Up to `count` bytes of this process's memory; fewer, or none, beyond mapped memory."""
     try:
         # By the file, since a word that is no pointer must not end the process.
         with open("/proc/self/mem", "rb", buffering=0) as memory:

@@ -1,4 +1,4 @@
-"""Kernel text to built program, launches, and arrays to the device and back."""
+"""Builds programs from kernel text, and launches kernels."""
 
 from __future__ import annotations
 
@@ -39,19 +39,18 @@ def build(
     structs: Mapping[str, np.dtype[Any]],
     real: Literal["double", "float"],
 ) -> Program:
-    """Build kernel files, with those that they include, into a program; the same request gives the same program,
-    although files have changed since.
+    """Build kernel files, with the files that they include, into a program; equal requests share a program, even if
+    files have changed since.
 
     sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, of
-    `clsco.opencl.features.FEATURES`, by default 0; structure only, since each text that they choose is compiled anew.
-    structs: C name -> NumPy dtype, as `struct_text` takes them, nested ones after their parts. real: what `real` and
-    `real2` to `real16` mean.
+    `clsco.opencl.features.FEATURES`, by default 0; only for structure, as each selected text is compiled anew. structs:
+    C name -> NumPy dtype, as for `struct_text`, nested ones after their parts. real: type of `real` and `real2` to
+    `real16`.
 
-    Defined for the kernels: the numbers of `clsco.constants`, real, real2, real3, real4, real8, real16, REAL_IS_DOUBLE,
-    HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector, which may change the time and no
-    result).
-    Raises KernelError with the compiler's log, DeviceError where `real` is double and the device has none, or where the
-    driver, of another one than PoCL, fails `require_right_arguments` at the first program.
+    Kernels get these definitions: the numbers of `clsco.constants`, real, real2, real3, real4, real8, real16,
+    REAL_IS_DOUBLE, HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector; affects only time).
+    Raises KernelError with the compiler's log, DeviceError if `real` is double and the device lacks it, or if a driver
+    other than PoCL fails `require_right_arguments` at the first program.
     """
     request = folder("kernels"), tuple(sources), tuple(features.items()), tuple(structs.items()), real
     with session.lock:
@@ -69,7 +68,7 @@ def _program(
     structs: Mapping[str, np.dtype[Any]],
     real: Literal["double", "float"],
 ) -> Program:
-    """See `build`."""
+    """Uncached implementation of `build`."""
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
@@ -95,7 +94,7 @@ def _program(
 
 
 def kernel(program: Program, name: str) -> cl.Kernel:
-    """The kernel `name` of a built program. Raises KernelError when it has none of this name."""
+    """The kernel `name` of a built program. Raises KernelError if there is none."""
     if name not in program:
         raise KernelError(f"kernel: must be one of {', '.join(sorted(program))}; got {name}")
     return program[name]
@@ -110,14 +109,14 @@ def launch(
     work: float = 1.0,
     origin: tuple[int, ...] = (),
 ) -> list[cl.Event]:
-    """Enqueue a kernel over at least `global_size` work-items and return its events; in order with all others.
+    """Enqueue a kernel over at least `global_size` work-items, in order, and return its events.
 
-    What takes long is cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on how many
-    there are. global_size is rounded up to whole groups of local_size, so the kernel's first statement has to be a
-    guard. local_size is fixed by the kernel, since each new one is compiled anew. args: buffers or None, NumPy
-    scalars, scalars of a structured dtype, in the kernel's order. work: of a work-item, 1 where it does about as much
-    as others do for a pixel. origin: number of the first work-item along each axis, by default 0. Raises DeviceError
-    when the device cannot run it, CanceledError between two pieces.
+    Long launches are cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on the number
+    of groups. global_size is rounded up to whole groups of local_size, so the kernel must begin with a guard.
+    local_size is fixed per kernel, since each new one is compiled anew. args: buffers or None, NumPy scalars, scalars
+    of a structured dtype, in the kernel's order. work: of a work-item, 1 for about the usual work per pixel. origin:
+    number of the first work-item along each axis, by default 0. Raises DeviceError if the device cannot run it,
+    CanceledError between two pieces.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
@@ -142,7 +141,9 @@ def launch_whole(
     session: Session, kernel: cl.Kernel, size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
     offset: tuple[int, ...] | None = None,
 ) -> cl.Event:  # fmt: skip
-    """Enqueue a kernel at once over `size` work-items, whole groups; offset: number of the first one. As `launch`."""
+    """Enqueue a kernel in one piece over `size` work-items, whole groups; offset: number of the first one. As
+    `launch`.
+    """
     # PoCL compiles a kernel at its first launch, for a local size, and other times for small grids and an offset where
     # the user has it do so (clsco.opencl.pocl_cache).
     shape = (kernel, local_size, max(size) < 2**16, offset is None)

@@ -1,4 +1,4 @@
-"""Small kernels that check what clsco relies on."""
+"""Self-test: small kernels that check the operations that clsco relies on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clsco.resources import ExposedFolderError, private_folder
 
 @dataclass(frozen=True)
 class Check:
-    """One answer of `self_test`; `detail` says what came instead where it did not pass."""
+    """One result of `self_test`; `detail` has the wrong result if it failed."""
 
     name: str
     passed: bool
@@ -69,8 +69,7 @@ _PROBES = (
 
 
 def self_test(device: Device) -> list[Check]:
-    """Build and run small kernels on a device: whether it computes what clsco relies on. Raises nothing of
-    OpenCL's."""
+    """Build and run small kernels that check the operations clsco relies on. Raises no OpenCL errors."""
     checks = []
     for probe in _PROBES:
         if probe.needs is not None and not getattr(device, probe.needs):
@@ -84,8 +83,9 @@ def self_test(device: Device) -> list[Check]:
 
 
 def require_right_arguments(session: Session) -> None:
-    """Raise DeviceError where functions do not get the arguments that they are given: what would be rendered is noise,
-    without a word. A driver that passes is not asked again: a file in the user's cache stands for it."""
+    """Raise DeviceError if device functions receive wrong arguments, as frames would be noise without any error. A
+    driver that passes is recorded in the user's cache and not tested again.
+    """
     device, passed = session.device, None
     about = device.name, device.platform, device.platform_version, device.driver, _text(device, _ARGUMENTS)
     with suppress(ExposedFolderError, OSError, RuntimeError):  # no such folder: asked in each process
@@ -110,7 +110,7 @@ def _checked(session: Session, probe: _Probe) -> Check:
 
 
 def _text(device: Device, probe: _Probe) -> str:
-    """A program that begins as all others do."""
+    """A program with the same beginning as all others."""
     begin = source_text.program_text([], {}, "float", device.has_fp64, device.has_int64_atomics)
     kernel = "__kernel void probe(__global const float *in, __global long *out)"
     return f"{begin}\n{probe.functions}\n{kernel}\n{{ int i = get_global_id(0); {probe.body} }}"

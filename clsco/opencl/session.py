@@ -1,4 +1,4 @@
-"""A context and a queue on a device, with the programs built there."""
+"""A context and a queue on a device, with the programs built for it."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ Program: TypeAlias = dict[str, cl.Kernel]
 
 @dataclass
 class Progress:
-    """Progress of a rendering, for another thread to look at.
+    """Progress of a rendering, readable by another thread.
 
     Attributes
     ----------
     doing : str
-        Step that was begun last: the kind of a pass, or what is compiled.
+        The current step: the kind of a pass, or a compilation.
     share : float
-        Share of the last launch that is done, 0 to 1.
+        Fraction of the last launch that is done, 0 to 1.
     done, total : int
-        Time samples, of all strips.
+        Time samples, over all strips.
     finished : float
-        Share of the frame's time that is over, 0 where it is not known yet.
+        Fraction of the frame's time that has passed, 0 while unknown.
     """
 
     doing: str = ""
@@ -59,10 +59,10 @@ class Session:
     """A context and an in-order queue that times its commands, on one device, with the programs built in it;
     released by `close` or `with`.
 
-    Not to be carried over a fork: PoCL would wait for ever, even with a new session, so that DeviceError is raised.
-    Start processes by spawning. Safe to share between threads. `queue`: work in this queue, or where it is out of order
-    or does not time its commands, in one beside it in its context; `context`: work in this one. Raises DeviceError when
-    the device refuses a context.
+    A session does not survive a fork: PoCL would hang, even with a new session, so DeviceError is raised. Start
+    processes by spawning. Threads may share a session. `queue`: queue to work in; if it is out of order or does not
+    time its commands, a new queue in its context. `context`: context to work in. Raises DeviceError if the device
+    refuses a context.
     """
 
     def __init__(self, device: Device, queue: cl.CommandQueue | None = None, context: cl.Context | None = None) -> None:
@@ -97,37 +97,37 @@ class Session:
             raise failure(device, "open a context and a queue", error) from error
 
     def with_cache(self, limit: int) -> Session:
-        """A session in the same queue, with the same programs, and a cache of at most `limit` bytes of buffers."""
+        """A session in the same queue, with the same programs, and a buffer cache of at most `limit` bytes."""
         found = copy(self)
         found.cache, found.canceled, found.progress = Cache(limit), threading.Event(), Progress()
         return found
 
     def unwatched(self) -> Session:
-        """This session without progress, for work that nobody waits for."""
+        """This session without progress, for background work."""
         found = copy(self)
         found.progress = None
         return found
 
     def doing(self, what: str) -> None:
-        """Note the step that begins, where somebody looks."""
+        """Record the step that begins, if progress is watched."""
         if self.progress is not None:
             self.progress.doing, self.progress.share = what, 0.0
 
     def go_on(self) -> None:
-        """Raise CanceledError where the work is canceled."""
+        """Raise CanceledError if the work is canceled."""
         if self.canceled.is_set():
             raise CanceledError("render: must go on to be done; got a call of cancel")
 
     @property
     def queue(self) -> cl.CommandQueue:
-        """The queue; raises DeviceError in a fork of the process that has opened it."""
+        """The queue; raises DeviceError in a fork of the process that opened it."""
         _not_forked()
         return self._queue
 
     def compiling(self) -> AbstractContextManager[None]:
-        """To be held while the driver may compile: no other process then writes to its cache.
+        """Lock to hold while the driver may compile, so that no other process writes to its cache.
 
-        Raises DeviceError where PoCL would abort: on a full disk, or without a linker.
+        Raises DeviceError if PoCL would abort: on a full disk, or without a linker.
         """
         if not self.device.is_pocl:
             return nullcontext()
@@ -143,7 +143,7 @@ class Session:
         return poclcache.exclusive()
 
     def close(self) -> None:
-        """Wait for the queue and let go of the programs; the context goes when its last buffer does."""
+        """Wait for the queue and release the programs; the context is released with its last buffer."""
         with self.lock:
             self.queue.finish()
             self.cache.clear()
@@ -169,9 +169,9 @@ class Session:
 
     @contextmanager
     def reporting(self) -> Iterator[None]:
-        """Errors of OpenCL in the block are raised as DeviceError, once nothing runs any more that reads arrays.
+        """Raise errors of OpenCL in the block as DeviceError, after all running commands that read arrays have ended.
 
-        After an error other than a want of memory the context may be lost, so that `session_on` opens another one.
+        After an error other than a lack of memory the context may be lost, so `session_on` then opens another one.
         """
         try:
             yield
@@ -185,7 +185,7 @@ class Session:
             raise
 
     def settle(self) -> None:
-        """Wait for the queue, whatever has come of it: arrays and buffers may go then."""
+        """Wait for the queue and ignore its errors; arrays and buffers may be released afterwards."""
         with suppress(cl.Error, DeviceError):
             self.queue.finish()
 
@@ -194,24 +194,24 @@ class Session:
 # give back the memory of a program that is released (2 MiB each).
 @lru_cache(maxsize=4)
 def session_on(device: Device) -> Session:
-    """A session on a device, the same one as long as it is among the last four."""
+    """A session on a device; the last four sessions are cached."""
     return Session(device)
 
 
 @lru_cache(maxsize=4)
 def session_of(queue: cl.CommandQueue) -> Session:
-    """A session that works in a queue, the same one as long as it is among the last four."""
+    """A session that works in a queue; the last four sessions are cached."""
     return Session(described(queue.device), queue=queue)
 
 
 @lru_cache(maxsize=4)
 def session_in(context: cl.Context) -> Session:
-    """A session in a context, on its first device, the same one as long as it is among the last four."""
+    """A session in a context, on its first device; the last four sessions are cached."""
     return Session(described(context.devices[0]), context=context)
 
 
 def session_for(device: DeviceLike) -> Session:
-    """The session of a `device` that users give. Raises DeviceError if there is no such device."""
+    """The session of a `device` argument from users. Raises DeviceError if there is no such device."""
     if device is None or isinstance(device, str):
         return session_on(choose(device))
     if isinstance(device, cl.CommandQueue):

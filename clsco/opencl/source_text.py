@@ -1,8 +1,8 @@
-"""Texts of programs as compilers see them, and what compilers say of them.
+"""Preprocessing of program texts, and filtering of compiler messages.
 
-A kernel file names the files that it needs, by `#include "common/sources.clh"` with the path below kernels/; on
-processors the file of that name in a folder `cpu` beside it takes its place, where there is one. What the features
-leave out of a text does not reach the compiler, so that requests for the same text are one program.
+A kernel file includes other files by `#include "common/sources.clh"` with the path below kernels/; for processors, the
+file of that name in a folder `cpu` beside it takes its place if it exists. Text excluded by the features does not reach
+the compiler, so that requests for the same text share one program.
 """
 
 from __future__ import annotations
@@ -38,10 +38,9 @@ def program_text(
     macros: Mapping[str, float] | None = None,
     on_cpu: bool = False,
 ) -> str:
-    """The whole text that the compiler sees, with #line before each file, so that errors name it.
+    """The whole text for the compiler, with #line before each file, so that errors name it.
 
-    macros: values by which the preprocessor chooses, such as those of features. Raises KernelError where a file is not
-    there.
+    macros: values for the preprocessor's conditions, such as those of features. Raises KernelError for a missing file.
     """
     lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c as NumPy has it; fma where a kernel says fma
     # How wide vectors are passed is of no interest where every function is inlined, but PoCL counts on the terminal.
@@ -66,8 +65,9 @@ def program_text(
 
 @dataclass
 class _Condition:
-    """A conditional of a text. active: the branch that is read now is in; done: the one that is in was found; left: the
-    compiler is left to decide, as a name in it is not known."""
+    """A conditional of a text. active: the current branch is included; done: the included branch was found; left: the
+    compiler decides, as a name in the condition is unknown.
+    """
 
     active: bool
     done: bool
@@ -76,9 +76,9 @@ class _Condition:
 
 @dataclass
 class _Chosen:
-    """Files as the preprocessor would leave them: conditions on known macros are decided, and each file is read once.
+    """Files after preprocessing: conditions on known macros are decided, and each file is read once.
 
-    macros: by name; on_cpu: files in folders `cpu` come first; seen: files that were read.
+    macros: by name; on_cpu: prefer files in folders `cpu`; seen: files already read.
     """
 
     macros: dict[str, float]
@@ -86,7 +86,9 @@ class _Chosen:
     seen: set[str] = field(default_factory=set)
 
     def text(self, source: str) -> str:
-        """A file with those that it includes, and blank lines for what is left out; nothing of a file that was read."""
+        """Text of a file and of the files that it includes, with blank lines where text is excluded; empty for a file
+        already read.
+        """
         name = _cpu_form(source) if self.on_cpu else source
         if name in self.seen:
             return ""
@@ -110,7 +112,7 @@ class _Chosen:
         return "".join([*found, text[end:]])
 
     def _decide(self, word: str, condition: str, line: str, open_ones: list[_Condition], active: bool) -> str:
-        """Take a line with a conditional into account; what the compiler gets of it."""
+        """Process a line with a conditional; returns its replacement for the compiler."""
         if word.startswith("if"):
             value = self._value(condition) if word == "if" and active else None
             left = active and value is None
@@ -130,7 +132,7 @@ class _Chosen:
         return ""
 
     def _value(self, condition: str) -> float | None:
-        """Value of a condition, None where a name in it is not known."""
+        """Value of a condition, None if a name in it is unknown."""
         names, python = _in_python(condition)
         return float(eval(python, {"__builtins__": {}}, self.macros)) if names <= self.macros.keys() else None
 
@@ -151,7 +153,7 @@ def _in_python(condition: str) -> tuple[frozenset[str], str]:
 
 
 def _cpu_form(source: str) -> str:
-    """Name of the file for processors, of one file."""
+    """Name of a file's variant for processors."""
     own = re.sub(r"[^/]+$", r"cpu/\g<0>", source)
     return own if (folder("kernels") / own).is_file() else source
 
@@ -164,7 +166,7 @@ def _read(source: str) -> str:
 
 
 def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:
-    """The C typedef `name` of an aligned structured dtype, with a check of its size by the compiler itself.
+    """The C typedef `name` of an aligned structured dtype, with a compile-time check of its size.
 
     Fields are scalars, arrays of them, or dtypes in `structs`. `np.dtype(..., align=True)` gives the layout
     that OpenCL C prescribes, so equal sizes mean equal offsets. (pyopencl's match_dtype_to_c_struct asks the
@@ -186,8 +188,9 @@ def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[
 
 @contextmanager
 def without_output() -> Iterator[None]:
-    """Builds in the block without pyopencl's warning of any output of the compiler; with it for whom asks by pyopencl's
-    own variable."""
+    """Suppress pyopencl's warning of compiler output in the block, unless the user has set pyopencl's own variable for
+    it.
+    """
     with warnings.catch_warnings():
         if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
             warnings.simplefilter("ignore", cl.CompilerWarning)

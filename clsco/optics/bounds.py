@@ -1,7 +1,7 @@
-"""Bounds of an object that cut its surface: others would only cost time, and soften an edge that is none (pure).
+"""Bounds of an object that really cut its surface: other bounds would only cost time and soften false edges (pure).
 
-A surface is Q(p) = p M p + 2 L p + K = 0 in the object's own frame. Where no bound but one is left, the farthest point
-along that one's axis is a root of Q where Q does not change across the axis: inside of the other bounds, on their faces
+A surface is Q(p) = p M p + 2 L p + K = 0 in the object's own frame. With all bounds but one removed, the farthest point
+along that bound's axis is a root of Q at which Q is stationary across the axis: inside the other bounds, on their faces
 or on their edges.
 """
 
@@ -25,21 +25,21 @@ Matrix = NDArray[np.float64]
 
 @lru_cache(maxsize=1024)
 def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> Bounds | None:
-    """Bounds that cut a surface.
+    """Bounds that really cut a surface.
 
     Parameters
     ----------
     rows : tuple of four tuples of four float
         (M, L; L, K), for mm.
     nappe : int
-        Sign that the third coordinate must have, 0 for either.
+        Sign required of the third coordinate, 0 for either.
     bounds : tuple of three (low, high)
         mm.
 
     Returns
     -------
     tuple of three (low, high), or None
-        Infinite where the surface, cut by the others, touches the bound at most; None if all are.
+        Infinite for a bound that the surface, cut by the others, at most touches; None if all are infinite.
 
     Notes
     -----
@@ -64,9 +64,9 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
 
 
 def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
-    """Candidates for the ends of a surface along an axis, in either direction; infinite where it has no end.
+    """Candidates for the ends of a surface along an axis, in both directions; infinite where it has no end.
 
-    matrix: (M, L; L, K); box: (3, 2), low and high, which holds along the other axes and, of finite roots, along all.
+    matrix: (M, L; L, K); box: (3, 2), low and high, which applies to the other axes, and for finite roots to all.
     """
     order = [axis, *(k for k in range(3) if k != axis), 3]
     m, (own, *sides) = matrix[np.ix_(order, order)], box[order[:3]]

@@ -1,5 +1,6 @@
-"""Weights of openings by chords: of the ellipses that a distorted image has, and of what rims leave open of lenses that
-are round or have `Borders` (float64, pure)."""
+"""Weights of apertures by chords: of the ellipses in a distorted image, and of the part that rims leave open of round
+lenses or lenses with `Borders` (float64, pure).
+"""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
 
 @cache
 def chord_nodes(count: int) -> tuple[Array, Array]:
-    """Gauss-Legendre nodes of 0 to 1, and their parts of the sum."""
+    """Gauss-Legendre nodes and weights on 0 to 1."""
     nodes, parts = np.polynomial.legendre.leggauss(count)
     return 0.5 + 0.5 * nodes, 0.5 * parts
 
@@ -36,19 +37,20 @@ def chord_weights(
     dx: Array, dy: Array, radius: Array, shape: Array = DISC, rims: Sequence[Circle] = (), point: bool = False,
     borders: Borders | None = None,
 ) -> Array:  # fmt: skip
-    """Light of a lens, over that of a round one, from a square pixel or a point, in a square pixel at (dx, dy) px.
+    """Weight of a square pixel at (dx, dy) px for light from a square pixel or a point, relative to all light of a
+    round lens.
 
     Parameters
     ----------
     dx, dy : ndarray
-        Right and down; integers, but of a point.
+        Right and down, px; integers, except for a point source.
     radius : ndarray
         |R| of the disc of the same area, px, above 0; signed with `borders`.
     shape : ndarray of float64, (..., 3)
         Form of the ellipse, see `clsco.optics.ellipses.shape_of`. All broadcast.
     rims : sequence of (x, y, radius)
-        Circles that light comes through as well: x and y of the middle, right and down, and the radius of the disc of
-        the same area, px.
+        Circles that the light also passes: x and y of the center, right and down, and the radius in the disc of the
+        same area, px.
     point : bool
         The source is a point.
     borders : Borders, optional
@@ -60,10 +62,11 @@ def chord_weights(
 
     Notes
     -----
-    Lens and rims together are convex, but for holes, whose light is subtracted: a column has one chord, from the last
-    of their beginnings to the first of their ends. Chords are in closed form over both pixels, times the tent of both
-    across them, or the detector's pixel. Sums over pixels differ from 1 by less than 3e-5, with rims from the area of
-    the opening by less than 5e-4. Validated against the integral.
+    Lens and rims together are convex, except for holes, whose light is subtracted: a column has one chord, from the
+    last of their beginnings to the first of their ends. Along a chord the integral over both pixels is in closed form;
+    across chords it is weighted by the tent of both pixels, or for a point by the detector's pixel. Sums over pixels
+    differ from 1 by less than 3e-5, with rims from the area of the opening by less than 5e-4. Validated against the
+    integral.
 
     Examples
     --------
@@ -81,7 +84,7 @@ def chord_weights(
 
 
 def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
-    """Convex parts of an opening: 1 and None for all of it, -1 and a circle for each hole in it."""
+    """Convex parts of an opening, each with its sign: (1, None) for the whole, (-1, circle) for each hole in it."""
     return [(1.0, None), *((-1.0, np.array(hole)) for hole in (borders.holes if borders else ()))]
 
 
@@ -104,7 +107,7 @@ def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
 
 
 def open_share(rims: Sequence[Circle], borders: Borders | None = None) -> Array:
-    """Light of a lens, over that of a round one, that passes all rims, circles in lens radii; to 3e-5."""
+    """Fraction of a round lens's light that passes the lens and all rims, circles in lens radii; to 3e-5."""
     total = np.zeros_like(rims[0][0])
     flat = np.zeros(total.shape, np.bool_)
     for sign, hole in _parts(borders):
@@ -118,13 +121,14 @@ def open_share(rims: Sequence[Circle], borders: Borders | None = None) -> Array:
 
 
 def _stacked(values: NDArray[Any], axes: int) -> Array:
-    """Values along an axis before so many others."""
+    """Reshape values to an axis followed by `axes` others."""
     return values.astype(np.float64).reshape(-1, *[1] * axes)
 
 
 class _Opening:
-    """A lens, or the part of it that a hole covers, and rims as a source sees them, px: where columns see something of
-    it, `low` to `high`."""
+    """An opening as a source sees it, in px: a lens, or the part that a hole covers, cut by rims; it is open in columns
+    from `low` to `high`.
+    """
 
     def __init__(
         self, radius: Array, shape: Array, rims: Sequence[Circle], borders: Borders | None = None,
@@ -152,7 +156,9 @@ class _Opening:
         self.low, self.high = self.low.max(axis=0), np.maximum(high.min(axis=0), self.low.max(axis=0))
 
     def _each(self, v: Array) -> Iterator[tuple[Array | float, Array | float]]:
-        """Beginning and end of the chord of each circle, and within each edge, down the column at v px, px."""
+        """Beginning and end in px of the chord of each circle, and between each pair of edges, along the column at v
+        px.
+        """
         for x, y, far, over in self.circles:
             aside = v - x
             half, middle = np.sqrt(np.maximum((far - aside) * (far + aside), 0.0)) * over, y + self.lean * aside
@@ -162,12 +168,12 @@ class _Opening:
             yield np.where(down < 0.0, at, -FAR), np.where(down < 0.0, FAR, at)
 
     def _ends(self, v: Array) -> tuple[Array, Array]:
-        """All beginnings, and all ends."""
+        """Beginnings of all chords, and ends of all chords."""
         beginnings, ends = zip(*self._each(v), strict=True)
         return np.stack(np.broadcast_arrays(*beginnings)), np.stack(np.broadcast_arrays(*ends))
 
     def chords(self, v: Array) -> tuple[Array, Array]:
-        """Beginnings and ends of chords of the opening."""
+        """Beginning and end of the opening's chord."""
         beginning, ending = np.full(v.shape, -FAR), np.full(v.shape, FAR)
         for first, last in self._each(v):
             beginning, ending = np.maximum(beginning, first), np.minimum(ending, last)
@@ -176,12 +182,12 @@ class _Opening:
     def places(
         self, start: Array, end: Array, flat: NDArray[np.bool_], axes: int, count: int = STEEP_CHORDS
     ) -> Iterator[tuple[Array, Array]]:  # fmt: skip
-        """Places (count, ...) of chords from `start` to `end`, and their parts: as many px as they stand for.
+        """Positions (count, ...) of chords from `start` to `end`, and their quadrature weights in px.
 
-        axes: of weights, which the first is before.
+        axes: of weights, before which the first one is added.
 
         Chords grow with the square root of the distance from an end of the opening: where they are not flat, nodes are
-        by that root from the nearer end, and columns over the middle have some from both.
+        placed by that root from the nearer end; a column over the middle has nodes from both.
         """
         middle = 0.5 * (self.low + self.high)
         both = ~flat & (start < middle) & (middle < end)
@@ -199,8 +205,9 @@ class _Opening:
             yield v, np.where(flat, (end - start) * even, steep) * (both if second else 1.0)
 
     def is_flat(self, left: Array) -> NDArray[np.bool_]:
-        """True where chords of the column from `left` to 1 px right of it all begin on one circle, and end on one, and
-        the ends of the opening are not near."""
+        """True if all chords of the column from `left` to 1 px right of it begin on one circle and end on one, away
+        from the ends of the opening.
+        """
         flat = (left - self.low >= FLAT) & (self.high - left - 1.0 >= FLAT)
         if len(self.circles) + len(self.edges) == 1:
             return np.asarray(flat)
@@ -213,11 +220,11 @@ class _Opening:
 
 
 def _below(t: Array) -> Array:
-    """Integral of the tent of both pixels up to t, less 1/2."""
+    """Integral of the tent of both pixels up to t, minus 1/2."""
     t = np.clip(t, -1.0, 1.0)
     return t - 0.5 * t * np.abs(t)
 
 
 def _in_pixel(t: Array) -> Array:
-    """Part of the detector's pixel up to t, less 1/2."""
+    """Fraction of the detector's pixel up to t, minus 1/2."""
     return np.clip(t, -0.5, 0.5)

@@ -1,4 +1,4 @@
-"""Depth layers of layered occlusion: bounds in signed blur radius, and which rows a strip needs (pure)."""
+"""Depth layers of layered occlusion: their bounds in signed blur radius, and the rows that a strip needs (pure)."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ MOST_LAYERS = 8
 
 @dataclass(frozen=True)
 class LayerBounds:
-    """Depth layers of one time sample: first bins of the second and each further one; the distance behind an edge at
-    which surface may be visible, px."""
+    """Depth layers of one time sample: first bins of the layers after the first; and the distance in px behind an edge
+    within which the hidden surface may be visible.
+    """
 
     bounds: tuple[int, ...]
     deep: int
 
 
 def bins_of(largest: float) -> tuple[float, int]:
-    """Lower end in px of the first bin, and the number of bins, for radii in [-largest, largest] px."""
+    """Lower end in px of the first bin, and the number of bins, for radii within [-largest, largest] px."""
     half = ceil(largest / LAYER_BIN) + 1
     return -half * LAYER_BIN, 2 * half
 
 
 def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
-    """First bins of the second and each further depth layer, at most MOST_LAYERS - 1 of them, in rising order.
+    """First bins of the depth layers after the first, at most MOST_LAYERS - 1 of them, increasing.
 
     latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl. From near to far, a discontinuity
-    that no bound splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest
-    class are left alone.
+    that no bound splits yet gets one in the middle of its possible range; if this makes too many, the smallest class is
+    dropped.
     """
     for smallest in range(DISCONTINUITY_CLASSES):
         bounds: list[int] = []
@@ -50,20 +51,23 @@ def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
 
 
 def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
-    """Distance behind an edge at which surface may be visible, px: the blurs of both sides reach together as far.
+    """Distance in px behind an edge within which the hidden surface may be visible: the reach of both sides' blurs
+    together.
 
-    largest_sum: of the |radii| on both sides of a discontinuity, px.
+    largest_sum: sum of the |radii| on both sides of a discontinuity, px.
     """
     return ceil(largest_sum * psf.extent + 2.0 * psf.pupil.margin) + 2
 
 
 def level_count(deep: int) -> int:
-    """Levels of a pyramid above the finest one: a pixel of the last one depends on all that is deep + 1 px away."""
+    """Levels of a pyramid above the finest one, so that a pixel of the last one depends on all pixels up to deep + 1 px
+    away.
+    """
     return (deep + 1).bit_length()
 
 
 def levels_of(rows: int, columns: int, deep: int, planes: int) -> list[tuple[int, int, int]]:
-    """Rows, columns and start in floats of every level of a pyramid of so many planes."""
+    """Rows, columns and start in floats of every level of a pyramid with `planes` planes."""
     levels = [(rows, columns, 0)]
     for _ in range(level_count(deep)):
         start = levels[-1][2] + planes * rows * columns
@@ -78,10 +82,10 @@ def most_deep(psf: PointSpread, largest: float) -> int:
 
 
 def margin_of_layers(psf: PointSpread, largest: float) -> tuple[int, int]:
-    """Rows beyond those of a strip that may matter to it, and a number of rows that its grid begins at a multiple of.
+    """Rows beyond a strip that may affect it, and a number that its grid's first row must be a multiple of.
 
-    largest: px, no |radius| is larger. A hidden pixel that contributes to the strip is between pixels of the last level
-    of the pyramid up to three of them away, each of which depends on one more; these begin where they do in the
+    largest: upper bound of |radius|, px. A hidden pixel that contributes to the strip is interpolated between pixels of
+    the pyramid's last level up to three of them away, each of which depends on one more; these must begin as in the
     whole frame.
     """
     step = 1 << level_count(most_deep(psf, largest))

@@ -1,4 +1,4 @@
-"""Ground truth of depth maps, which are not ray-castable: normals and flow from depth alone (float64, pure)."""
+"""Normals and flow of depth maps, which are not ray-castable, from depth alone (float64, pure)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
 
 
 def _difference(point: Array, there: NDArray[np.bool_], axis: int) -> Array:
-    """Step from a pixel's point to the neighbor whose depth differs less; 0 without a neighbor."""
+    """Step from a pixel's point to the neighbor on this axis whose depth differs less; 0 without a neighbor."""
     step = np.diff(point, axis=axis)
     known = np.logical_and(*(np.delete(there, end, axis=axis) for end in (0, -1)))
     step = np.where(known[..., None], step, np.inf)
@@ -49,14 +49,14 @@ def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
     depth : ndarray of float, (rows, columns)
         mm, +inf where there is no surface.
 
-    Returns
+    mm, +inf without a surface.
     -------
     ndarray of float32, (rows, columns, 3)
-        In the camera frame, towards the lens; 0 where there is no surface.
+        In the camera frame, towards the lens; 0 without a surface.
 
     Notes
     -----
-    Of the neighbors on both sides the one whose depth differs less counts, so that a normal does not reach across a
+    Of the two neighbors on an axis, the one whose depth differs less is used, so that a normal does not reach across a
     depth discontinuity. Validated on the depths of analytic surfaces.
     """
     point, there = _points(camera, depth), np.isfinite(depth)
@@ -71,19 +71,19 @@ def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class MapPoints:
-    """Surface points that the pixels of a depth map show.
+    """Surface points visible in the pixels of a depth map.
 
     Attributes
     ----------
     items : sequence of Object
     depth : ndarray of float, (rows, columns)
-        mm, +inf where there is no surface.
+        mm, +inf without a surface.
     object_id : ndarray of int32, (rows, columns)
-        -1 where there is no surface.
+        -1 without a surface.
     camera : Camera
-        That sees them.
+        The camera of the depth map.
     poses : sequence of Pose
-        Poses of all objects before it.
+        Poses of all objects relative to it.
     """
 
     items: Sequence[Object]
@@ -98,7 +98,7 @@ class MapPoints:
         return _points(self.camera, self.depth)
 
     def moved(self, k: int, pose: Pose) -> Array:
-        """Points (rows, columns, 3) if all were of object k, in another pose of it, mm."""
+        """Points (rows, columns, 3) moved with object k to another pose, mm."""
         return moved_points(self.points, rest_center(self.items[k]), self.poses[k], pose)
 
 
@@ -109,14 +109,14 @@ def map_flow(seen: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
     ----------
     seen : MapPoints
     camera : Camera
-        That sees them then.
+        The camera at the other time.
     then : sequence of Pose
-        Poses of all objects before it.
+        Poses of all objects relative to it.
 
     Returns
     -------
     ndarray of float32, (rows, columns, 2)
-        px, right and down; 0 where there is no surface, and where the point gets behind the lens.
+        px, right and down; 0 without a surface, and if the point moves behind the lens.
 
     Notes
     -----
@@ -146,7 +146,7 @@ def map_stereo(
     seen : MapPoints
         Points of this view.
     there : sequence of Pose
-        Poses that the other view has.
+        Poses relative to the other view.
     opposite : ndarray of float, (rows, columns)
         Depth of the other view, mm.
     eye : {"left", "right"}
@@ -167,7 +167,7 @@ def map_stereo(
 def map_occluded(
     seen: MapPoints, camera: Camera, there: Sequence[Pose], opposite: NDArray[np.floating]
 ) -> NDArray[np.bool_]:
-    """Mark points that are not visible in other poses, from depth.
+    """Mask of points that are not visible in other poses, from depth.
 
     Parameters
     ----------
@@ -175,12 +175,13 @@ def map_occluded(
     camera, there
         As for `map_flow`, such as those of the next frame.
     opposite : ndarray of float, (rows, columns)
-        Depth there, mm.
+        Depth in these poses, mm.
 
     Returns
     -------
     ndarray of bool, (rows, columns)
-        At the point's place there a surface is more than SAME_SURFACE times nearer, or the frame has ended.
+        True where a surface at the point's position is nearer by more than the factor SAME_SURFACE, or the position is
+        outside the frame.
     """
     flow = map_flow(seen, camera, there)
     rows, columns = seen.depth.shape

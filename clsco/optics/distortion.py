@@ -40,9 +40,9 @@ class Distortion:
 
     Notes
     -----
-    This is the gradient of a potential: its Jacobian is symmetric, and has no eigenvalue below
-    min(q, q + 2 r^2 dq/dr^2) - 6 |p| r (Weyl). Within the radius up to which that is above 0 it is one-to-one. Beyond
-    `reach`, a little before, it goes on without bending, so that what is far outside of the frame stays there.
+    This is the gradient of a potential: its Jacobian is symmetric, and has no eigenvalue below min(q, q + 2 r^2
+    dq/dr^2) - 6 |p| r (Weyl). It is one-to-one within the radius up to which that is positive. Beyond `reach`, slightly
+    smaller, it continues linearly, so that points far outside of the frame stay outside.
 
     Examples
     --------
@@ -58,7 +58,7 @@ class Distortion:
 
     @classmethod
     def of(cls, lens: Lens | None) -> Self | None:
-        """The distortion of a scene's lens, None for none."""
+        """The distortion of a scene's lens, or None."""
         if lens is None or not lens.distorts:
             return None
         return cls._known(tuple(lens.radial), tuple(lens.tangential))
@@ -66,12 +66,12 @@ class Distortion:
     @classmethod
     @lru_cache(maxsize=64)
     def _known(cls, radial: tuple[float, float, float], tangential: tuple[float, float]) -> Self:
-        """The distortion of coefficients as OpenCV has them: the same one for each frame, which knows its `reach`."""
+        """The distortion for OpenCV's coefficients, cached with its `reach` for all frames."""
         return cls(radial, (-tangential[0], tangential[1]))
 
     @cached_property
     def reach(self) -> float:
-        """Undistorted slope up to which the polynomials hold; infinite where the image never folds back."""
+        """Undistorted slope up to which the polynomials are valid; infinite if the image never folds back."""
         (k1, k2, k3), turn = self.radial, -6.0 * float(np.hypot(*self.tangential))
         ends = []
         for a, b, c in ((k1, k2, k3), (3.0 * k1, 5.0 * k2, 7.0 * k3)):
@@ -82,19 +82,19 @@ class Distortion:
 
     @property
     def image_reach(self) -> float:
-        """Distorted slope within which every point is the image of one within `reach`."""
+        """Distorted slope within which every point is the image of a point within `reach`."""
         if self.reach == np.inf:
             return np.inf
         squared = self.reach**2
         return float(self.reach * self._q(squared)[0] - 3.0 * np.hypot(*self.tangential) * squared)
 
     def _q(self, squared: Array | float) -> tuple[Array, Array, Array]:
-        """The factor q, and its first and second derivative by r^2."""
+        """The factor q, and its first and second derivatives with respect to r^2."""
         (k1, k2, k3), s = self.radial, np.asarray(squared, dtype=np.float64)
         return 1.0 + s * (k1 + s * (k2 + s * k3)), k1 + s * (2.0 * k2 + s * (3.0 * k3)), 2.0 * k2 + s * (6.0 * k3)
 
     def image(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Distorted slopes of slopes x and y, which broadcast."""
+        """Distorted slopes from undistorted slopes x and y, which broadcast."""
         x, y = (np.asarray(each, dtype=np.float64) for each in (x, y))
         within = np.minimum(1.0, self.reach / np.maximum(np.hypot(x, y), 1e-300))
         at_x, at_y = x * within, y * within
@@ -107,11 +107,11 @@ class Distortion:
         return x * q + along * x + across * squared, y * q + along * y + up * squared
 
     def undistorted(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Slopes of distorted slopes x and y, which broadcast, by Newton's method from these.
+        """Undistorted slopes from distorted slopes x and y, which broadcast, by Newton's method from these.
 
         Notes
         -----
-        Within `image_reach` to 1e-14; beyond, some slope at `reach`. Validated as the inverse of `image`.
+        Accurate to 1e-14 within `image_reach`; beyond, some slope at `reach`. Validated as the inverse of `image`.
         """
         there_x, there_y = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (x, y)))
         at_x, at_y = there_x.copy(), there_y.copy()
@@ -125,13 +125,14 @@ class Distortion:
         return at_x, at_y
 
     def _step(self, x: Array, y: Array, there_x: Array, there_y: Array) -> tuple[Array, Array]:
-        """Step of Newton's method from (x, y) to what is seen at `there`."""
+        """Step of Newton's method from (x, y) towards the distorted slopes `there`."""
         across, up = self._polynomial(x, y)
         return self.solved(x, y, there_x - across, there_y - up)
 
     def start(self, radius: float) -> Array:
-        """Coefficients (START,) of the polynomial of r_d^2 that undistorted slopes are times distorted ones, without
-        the tangential part, nearly, up to distorted slopes of `radius`: of the start of Newton's method on devices."""
+        """Start of Newton's method on devices: coefficients (START,) of a polynomial in r_d^2, by which distorted
+        slopes up to `radius` are multiplied to give approximate undistorted ones, without the tangential part.
+        """
         squared = (radius * np.sin(0.25 * np.pi * (2.0 * np.arange(NODES) + 1.0) / NODES)) ** 2
         there = np.sqrt(squared)
         scale = type(self)(self.radial).undistorted(there, np.zeros(NODES))[0] / there
@@ -139,7 +140,7 @@ class Distortion:
         return np.asarray(fitted.convert(domain=[-1.0, 1.0], kind=np.polynomial.Polynomial).coef)
 
     def steps_to(self, radius: float) -> int:
-        """Steps of Newton's method from `start` to CLOSE, for distorted slopes of up to `radius`."""
+        """Number of steps of Newton's method from `start` to CLOSE, for distorted slopes up to `radius`."""
         angle = np.linspace(0.0, 2.0 * np.pi, 65 if any(self.tangential) else 2)
         there = np.linspace(0.0, radius, 65)[:, None]
         there_x, there_y = there * np.cos(angle), there * np.sin(angle)
@@ -155,7 +156,7 @@ class Distortion:
         return MOST_STEPS
 
     def jacobian(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
-        """Derivatives xx, xy, yy of distorted by undistorted slopes, at undistorted ones."""
+        """Derivatives xx, xy, yy of distorted with respect to undistorted slopes, at undistorted slopes."""
         x, y = (np.asarray(each, dtype=np.float64) for each in (x, y))
         (up, across), (q, slope, _) = self.tangential, self._q(x * x + y * y)
         along = 2.0 * (across * x + up * y)
@@ -166,24 +167,24 @@ class Distortion:
         )
 
     def solved(self, x: Array, y: Array, right: Array, upwards: Array) -> tuple[Array, Array]:
-        """Change of undistorted slopes, at (x, y), that a change of distorted ones is."""
+        """Change of undistorted slopes, at (x, y), for a given change of distorted ones."""
         xx, xy, yy = self.jacobian(x, y)
         over = 1.0 / (xx * yy - xy * xy)
         return (yy * right - xy * upwards) * over, (xx * upwards - xy * right) * over
 
     def stretch(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Root of the Jacobian's determinant: sizes in the image over those without distortion."""
+        """Square root of the Jacobian's determinant: sizes in the image relative to those without distortion."""
         xx, xy, yy = self.jacobian(x, y)
         return np.asarray(np.sqrt(xx * yy - xy * xy))
 
     def ellipticity(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Largest difference between the axes of the image of a small disc and the disc of the same area, relative."""
+        """Largest relative difference between the axes of the image of a small disc and the disc of the same area."""
         xx, xy, yy = self.jacobian(x, y)
         size, half = np.sqrt(np.maximum(xx * yy - xy * xy, FOLDED)), np.hypot(0.5 * (xx - yy), xy)
         return np.asarray((0.5 * (xx + yy) + half) / size - 1.0)
 
     def stretch_slope(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Relative change of `stretch` per undistorted slope, along x and y."""
+        """Relative change of `stretch` per unit of undistorted slope, along x and y."""
         (up, across), (_, slope, bend) = self.tangential, self._q(x * x + y * y)
         xx, xy, yy = self.jacobian(x, y)
         xxx, yyy = (6.0 * slope + 4.0 * x * x * bend) * x, (6.0 * slope + 4.0 * y * y * bend) * y

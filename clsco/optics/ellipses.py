@@ -11,17 +11,19 @@ Array = NDArray[np.float64]
 
 
 def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
-    """Quadratic form (..., 3) of the image of a small disc on rays of slopes x and y, down and right: offsets (dx, dy)
-    with q0 dx^2 + 2 q1 dx dy + q2 dy^2 <= R^2 are in the image of the disc of the same area, of radius R. It is
-    det J times J^-2."""
+    """Quadratic form (..., 3) of the image of a small disc, on rays of slopes x and y, down and right: offsets with q0
+    dx^2 + 2 q1 dx dy + q2 dy^2 <= R^2 are inside the image of a disc, where R is the radius of the disc of the same
+    area. The form is det J times J^-2.
+    """
     xx, xy, yy = distortion.jacobian(x, y)
     over = 1.0 / (xx * yy - xy * xy)
     return np.stack([(yy * yy + xy * xy) * over, xy * (xx + yy) * over, (xx * xx + xy * xy) * over], axis=-1)
 
 
 def across_of(shape: Array) -> Array:
-    """Matrix (..., 3), xx, xy and yy, that takes offsets in ellipses to those in the discs of their areas: the root of
-    the form `shape` (..., 3)."""
+    """Matrix (..., 3), xx, xy and yy, that maps offsets in ellipses to offsets in discs of the same area: the square
+    root of `shape` (..., 3).
+    """
     xx, xy, yy = np.moveaxis(np.asarray(shape), -1, 0)
     over = 1.0 / np.sqrt(xx + yy + 2.0)  # of a matrix of determinant 1
     return np.stack([(xx + 1.0) * over, xy * over, (yy + 1.0) * over], axis=-1)

@@ -1,10 +1,10 @@
-"""Exposure of a frame: the time samples that it averages, and the weight of each in every row (float64, pure).
+"""Exposure of a frame: its time samples, and their weights in every row (float64, pure).
 
-Shutter curves, and lines (rows or columns) that are exposed one after another, change `frame_exposure` alone: all that
-renders, predicts and reports takes times and weights from here. A curve is sampled at the middles of equal shares of
-the exposure, each with the light of its share: with a sample for a px of motion and more that is closer than times at
-equal light. Where keyframes make something jump while the shutter is open, a share ends: before and after it shares are
-equal each.
+Shutter curves, and lines (rows or columns) that are exposed one after another, affect only `frame_exposure`: rendering,
+predictions and reports take times and weights from here. A curve is sampled at the middles of equal intervals of the
+exposure, weighted by the light of each interval: from one sample per px of motion on, this is more accurate than times
+at equal light. If keyframes make an object jump while the shutter is open, an interval ends there; intervals before and
+after it are equal among themselves.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ AT_AN_END = 1e-9  # of an exposure: a jump that is as near to its end is there
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Time samples of a frame, and the weights by which the frame adds up their blurred images.
+    """Time samples of a frame, and the weights of their blurred images.
 
     Attributes
     ----------
     times : ndarray of float64, (samples,)
         Seconds since the reference pose.
     weights : ndarray of float64, (samples,) or (samples, lines)
-        Weight of each time sample in all of the frame, or in each of its lines; the sum of a line is 1.
+        Weight of each time sample for the whole frame, or for each line; the weights of a line sum to 1.
     by_columns : bool, optional
-        Lines are columns, not rows.
+        True if lines are columns, not rows.
 
     Examples
     --------
@@ -57,17 +57,17 @@ class Exposure:
         return len(self.times) == 1 and bool((self.weights == 1.0).all())
 
     def of_lines(self, lines: int) -> Array:
-        """Weights (samples, lines) of a frame with so many rows, or columns where weights are of these."""
+        """Weights (samples, lines) of a frame with this number of lines."""
         return np.broadcast_to(self.weights.reshape(len(self.times), -1), (len(self.times), lines))
 
 
 def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
-    """Exposure of a frame: one time sample in the reference pose where nothing moves.
+    """Exposure of a frame: one time sample in the reference pose if nothing moves.
 
     Parameters
     ----------
     scene : Scene
-        With its resolution, where rows or columns are exposed one after another.
+        With its resolution, if rows or columns are exposed one after another.
     frame : int
     samples : int
         Number N of time samples while a line of the frame is exposed. "midpoint": t = (i + 1/2) T / N after the shutter
@@ -76,7 +76,8 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     Returns
     -------
     Exposure
-        The weight of a time sample is the integral of the shutter curve over its share of the exposure, for each line.
+        The weight of a time sample is the integral of the shutter curve over its interval of the exposure, for each
+        line.
 
     Examples
     --------
@@ -106,10 +107,10 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
 
 
 def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
-    """Exposure of a frame whose lines open one after another.
+    """Exposure of a frame whose lines are exposed one after another.
 
     Lines that are open at the same time share their time samples, which divide the frame's whole exposure into equal
-    shares of at most shutter / samples; where none are, each line has its own.
+    intervals of at most shutter / samples; if none are, each line has its own samples.
     """
     sequence, opens = scene.sequence, line_openings(scene)
     (begins, _), curve, shutter = shutter_span(sequence, frame), sequence.shutter_curve, sequence.shutter
@@ -130,7 +131,9 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
 
 
 def jump_times(scene: Scene, frame: int) -> Array:
-    """Times (n,) at which keyframes with steps make something jump while a frame's shutter is open, in order, s."""
+    """Times (n,) in s, increasing, at which stepped keyframes make an object or the camera jump while a frame's shutter
+    is open.
+    """
     jumps = _all_jumps(scene)
     if not jumps.size:
         return jumps
@@ -139,28 +142,28 @@ def jump_times(scene: Scene, frame: int) -> Array:
 
 
 def _all_jumps(scene: Scene) -> Array:
-    """Times (n,) of all jumps, in order."""
+    """Times (n,) of all jumps, increasing."""
     moved = (scene.camera.motion, *(each.motion for each in (*scene.groups, *scene.objects)), scene.lens)
     keys = [each.keyframe or () for each in moved if each is not None and each.interpolation == "step"]
     return np.unique(np.array([key.time for each in keys for key in each[1:]], dtype=np.float64))
 
 
 def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, Any]:
-    """Times between which a jump is in the exposure of a frame, or of each of several, and not at one of its ends."""
+    """Times between which a jump is strictly inside the exposure of one frame, or of each of several."""
     begin = frame * sequence.interval + sequence.shutter_start
     slack = AT_AN_END * (sequence.shutter + sequence.readout)
     return begin + slack, begin + sequence.shutter + sequence.readout - slack
 
 
 def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
-    """Ends (count + 1,) of the shares of an exposure.
+    """Ends (count + 1,) of the intervals of an exposure.
 
     Parameters
     ----------
     span : (float, float)
-        Begin and end of the exposure.
+        Beginning and end of the exposure.
     jumps : ndarray of float64, (n,)
-        Between these, in order: what is between two of them has equal shares, the longest pieces more of them.
+        Jumps inside it, increasing: each piece between two of them has equal intervals, and longer pieces more of them.
     count : int
         More than n.
 
@@ -186,13 +189,14 @@ def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
 
 
 def lines_overlap(scene: Scene) -> bool:
-    """True if lines are open at the same time as those beside them."""
+    """True if neighboring lines are open at the same time."""
     return scene.sequence.shutter * (frame_lines(scene) - 1) > scene.sequence.readout
 
 
 def subframes_of(scene: Scene, samples: int) -> int:
-    """Number of time samples of a frame, of which each line has about `samples` while it is exposed: in all frames as
-    many as are one for each part between jumps in any."""
+    """Number of time samples of a frame, so that each line has about `samples` while it is exposed; the same in all
+    frames, and at least one for each piece between jumps.
+    """
     sequence, least = scene.sequence, _most_parts(scene)
     if not sequence.rolls:
         return max(samples, least)
@@ -202,7 +206,7 @@ def subframes_of(scene: Scene, samples: int) -> int:
 
 
 def _most_parts(scene: Scene) -> int:
-    """Largest number of parts into which jumps divide the exposure of a frame."""
+    """Largest number of pieces into which jumps divide the exposure of a frame."""
     jumps = _all_jumps(scene)
     if not jumps.size or scene.sequence.sampling == "endpoint":
         return 1
@@ -212,22 +216,24 @@ def _most_parts(scene: Scene) -> int:
 
 
 def frame_lines(scene: Scene) -> int:
-    """Number of lines of a frame: its columns where these are exposed one after another, else its rows."""
+    """Number of lines of a frame: its columns if these are exposed one after another, else its rows."""
     columns, rows = scene.camera.frame_size
     return columns if scene.sequence.by_columns else rows
 
 
 def line_openings(scene: Scene) -> Array:
-    """Times (lines,) at which the lines of a frame open, s after its shutter does: 0 for the first, and for the last
-    one `readout`."""
+    """Times (lines,) in s after the frame's shutter opens at which its lines open: 0 for the first line, `readout` for
+    the last one.
+    """
     sequence, lines = scene.sequence, frame_lines(scene)
     opens = np.linspace(0.0, sequence.readout, lines) if lines > 1 else np.zeros(1)
     return opens[::-1] if sequence.scan in ("bottom_to_top", "right_to_left") else opens
 
 
 def line_times(scene: Scene, frame: int) -> Array:
-    """Middles (lines,) of the exposures of a frame's lines, s since the reference pose: the times of its ground
-    truth."""
+    """Middles (lines,) of the exposures of a frame's lines, s since the reference pose: the times of their ground
+    truth.
+    """
     return shutter_span(scene.sequence, frame)[0] + line_openings(scene) + 0.5 * scene.sequence.shutter
 
 
@@ -239,14 +245,14 @@ def pixel_time(scene: Scene, frame: int, column: int, row: int) -> float:
 
 
 def curve_integral(curve: ShutterCurve, times: Array) -> Array:
-    """Share of the light of an exposure that has passed a shutter up to some times.
+    """Fraction of an exposure's light that a shutter has passed up to given times.
 
     Parameters
     ----------
     curve : str or tuple of float
         Name of a shutter curve, or weights at equal times, linear between them.
     times : ndarray of float64
-        From 0, the opening of the shutter, to 1, its closing; what is beyond counts as these.
+        From 0, when the shutter opens, to 1, when it closes; other times are clamped.
 
     Returns
     -------
@@ -272,9 +278,11 @@ def curve_integral(curve: ShutterCurve, times: Array) -> Array:
 
 
 def _differences(passed: Array) -> Array:
-    """Weights (samples, ...) of the shares of an exposure, between whose ends (samples + 1, ...) light has passed.
+    """Weights (samples, ...) of the intervals of an exposure, from the light passed up to their ends (samples + 1,
+    ...).
 
-    Each is what its end has beyond the sum of those before, so that in the order of time they add up to 1 to the bit.
+    Each is the light passed up to its end minus the sum of the earlier weights, so that added in order they sum to
+    exactly 1.
     """
     total, found = np.zeros(passed.shape[1:]), np.empty((len(passed) - 1, *passed.shape[1:]))
     for k, end in enumerate(passed[1:]):
@@ -284,20 +292,24 @@ def _differences(passed: Array) -> Array:
 
 
 def shutter_span(sequence: Sequence, frame: int) -> tuple[float, float]:
-    """Times at which the shutter of a frame opens for its first line and closes for its last one, s since the reference
-    pose."""
+    """Times at which the shutter of a frame opens for its first line and closes for its last line, s since the
+    reference pose.
+    """
     opens = frame * sequence.interval + sequence.shutter_start
     return opens, opens + sequence.shutter + sequence.readout
 
 
 def middle_time(sequence: Sequence, frame: int) -> float:
-    """Time of a frame's ground truth, s since the reference pose: half way from the opening of its shutter to the
-    closing, whatever the curve between them is. Of lines in turn this is the time of the middle line."""
+    """Time of a frame's ground truth, s since the reference pose: half way between the opening and the closing of its
+    shutter, whatever its curve. With a rolling shutter it is the time of the middle line.
+    """
     return shutter_span(sequence, frame)[0] + 0.5 * (sequence.shutter + sequence.readout)
 
 
 def sequence_times(scene: Scene) -> list[float]:
-    """Times over the whole sequence, s since the reference pose, few enough for predictions before every rendering."""
+    """Times over the whole sequence, s since the reference pose; few, because predictions use them before every
+    rendering.
+    """
     if not scene.moves:
         return [0.0]
     last = scene.sequence.frames - 1

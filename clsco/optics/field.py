@@ -1,6 +1,7 @@
-"""Wavefront errors that grow with the distance from the axis: Seidel's terms over the field (float64, pure).
+"""Wavefront errors that depend on the position in the frame: Seidel's terms (float64, pure).
 
-Weights are tables at places on a grid of the frame; those of a source are blended from the four around it.
+Weights are tables at positions on a grid over the frame; the weights of a source are blended from the four positions
+around it.
 """
 
 from __future__ import annotations
@@ -27,19 +28,21 @@ class SeidelField:
     h: place in the frame, from its middle, 1 in the corner; rho: lens point, 1 at the rim; phi: angle between the two.
 
     Attributes
-    ----------
+    h: position relative to the middle of the frame, 1 in the corner; rho: lens point, 1 at the edge of the aperture;
+    phi: angle between the two.
     coma : float
-        W131 h rho^3 cos(phi), optical path at the rim in the corner, px (`clsco.optics.pupils.wavefront`).
+        W131 h rho^3 cos(phi): optical path at the aperture's edge, for the corner, px
+        (`clsco.optics.pupils.wavefront`).
     astigmatism : float
         W222 h^2 rho^2 cos^2(phi), px.
     curvature : float
         W220 h^2 rho^2, px.
     waves : float
-        Their size in waves of green light, or of rays in px, which the cells go by.
+        Size of the terms in waves of green light, or in px for rays; it decides the number of cells.
     frame : tuple of int
         Columns and rows of the frame, px.
     by_rays : bool
-        Light goes by rays, whose spots have sharp rims.
+        True if light follows rays, whose spots have sharp edges.
 
     Examples
     --------
@@ -64,18 +67,18 @@ class SeidelField:
 
     @cached_property
     def cells(self) -> tuple[int, int]:
-        """Cells across and down the frame, between places that have tables."""
+        """Number of grid cells across and down the frame."""
         across, down = (max(2 * ceil(self._of_way * 0.5 * (size - 1) / self.corner), 2) for size in self.frame)
         return across, down
 
     @property
     def _of_way(self) -> float:
-        """Cells along the way to the corner."""
+        """Number of grid cells from the middle to the corner."""
         return min(max(CELLS_PER_WAVE * self.waves, LEAST_CELLS), MOST_CELLS)
 
     @property
     def blending(self) -> float:
-        """Largest part of the light of a source that blended weights have in wrong places, about (L1).
+        """Estimate of the largest fraction of a source's light that blending puts in wrong pixels (L1 norm).
 
         Notes
         -----
@@ -86,7 +89,7 @@ class SeidelField:
 
     @property
     def nodes(self) -> list[tuple[float, float]]:
-        """Places (hx, hy) with tables, right and down from the middle of the frame, row by row."""
+        """Grid positions (hx, hy), right and down from the middle of the frame, row by row."""
         x, y = (
             [(2 * k - count) / count * 0.5 * (size - 1) / self.corner for k in range(count + 1)]
             for count, size in zip(self.cells, self.frame, strict=True)
@@ -94,14 +97,14 @@ class SeidelField:
         return [(column, row) for row in y for column in x]
 
     def at(self, column: ArrayLike, row: ArrayLike) -> tuple[Array, Array]:
-        """Places (hx, hy) of pixels of the frame; those beyond it are on its border."""
+        """Positions (hx, hy) of pixels of the frame; pixels beyond it are clamped to its border."""
         return tuple(
             (np.clip(place, 0.0, size - 1.0) - 0.5 * (size - 1)) / self.corner
             for place, size in zip((column, row), self.frame, strict=True)
         )  # type: ignore[return-value]
 
     def wavefront(self, axis: Wavefront, hx: float, hy: float) -> Wavefront:
-        """The wavefront at a place, from that on the axis."""
+        """The wavefront at a position, from the wavefront on the axis."""
         bend = (
             self.astigmatism * hx * hx + self.curvature * (hx * hx + hy * hy),
             self.astigmatism * hx * hy,
@@ -110,11 +113,11 @@ class SeidelField:
         return replace(axis, coma=(self.coma * hx, self.coma * hy), bend=bend)
 
     def slope(self, axis: Wavefront) -> float:
-        """Largest slope of the wavefront at any of the places, px per radius."""
+        """Largest slope of the wavefront at any grid position, px per radius."""
         return max(self.wavefront(axis, *node).upright.slope for node in self.nodes)
 
     def blend(self, column: ArrayLike, row: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-        """Numbers of `nodes` (4, ...) around pixels of the frame, and their parts in the weights of these."""
+        """Numbers of the `nodes` (4, ...) around pixels of the frame, and their blending factors."""
         found = []
         for place, count, size in zip((column, row), self.cells, self.frame, strict=True):
             at = np.clip(np.asarray(place, np.float64) * (count / max(size - 1, 1)), 0.0, count)

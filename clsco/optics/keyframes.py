@@ -1,10 +1,10 @@
-"""Paths through keyframes, evaluated at a time at once and not step by step (float64, pure).
+"""Paths through keyframes, evaluated directly at any time (float64, pure).
 
-A path is a polynomial of third degree at most between two keys. Orientations are unit quaternions q_k, and their path
-is q(t) = q_0 exp(c_1(t) w_1) ... exp(c_n(t) w_n) with the rotation vectors w_k = log(q_(k-1)^-1 q_k), where c_k is the
+Between two keys a path is a polynomial of degree 3 or less. Orientations are unit quaternions q_k, and their path is
+q(t) = q_0 exp(c_1(t) w_1) ... exp(c_n(t) w_n) with the rotation vectors w_k = log(q_(k-1)^-1 q_k), where c_k is the
 path of numbers that are 0 before key k and 1 from it on (Kim, Kim and Shin, "A general construction scheme for unit
-quaternion curves with simple high order derivatives", SIGGRAPH 1995). With lines that is spherical linear
-interpolation; with cubics and B-splines it is as smooth as the path of positions, and meets as many keys.
+quaternion curves with simple high order derivatives", SIGGRAPH 1995). With linear paths this is spherical linear
+interpolation; with cubics and B-splines it is as smooth as the path of positions, and passes through the same keys.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Path:
         Times of the keys, s.
     pieces : ndarray of float64, (n + 1, 4, size)
         Coefficients of the polynomials before the first key, between keys, and after the last one, in powers of the
-        time since the key before (of the first, since that one).
+        time since the preceding key (before the first key: relative to the first).
     """
 
     times: Array
@@ -56,14 +56,14 @@ def path_through(times: ArrayLike, values: ArrayLike, interpolation: Interpolati
     Parameters
     ----------
     times : array_like of float64, (n,)
-        s, increasing; of a B-spline at equal distances.
+        s, increasing; equally spaced for a B-spline.
     values : array_like of float64, (n, size)
     interpolation : {"step", "linear", "cubic", "bspline"}
         "step": the value of the latest key. "linear": lines. "cubic": the natural spline, whose second derivative is
-        continuous, and 0 at the ends. "bspline": a uniform cubic B-spline with the keys as control points, of which it
-        meets the first and the last.
+        continuous, and 0 at the ends. "bspline": a uniform cubic B-spline with the keys as control points; it passes
+        through the first and the last.
     outside : {"hold", "linear", "error"}
-        "hold": the values of the first and the last key. Else lines with the velocity there.
+        "hold": the value of the first or the last key. "linear", "error": lines with the velocity there.
 
     Returns
     -------
@@ -129,9 +129,9 @@ class Orientations:
     first : Quaternion
         Orientation of the first key.
     turns : tuple of Vector
-        Rotation vector from each key to the next, rad: the shorter way.
+        Rotation vector from each key to the next along the shorter way, rad.
     shares : Path
-        Path of the share (n - 1,) that is done of each turn.
+        Path of the completed fraction (n - 1,) of each rotation.
     """
 
     first: Quaternion
@@ -143,7 +143,9 @@ class Orientations:
         return _matrix(self._quaternion_at(time))
 
     def angles_at(self, time: float, rotation: str) -> Vector:
-        """Rotation at a time in s as a keyframe has it: Euler angles, or a vector of at most half a turn; deg."""
+        """Rotation at a time in s, in the form of a keyframe: Euler angles, or a rotation vector of at most half a
+        turn; deg.
+        """
         return _angles(self._quaternion_at(time), rotation)
 
     def _quaternion_at(self, time: float) -> Quaternion:
@@ -163,7 +165,7 @@ def orientations_through(
     times : array_like of float64, (n,)
         s, as for `path_through`.
     angles : sequence of Vector
-        Rotation of each key, deg: Euler angles, or the vector about which it turns.
+        Rotation of each key, deg: Euler angles, or a rotation vector.
     rotation : {"euler", "axis"}
     interpolation, outside
         As for `path_through`.
@@ -174,10 +176,9 @@ def orientations_through(
 
     Notes
     -----
-    Quaternions of both signs are one orientation, so that from one key to the next the path turns by 180 deg at most;
-    by exactly 180 deg it turns in the positive sense about the axis whose largest component is positive, right, up and
-    towards the camera.
-    Validated against scipy.spatial.transform (`Slerp`), and the exponential map.
+    A quaternion and its negative are one orientation, so from one key to the next the path turns by at most 180 deg; a
+    turn of exactly 180 deg is positive about the axis whose largest component is positive (right, up and towards the
+    camera). Validated against scipy.spatial.transform (`Slerp`), and the exponential map.
 
     Examples
     --------
@@ -193,7 +194,7 @@ def orientations_through(
 
 
 def _quaternion(angles: Vector, rotation: str) -> Quaternion:
-    """Orientation of angles in deg: Euler angles about x, y and z in turn, or a vector."""
+    """Quaternion of angles in deg: Euler angles about x, y and z in turn, or a rotation vector."""
     if rotation == "axis":
         size = hypot(*angles)
         scale = radians(fmod(size, 360.0)) / size if size > 0.0 else 0.0
@@ -204,7 +205,9 @@ def _quaternion(angles: Vector, rotation: str) -> Quaternion:
 
 
 def _angles(q: Quaternion, rotation: str) -> Vector:
-    """Angles in deg of an orientation, the inverse of `_quaternion`; at a quarter turn about y that about x is 0."""
+    """Angles in deg of an orientation, the inverse of `_quaternion`; at a quarter turn about y, the angle about x is
+    0.
+    """
     if rotation == "axis":
         x, y, z = _logarithm(q)
         return degrees(x), degrees(y), -degrees(z)
@@ -216,7 +219,7 @@ def _angles(q: Quaternion, rotation: str) -> Vector:
 
 
 def _exponential(turn: Vector, share: float) -> Quaternion:
-    """Orientation after a share of a rotation vector in rad."""
+    """Quaternion of a fraction of a rotation vector in rad."""
     angle = hypot(*turn)
     half = 0.5 * share * angle
     scale = sin(half) / angle if angle > 0.0 else 0.0
@@ -224,7 +227,7 @@ def _exponential(turn: Vector, share: float) -> Quaternion:
 
 
 def _logarithm(q: Quaternion) -> Vector:
-    """Rotation vector of an orientation in rad, of at most half a turn."""
+    """Rotation vector of a quaternion, rad, of at most half a turn."""
     w, x, y, z = q
     back = max((x, y, -z), key=abs) < 0.0 if abs(w) < HALF_TURN else w < 0.0
     sign, size = (-1.0 if back else 1.0), hypot(x, y, z)
@@ -234,7 +237,7 @@ def _logarithm(q: Quaternion) -> Vector:
 
 
 def _product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """The turn q after which p is done."""
+    """Quaternion of the rotation q followed by p."""
     (a, b, c, d), (e, f, g, h) = p, q
     return (
         a * e - b * f - c * g - d * h,
@@ -245,7 +248,7 @@ def _product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def _matrix(q: Quaternion) -> Array:
-    """Rotation matrix (3, 3) of an orientation."""
+    """Rotation matrix (3, 3) of a quaternion."""
     size = hypot(*q)
     w, x, y, z = (part / size for part in q)
     return np.array(

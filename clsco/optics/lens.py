@@ -1,4 +1,4 @@
-"""Lens: from inverse depth to the signed blur radius (float64, pure)."""
+"""Lens model: signed blur radius from inverse depth (float64, pure)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHARP = 0.5  # px, |R| up to which a point counts as in focus
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens, as it blurs one color, or all of them alike.
+    """A lens for one color, or for all colors if they are blurred equally.
 
     Attributes
     ----------
@@ -32,13 +32,13 @@ class Lens:
     detector_power : float
         Inverse distance of the detector, 1/s, in 1/mm.
     sag : float
-        By how much the image of a plane lies before the detector, in sensor distances, per squared slope t^2 of the
-        ray: -c s0^2 / (2 s) with the curvature c of that image.
+        Distance of a plane's image in front of the detector, in sensor distances, per squared slope t^2 of the ray: -c
+        s0^2 / (2 s) with the curvature c of that image.
     sphere : float
-        Inverse distance of the sphere around the lens that light of the camera's focal length is focused on, K of it in
-        1/mm; 0 where a plane is in focus.
+        Inverse radius, K in 1/mm, of the sphere around the lens that is in focus for light of the camera's focal
+        length; 0 if a plane is in focus.
     distortion : Distortion, optional
-        Bends the image, and blur with it.
+        Distorts the image, and its blur.
 
     Examples
     --------
@@ -69,7 +69,7 @@ class Lens:
         color : int, optional
             Red, green or blue light, 0 to 2; by default what has the focal length of the camera.
 
-        Returns
+        Red, green or blue light, 0 to 2; by default light for which the focal length is the camera's.
         -------
         Lens
         """
@@ -88,18 +88,21 @@ class Lens:
 
     @property
     def is_curved(self) -> bool:
-        """True if what is in focus is no plane."""
+        """True if the surface in focus is not a plane."""
         return self.sag != 0.0 or self.sphere != 0.0
 
     def focus_rise(self, squared_slope: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Change of the inverse depth in focus per slope of the ray, over this slope, in 1/mm, at squared slopes."""
+        """Derivative of the inverse depth in focus by the ray's slope, divided by that slope, in 1/mm, at squared
+        slopes.
+        """
         bend = 1.0 + self.sag * squared_slope
         by_field = 2.0 * self.detector_power * self.sag / (bend * bend)
         return np.asarray(by_field + self.sphere / np.sqrt(1.0 + squared_slope))
 
     def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
-        """The lens for rays of slopes x and y alone, which a distorted image has larger or smaller; numbers become
-        arrays of their shape."""
+        """The lens for rays of slopes x and y only, with the distortion's scale there included; its numbers become
+        arrays of that shape.
+        """
         if self.distortion is None:
             return self
         return replace(self, blur_scale=cast(float, self.blur_scale * self.distortion.stretch(x, y)))
@@ -108,8 +111,9 @@ class Lens:
         self, inverse_depth: NDArray[np.float64] | float, x: NDArray[np.float64] | float,
         y: NDArray[np.float64] | float,
     ) -> NDArray[np.float64]:  # fmt: skip
-        """Signed blur radius in px of inverse depths in 1/mm on rays of slopes x and y, which broadcast: in a distorted
-        image that of the disc of the same area."""
+        """Signed blur radius in px for inverse depths in 1/mm on rays of slopes x and y, which broadcast; with
+        distortion, the radius of the disc of the same area.
+        """
         squared = np.asarray(x) ** 2 + np.asarray(y) ** 2 if self.is_curved else 0.0
         return self.along(x, y).blur_radius(inverse_depth, squared)
 
@@ -122,8 +126,8 @@ class Lens:
         ----------
         inverse_depth : array_like of float64, any shape
             1/mm.
-        squared_slope : array_like of float64, of a shape that fits
-            Squared slope t^2 = x^2 + y^2 of the ray (x, y, 1), which counts where the lens is curved.
+        squared_slope : array_like of float64, broadcastable
+            Squared slope t^2 = x^2 + y^2 of the ray (x, y, 1), used if the lens is curved.
 
         Returns
         -------
@@ -132,11 +136,11 @@ class Lens:
 
         Notes
         -----
-        With field curvature the image of a plane lies before the detector by d = -c s0^2 t^2 / 2, so that
-        K(t) = 1/f - 1/(s + d) = K + d / (s (s + d)). Where a sphere is in focus, the depth in focus along a ray is its
-        radius times cos(theta) = 1 / sqrt(1 + t^2), so that K / cos(theta) stands for K. Both are added to
-        K - w as what they change, which keeps its digits where R is almost 0.
-        Validated against these formulas as they stand, and rays through the lens (tests/optics/test_lens.py).
+        With field curvature the image of a plane is in front of the detector by d = -c s0^2 t^2 / 2, so that K(t) = 1/f
+        - 1/(s + d) = K + d / (s (s + d)). If a sphere is in focus, the depth in focus along a ray is its radius times
+        cos(theta) = 1 / sqrt(1 + t^2), so that K / cos(theta) replaces K. Both are added to K - w as differences, which
+        preserves digits where R is almost 0. Validated against these formulas evaluated directly, and rays through the
+        lens (tests/optics/test_lens.py).
         """
         w = np.asarray(inverse_depth, dtype=np.float64)
         power = self.focus_power - w

@@ -1,4 +1,4 @@
-"""The lens at a time, where it changes (float64, pure)."""
+"""The lens as a function of time (float64, pure)."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ WIDER = 1.01
 
 
 def reference_camera(scene: Scene) -> Camera:
-    """The camera that sees the reference pose, and whose pixels those of textures and depth maps are."""
+    """The camera of the reference pose, which defines the pixels of textures and depth maps."""
     return with_distortion(scene.camera, scene.lens)
 
 
 def camera_at(scene: Scene, time: float) -> Camera:
-    """The camera with the lens that it has at a time.
+    """The camera with its lens at a time.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def camera_at(scene: Scene, time: float) -> Camera:
     Returns
     -------
     Camera
-        That of the scene where its lens does not change. Where it zooms, the image scale s0 is proportional to the
-        focal length, or is the sensor distance where it follows that, which a pulled focus changes too; the focus
-        distance and the f-number stay where they have no keyframes, so that sensor distance and aperture follow.
+        The scene's camera if its lens does not change. With a zoom, the image scale s0 is proportional to the focal
+        length, or equals the sensor distance if it was not given (then focusing changes it too); focus distance and
+        f-number stay constant without keyframes of their own, so that sensor distance and aperture follow.
 
     Raises
     ------
     SceneError
-        The path between keyframes leaves what a lens can have.
+        The path between keyframes has values that no lens can have.
 
     Examples
     --------
@@ -91,22 +91,24 @@ def _rule(key: str, rule: str, got: float, time: float) -> str:
 
 
 def colored(camera: Camera, lens: SceneLens | None, color: int | None) -> Camera:
-    """The camera for light of one color, with its magnification; None for all."""
+    """The camera for light of one color, with its magnification; unchanged if `color` is None."""
     if lens is None or color is None or lens.lateral[color] == 1.0:
         return camera
     return camera.model_copy(update={"normalization_distance": camera.normalization_distance * lens.lateral[color]})
 
 
 def lens_at(scene: Scene, time: float, color: int | None = None) -> Lens:
-    """The lens at a time, s, for all colors or for one, as `clsco.optics.lens.Lens.of` takes it. Raises SceneError as
-    `camera_at`."""
+    """The lens at a time in s, for all colors or for one, as for `clsco.optics.lens.Lens.of`. Raises SceneError as
+    `camera_at`.
+    """
     return Lens.of(colored(camera_at(scene, time), scene.lens, color), scene.lens, color)
 
 
 def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
-    """The lenses of red, green and blue where they differ, else the one of all colors, on the rays of the camera.
+    """The lenses of red, green and blue if they differ, else one for all colors, on the rays of the camera.
 
-    A color of another magnification sees the same surface beside, blurred in proportion. As `lens_at`.
+    A color with another magnification sees the same surface at another position, with proportional blur. Arguments as
+    for `lens_at`.
     """
     camera, lens = camera_at(scene, time), scene.lens
     if lens is None or not scene.separates_colors:
@@ -117,8 +119,9 @@ def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
 
 @lru_cache(maxsize=64)
 def _paths(lens: SceneLens) -> tuple[Path | None, Path | None, Path | None]:
-    """Paths of the focal length in mm, of the inverse focus distance in 1/mm, and of the aperture's diameter over the
-    focal length; None where no keyframe has one."""
+    """Paths of the focal length in mm, of the inverse focus distance in 1/mm, and of the aperture's diameter divided by
+    the focal length; None without keyframes.
+    """
 
     def path(name: str, power: int) -> Path | None:
         keys = [(key.time, getattr(key, name)) for key in lens.keyframe or () if getattr(key, name) is not None]
@@ -129,7 +132,7 @@ def _paths(lens: SceneLens) -> tuple[Path | None, Path | None, Path | None]:
 
 
 def widest_camera(scene: Scene) -> Camera:
-    """The camera with an aperture that is at least as wide as at any time of the sequence."""
+    """The camera with an aperture at least as wide as at any time of the sequence."""
     zoom, _, opening = (None, None, None) if scene.lens is None else _paths(scene.lens)
     keyed = [path.times for path in (zoom, opening) if path is not None]
     if not keyed:

@@ -1,4 +1,4 @@
-"""The light of a scene as its camera sees it (float64, pure)."""
+"""The light of a scene in the frame of its camera (float64, pure)."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class PlacedLight:
     Attributes
     ----------
     place : ndarray of float64, (3,)
-        The unit vector towards it, or where it is, in mm.
+        Unit vector towards the light, or its position in mm.
     is_near : bool
-        The light is at a place, and not far away.
+        True if the light is at a position, False if it is infinitely far.
     ambient : float
-        Share of a texture that is seen without it.
+        Fraction of a texture's radiance that is visible without the light.
     members : int
-        A bit for each object on which it falls: all but the background.
+        Bit mask of the objects that it lights: all but the background.
     """
 
     place: NDArray[np.float64]
@@ -34,7 +34,7 @@ class PlacedLight:
 
 
 def place_light(scene: Scene, time: float, eye: Eye = "left") -> PlacedLight | None:
-    """The light of a scene, if it has one, before a camera that moves while the light stands still.
+    """The light of a scene, if any, in the frame of a camera that moves while the light stands still.
 
     Parameters
     ----------

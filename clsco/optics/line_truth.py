@@ -1,9 +1,9 @@
-"""Flow and visibility under a rolling shutter, whose lines (rows or columns) have times of their own (float64, pure).
+"""Flow and visibility under a rolling shutter, whose lines (rows or columns) have different times (float64, pure).
 
-A surface point p(t) that a pixel shows at its own line's time is shown in another frame, or by another eye, on the line
-u that is exposed as the point crosses it: line(p(t_u)) = u. Newton's method finds u, and a look through all lines where
-the point moves by more than STEEP at any; p is linear between the times of neighboring lines, and lines beyond the
-frame count as its first or last one. Where the image moves by a line or more from line to line, there is no flow.
+A surface point p(t), visible in a pixel at its line's time, appears in another frame or view on the line u that is
+exposed as the point crosses it: line(p(t_u)) = u. Newton's method finds u, or a search through all lines if the point
+moves by more than STEEP anywhere; p is linear between the times of neighboring lines, and lines beyond the frame count
+as its first or last one. Where the image moves by a line or more from line to line, there is no flow.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor is that of another 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Times of the lines of a frame, and where objects are then.
+    """Times of the lines of a frame, with the camera and the poses of objects at each.
 
     Attributes
     ----------
     by_columns : bool
-        Lines are columns, not rows.
+        True if lines are columns, not rows.
     times : ndarray of float64, (lines,)
         Seconds since the reference pose.
     cameras : tuple of Camera
@@ -60,19 +60,20 @@ class Lines:
         return np.array([ray_step(camera) for camera in self.cameras])
 
     def slopes(self, line: Pixels, right: Array, up: Array) -> tuple[Array, Array]:
-        """Slopes of the rays through places in px right of and above the middle of the image, each at the time of its
-        line."""
+        """Slopes of the rays through image points in px right of and above the middle of the image, each at its line's
+        time.
+        """
         x, y, distortion = right * self.steps[line], up * self.steps[line], distortion_of(self.cameras[0])
         return (x, y) if distortion is None else distortion.undistorted(x, y)
 
     def of_object(self, number: int) -> tuple[Array, Array]:
-        """Rotations (lines, 3, 3) and shifts (lines, 3) in mm of an object."""
+        """Rotations (lines, 3, 3) and shifts (lines, 3) in mm of an object at each line's time."""
         poses = [each[number] for each in self.poses]
         return np.stack([pose.rotation for pose in poses]), np.stack([pose.shift for pose in poses])
 
 
 def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
-    """Lines of a frame of a scene with its resolution, as an eye sees it."""
+    """Lines of a frame in a view, for a scene with a resolution."""
     times = line_times(scene, frame)
     found = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in times.tolist()]
     return Lines(scene.sequence.by_columns, times, tuple(one for one, _ in found), tuple(each for _, each in found))
@@ -81,9 +82,9 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
 def _first_met(
     at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
 ) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """As `LinePoints._shown`, of points that several lines may show: by the first that they do not lie beyond.
+    """As `LinePoints._shown`, for points that several lines may show: the first line that they reach.
 
-    at: places of the points at the time of a line, and which are before the lens.
+    at: returns the positions of the points at a line's time, and a mask of points in front of the lens.
     """
     before, seen_before = at(0)
     one, two, seen = before, before, seen_before
@@ -101,21 +102,21 @@ def _first_met(
 
 
 class LinePoints:
-    """Surface points that the pixels of a frame show, each at the time of its line.
+    """Surface points visible in the pixels of a frame, each at its line's time.
 
     Parameters
     ----------
     items : sequence of Object
     depth : ndarray of float, (rows, columns)
-        mm, +inf where there is no surface.
+        mm, +inf without a surface.
     object_id : ndarray of int32, (rows, columns)
-        -1 where there is no surface.
+        -1 without a surface.
     now : Lines
         Lines of the frame.
 
     Notes
     -----
-    Validated against closed forms of constant velocity, and against the reference, which looks through all lines.
+    Validated against closed forms for constant velocity, and against the reference, which searches all lines.
     """
 
     def __init__(
@@ -145,8 +146,8 @@ class LinePoints:
         Returns
         -------
         ndarray of float64, (rows, columns, 2)
-            px, right and down; 0 where there is no surface, inf where no line, or not one alone, shows the point: where
-            the image moves by a line or more from line to line, and where the point gets behind the lens.
+            px, right and down; 0 without a surface, inf if no single line shows the point: where the image moves by a
+            line or more from line to line, and where the point moves behind the lens.
         """
         flow = np.zeros((*self.shape, 2))
         for k in range(len(self.items)):
@@ -156,7 +157,9 @@ class LinePoints:
         return flow
 
     def _shown(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, NDArray[np.bool_]]:
-        """Places (points, 2) at which lines show points of an object, column and row, and where there is one."""
+        """Positions (points, 2), column and row, at which lines show points of an object, and a mask of points with
+        one.
+        """
         axis, last, (rotations, shifts) = int(not then.by_columns), len(then.times) - 1, then.of_object(k)
         body, center = self.bodies[pixels], rest_center(self.items[k])
 
@@ -186,8 +189,9 @@ class LinePoints:
         return shown, found
 
     def _project(self, point: Array, then: Lines, line: Pixels | int) -> tuple[Array, NDArray[np.bool_]]:
-        """Places (points, 2) in px of points in mm at the time of a line, of all or of each, column and row, and which
-        are before the lens."""
+        """Positions (points, 2) in px, column and row, of points in mm at the time of one line or of a line each, and a
+        mask of points in front of the lens.
+        """
         before, (rows, columns) = point[:, 2] > 0.0, self.shape
         ahead = np.where(before, point[:, 2], 1.0)
         slopes = image_slopes(then.cameras[0], point[:, 0] / ahead, point[:, 1] / ahead)
@@ -195,7 +199,7 @@ class LinePoints:
         return np.stack([0.5 * (columns - 1) + right, 0.5 * (rows - 1) - up], axis=-1), before
 
     def occluded(self, then: Lines, flow: Array) -> NDArray[np.bool_]:
-        """Mark points that are not visible where a flow takes them.
+        """Mask of points that are not visible at the end of their flow.
 
         Parameters
         ----------
@@ -206,8 +210,8 @@ class LinePoints:
         Returns
         -------
         ndarray of bool, (rows, columns)
-            There is no flow, the frame has ended there, or another point is nearer at the time of the line nearest to
-            it.
+            True if there is no flow, it leads out of the frame, or another point is nearer there at the time of the
+            nearest line.
         """
         rows, columns = self.shape
         row, column = np.nonzero(self.number >= 0)
@@ -227,7 +231,7 @@ class LinePoints:
         return hidden
 
     def _covered(self, pixels: tuple[Pixels, Pixels], poses: tuple[Pose, ...]) -> NDArray[np.bool_]:
-        """Mark points of pixels that a nearer surface hides when objects are in these poses."""
+        """Mask of points that a nearer surface hides in pixels, with objects in these poses."""
         point, number, seen = self.bodies[pixels], self.number[pixels], np.zeros(len(pixels[0]))
         for k, (item, pose) in enumerate(zip(self.items, poses, strict=True)):
             own = number == k

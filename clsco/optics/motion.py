@@ -27,7 +27,7 @@ EPSILON = float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of an object at one time: P = center + shift + rotation (P0 - center), camera frame.
+    """Pose of an object at one time, in the camera frame: P = center + shift + rotation (P0 - center).
 
     Attributes
     ----------
@@ -53,8 +53,8 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
     angles : ndarray of float64, (3,)
         Radians.
     rotation : {"euler", "axis"}
-        "euler": the matrix of 2.14 to 2.23. "axis": a turn by |angles| about the vector `angles` (Rodrigues), in the
-        same sense as the matrix for a single axis, which is the negative of the right-hand rule.
+        "euler": the matrix of 2.14 to 2.23. "axis": a rotation by |angles| about the vector `angles` (Rodrigues), in
+        the same sense as the matrix for a single axis, which is opposite to the right-hand rule.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
 
     Notes
     -----
-    Validated: both kinds agree for every single axis, are orthonormal, and are the identity for no turn.
+    Validated: both kinds agree for every single axis, are orthonormal, and are the identity for zero angles.
     """
     if rotation == "axis":
         angle = float(np.linalg.norm(angles))
@@ -89,7 +89,7 @@ def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
-    """Pose of a motion at a time, after constant accelerations or between keyframes.
+    """Pose of a motion at a time, by constant accelerations or between keyframes.
 
     Parameters
     ----------
@@ -104,11 +104,12 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
 
     Notes
     -----
-    Poses are always formed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
-    to one turn before they become radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
+    Poses are always computed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
+    to one turn before conversion to radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
     vector instead of its components. With accelerations the angles are w t + a t^2 / 2 in deg: of each Euler angle, or
-    of the vector, whose axis stays where the acceleration is along the angular velocity. Keyframes that turn about one
-    axis alone have a path of their angle, with whole turns; others one of orientations.
+    of the rotation vector, whose axis is constant if the acceleration is along the angular velocity. Keyframes that
+    rotate about a single axis have a path of the angle, including whole turns; other keyframes have a path of
+    orientations.
     """
     if not motion.model_fields_set:
         return AT_REST
@@ -137,7 +138,7 @@ def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
 
     Notes
     -----
-    Validated: `pose_at` of a motion of this keyframe alone is that of the motion at the time.
+    Validated: `pose_at` for a motion with only this keyframe equals that of the motion at the time.
 
     Examples
     --------
@@ -159,7 +160,7 @@ def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
 
 
 def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
-    """Rotation (3, 3) by angles in deg, in the axes of the camera."""
+    """Rotation matrix (3, 3) for angles in deg, in the axes of the camera."""
     if not degrees.any():
         return UNTURNED
     if rotation == "axis":
@@ -171,14 +172,16 @@ def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
 
 
 def _accelerated(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
-    """v t + a t^2 / 2 (3,)."""
+    """Displacement v t + a t^2 / 2 (3,)."""
     way = np.asarray(speed, dtype=np.float64) * time
     return way if gain is None else way + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
 
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """Paths through keyframes: of the shift in mm, and of angles in deg about one axis or of the orientation."""
+    """Paths through keyframes: of the shift in mm, and either of the angle in deg about one axis or of the
+    orientation.
+    """
 
     shifts: Path
     turns: Path | Orientations
@@ -186,7 +189,7 @@ class _Track:
 
 @lru_cache(maxsize=512)
 def _track(motion: ObjectMotion, rotation: str) -> _Track:
-    """Paths through the keyframes of a motion that has some."""
+    """Paths through the keyframes of a motion."""
     keys, interpolation, outside = motion.keyframe, motion.interpolation, motion.outside
     assert keys is not None
     assert interpolation is not None
@@ -199,18 +202,20 @@ def _track(motion: ObjectMotion, rotation: str) -> _Track:
 
 
 def rest_center(item: Object) -> NDArray[np.float64]:
-    """Center of rotation (3,) of an object in its reference pose, mm: the apex of a cone, (0, 0, a) of a plane."""
+    """Center of rotation (3,) of an object in its reference pose, mm: the apex of a cone, (0, 0, a) for a plane."""
     return np.asarray(origin(item), dtype=np.float64)
 
 
 def static_rotation(item: Object) -> NDArray[np.float64]:
-    """Matrix R0 (3, 3) from an object's own frame to the axes of the camera in its reference pose, exactly orthonormal
-    for none and for quarter turns: a point p of its own frame is at center + shift + rotation R0 p in a `Pose`."""
+    """Matrix R0 (3, 3) from an object's own frame to the camera's axes in its reference pose, exactly orthonormal for
+    no rotation and for quarter turns: in a `Pose`, a point p of the object's own frame is at center + shift + rotation
+    R0 p.
+    """
     return np.array(rotation_rows(item.rotation))
 
 
 def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
-    """Pose of the camera, or of one of a stereo pair, in the frame of the camera's reference pose.
+    """Pose of the camera, or of one view of a stereo pair, in the frame of the camera's reference pose.
 
     Parameters
     ----------
@@ -225,8 +230,9 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
 
     Notes
     -----
-    A camera moves and turns about the center of its lens; shake comes first, in its own axes. The right one of a pair
-    stands `baseline` to the right of the left one, which is the scene's; both turn inwards by `toe_in`.
+    A camera moves and rotates about the center of its lens; shake is applied first, in its own axes. The right camera
+    of a stereo pair is `baseline` to the right of the left one, which is the scene's; both are turned inwards by
+    `toe_in`.
     """
     rig = pose_at(scene.camera.motion, time, scene.motion.rotation)
     if scene.camera.shake is not None:
@@ -241,7 +247,7 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
 
 
 def shake_pose(shake: CameraShake, time: float) -> Pose:
-    """Pose of a shaking camera.
+    """Displacement of a shaking camera.
 
     Parameters
     ----------
@@ -257,10 +263,10 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
     Notes
     -----
     Each component of the rotation vector (right, up, backwards) and of the shift (right, up, forwards) is a sum of
-    SHAKE_SINES sines of equal amplitudes, one in each of as many equal parts of the band. Where in its part, and the
-    phase in turns, are two numbers n >> 11, times 2^-53, with n from `numpy.random.Philox(key=seed)` (Salmon et al.,
-    2011), component by component and sine by sine. Path and bits follow from seed and time alone.
-    Validated: the root mean squares over a long time, within 1 %.
+    SHAKE_SINES sines of equal amplitude, one in each of as many equal parts of the frequency band. Frequency within its
+    part, and phase in turns, are numbers n >> 11, times 2^-53, with n from `numpy.random.Philox(key=seed)` (Salmon et
+    al., 2011), component by component and sine by sine. The path's bits depend only on seed and time. Validated: root
+    mean squares over a long time, within 1 %.
 
     Examples
     --------
@@ -280,7 +286,7 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
 
 @lru_cache(maxsize=16)
 def _shake_waves(seed: int, band: tuple[float, float]) -> tuple[tuple[tuple[float, float], ...], ...]:
-    """Frequency in Hz and phase in turns of the sines of six components."""
+    """Frequency in Hz and phase in turns of the sines of the six components."""
     raw = np.random.Philox(key=seed).random_raw(2 * 6 * SHAKE_SINES) >> 11
     uniform = (raw * 2.0**-53).reshape(6, SHAKE_SINES, 2)
     low, step = band[0], (band[1] - band[0]) / SHAKE_SINES
@@ -290,7 +296,7 @@ def _shake_waves(seed: int, band: tuple[float, float]) -> tuple[tuple[tuple[floa
 
 
 def rest_poses(scene: Scene) -> tuple[Pose, ...]:
-    """Reference poses of all objects, those that their textures belong to: neither moved nor turned."""
+    """Reference poses of all objects, neither moved nor rotated; textures are projected in them."""
     return (AT_REST,) * len(scene.objects)
 
 
@@ -325,7 +331,7 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
 def moved_points(
     points: NDArray[np.float64], center: NDArray[np.float64], before: Pose, after: Pose
 ) -> NDArray[np.float64]:
-    """Points of a rigid object in one pose, in another pose of it.
+    """Points of a rigid object moved from one pose to another.
 
     Parameters
     ----------
@@ -354,14 +360,15 @@ def moved_points(
 
 
 def _carrier(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[np.float64]]:
-    """Pose of a group, and the point (3,) about which it rotates, mm."""
+    """Pose of a group, and its center of rotation (3,), mm."""
     members = [item for item in scene.objects if item.group == group.name]
     origin = np.asarray(group_origin(group, members)) if members else np.zeros(3)
     return pose_at(group.motion, time, scene.motion.rotation), origin
 
 
 def _carried(own: Pose, center: NDArray[np.float64], group: Pose, origin: NDArray[np.float64]) -> Pose:
-    """Pose of an object that moves within a group: P = origin + shift + rotation (P1 - origin) of what its own pose
-    makes of P0."""
+    """Pose of an object that moves within a group: first its own pose, P0 -> P1, then P = origin + shift + rotation (P1
+    - origin).
+    """
     arm = center - origin
     return Pose(group.rotation @ own.rotation, group.shift + group.rotation @ own.shift + (group.rotation @ arm - arm))

@@ -1,7 +1,7 @@
-"""Point spread of a thin lens: weights in closed form, for any pupil (float64, pure).
+"""Point spread functions of a thin lens: weights in closed form, for any pupil (float64, pure).
 
-A weight is the share of one source's energy that one detector pixel gets. They are exact; tables hold the same weights
-as piecewise cubics in the blur radius, which is what a device reads.
+A weight is the fraction of a source's light that one detector pixel receives. Here weights are exact; devices read
+tables of the same weights as piecewise cubics in the blur radius.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ Layout = Literal["disc", "separable", "symmetric", "general"]
 
 @dataclass(frozen=True)
 class Rim:
-    """Circle that light passes through before or behind the aperture.
+    """Circle that light must pass through in front of or behind the aperture.
 
     Attributes
     ----------
     distance : float
-        From the aperture, mm, positive towards the scene.
+        Distance from the aperture, mm, positive towards the scene.
     radius : float
         mm.
     """
@@ -57,25 +57,25 @@ class Rim:
 
 @dataclass(frozen=True)
 class PointSpread:
-    """Blur of a point by a lens: the pupil, and how it is evaluated on pixels. Made by `point_spread`.
+    """Point spread function (PSF) of a lens: the pupil, and the evaluation on pixels. Made by `point_spread`.
 
-    Two that are equal have equal weights, so that tables are kept by it, but for the rims.
+    Equal instances have equal weights apart from rims, so tables are cached by it.
 
     Attributes
     ----------
     pupil : Pupil
     edge : str
-        "integrated" over source and detector pixel, over the detector's "area", or "sampled" at pixel centers.
+        "integrated" over source and detector pixel, over the detector's "area" only, or "sampled" at pixel centers.
     alignment : int
-        Places of sources per px that intervals of tables begin at, for weights that have corners there; else 0.
+        Source positions per px at which intervals of tables begin, for weights with corners there; else 0.
     rims : tuple of Rim
-        Circles that cut light from some directions besides: of what the weights spread.
+        Circles that cut off light from some directions.
     varying : SeidelField, optional
-        Changes of the wavefront over the frame; the pupil is then that on the axis.
+        Change of the wavefront over the frame; the pupil is then that on the axis.
     stretched : float
-        Part of R by which the rims of ellipses reach beyond those of discs, in a distorted image; 0 for discs alone.
+        In a distorted image, the fraction of R by which ellipses reach beyond discs; 0 for discs only.
     side : int
-        Sign of all blur radii, 1 or -1, where waves and aberrations spread no others; else 0.
+        Sign of all blur radii, 1 or -1, if a wave or aberration PSF is only needed for one; else 0.
 
     Examples
     --------
@@ -98,11 +98,11 @@ class PointSpread:
 
     @cached_property
     def layout(self) -> Layout:
-        """Form of the tables.
+        """Layout of the tables.
 
         "disc": all covered pixels have one weight, so no table is needed (the sampled pillbox). "separable": a weight
-        is the product of one along each axis. "symmetric": octants are alike. "general": whole rows, for both signs of
-        the radius.
+        is the product of one along each axis. "symmetric": the eight octants are equal. "general": whole rows, for both
+        signs of the radius.
         """
         if self.sampled and self.pupil.uniform:
             return "disc"
@@ -111,21 +111,23 @@ class PointSpread:
         return "general" if self.signed else "symmetric"
 
     def of_side(self, side: int) -> PointSpread:
-        """The PSF of sources whose blur radii have the sign `side`, 1 or -1; 0: of all."""
+        """The PSF of sources with blur radii of the sign `side`, 1 or -1; 0 for both."""
         return replace(self, side=side) if self.diffracted and self.layout == "general" else self
 
     @cached_property
     def places(self) -> tuple[PointSpread, ...]:
-        """Point spreads of the places that tables are for, by `SeidelField.nodes`; itself where nothing varies."""
+        """PSFs at the grid positions that have tables, by `SeidelField.nodes`; only itself if the PSF is constant over
+        the frame.
+        """
         return (self,) if self.varying is None else tuple(self.at(*node) for node in self.varying.nodes)
 
     @property
     def blended(self) -> int:
-        """Tables that a weight comes from."""
+        """Number of tables that a weight is blended from."""
         return 1 if self.varying is None else 4
 
     def at(self, hx: float, hy: float) -> PointSpread:
-        """The point spread at a place (hx, hy) of the field, which is the same for all of the frame."""
+        """The PSF at a position (hx, hy), constant over the frame."""
         if self.varying is None:
             return self
         from clsco.optics.pupils.fourier import FourierDiffracted
@@ -141,53 +143,55 @@ class PointSpread:
 
     @property
     def sampled(self) -> bool:
-        """Weights are taken at pixel centers, and jump where R passes one."""
+        """True if weights are taken at pixel centers, so that they jump where R passes one."""
         return self.edge == "sampled"
 
     @property
     def signed(self) -> bool:
-        """Weights of -R differ from those of R."""
+        """True if weights for -R differ from those for R."""
         return self.pupil.signed
 
     @property
     def diffracted(self) -> bool:
-        """Light goes beyond the rim of the lens, by waves or aberrations, and a point in focus is a spot."""
+        """True if light spreads beyond the geometric blur, by waves or aberrations, and a point in focus is a spot."""
         return self.pupil.steps > 0
 
     @property
     def uniform(self) -> bool:
-        """Weights inside of the rim are all the same."""
+        """True if weights are constant inside the blur's outline."""
         return self.pupil.uniform
 
     @property
     def cut_by_chords(self) -> bool:
-        """True if weights are those of the opening that the rims leave (`clsco.optics.chords`), false if each tap is
-        multiplied by the share of the lens that it sees."""
+        """True if weights are integrals over the opening that the rims leave (`clsco.optics.chords`), False if each
+        tap's weight is multiplied by the fraction of the lens that it sees.
+        """
         round_lens = type(self.pupil) is Circle
         return bool(self.rims) and self.varying is None and (round_lens or self.pupil.borders is not None)
 
     @property
     def shares_lens(self) -> bool:
-        """Parts of a pixel may be tested together for what hides the lens (kernels/trace/detail.clh)."""
+        """True if the sub-pixels of a pixel may share one visibility test of the lens (kernels/trace/detail.clh)."""
         return not (self.rims or self.diffracted)
 
     @property
     def has_runs(self) -> bool:
-        """Taps of a general shape that are all open have one weight, of which columns of a blur have runs."""
+        """True for a general shape whose fully covered taps have one weight, so that blur columns have runs of it."""
         return self.layout == "general" and not self.diffracted
 
     @property
     def extent(self) -> float:
-        """Largest distance from the middle of the lens that light passes at, in its radii: of R = 1 px the rim is so
-        many px from the source. Waves go beyond it, see `reach`."""
+        """Largest distance from the lens center at which light passes, in lens radii: for R = 1 px, the extent of the
+        blur in px. Waves spread beyond it, see `reach`.
+        """
         return self.pupil.extent
 
     def second_moment(self, radius: float) -> float:
-        """Mean square distance along an axis, px^2, of light from its source, for blur radii of several px."""
+        """Mean square distance of light from its source along one axis, px^2, for blur radii of several px."""
         return self.pupil.second_moment * radius * radius + PIXEL_MOMENT[self.edge]
 
     def is_sharp(self, largest: float) -> bool:
-        """True if the PSF of the |blur radius| `largest` px keeps all light, and in its pixel."""
+        """True if a source with |blur radius| up to `largest` px keeps all of its light in its own pixel."""
         if self.rims or self.diffracted:
             return False
         if self.sampled:
@@ -195,14 +199,14 @@ class PointSpread:
         return largest == 0.0 or (self.edge == "area" and self.extent * largest <= 0.5)
 
     def reach(self, radius: float, subpixel: bool = False) -> int:
-        """Largest |dx| or |dy| in px of a pixel that a source of |blur radius| `radius` px may light.
+        """Largest |dx| or |dy| in px of a pixel lit by a source of |blur radius| `radius` px.
 
-        subpixel: of a sub-pixel source, which stands anywhere in its pixel.
+        subpixel: True for a sub-pixel source anywhere in its pixel.
         """
         return int(self.reaches(np.array([radius]), subpixel)[0])
 
     def reaches(self, radii: Array, subpixel: bool = False) -> NDArray[np.int64]:
-        """`reach` of each of several radii."""
+        """`reach` for several radii."""
         extent = radii * (1.0 + self.stretched) * self.extent + self.pupil.margin
         if self.sampled and not subpixel:
             found = np.where(radii >= MINIMUM_BLUR, np.floor(extent), 0.0)
@@ -212,10 +216,10 @@ class PointSpread:
         return found.astype(np.int64)
 
     def weights(self, dx: Array, dy: Array, radius: Array) -> Array:
-        """Share of a source's energy at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1.
+        """Fraction of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1.
 
-        The three broadcast; the sign of the radius matters where the PSF is `signed`. Pillbox (2.26) through its pupil,
-        and Gaussian (2.27). A radius of 0 is the limit: all energy stays. Validated: energy 1 to 1e-12, quadrature,
+        The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Pillbox (2.26) through its
+        pupil, and Gaussian (2.27). A radius of 0 is the limit: all light stays. Validated: sum 1 to 1e-12, quadrature,
         continuity.
         """
         tent = self.edge == "integrated"
@@ -229,9 +233,9 @@ class PointSpread:
         return np.where(point, center, self.pupil.share(dx, dy, np.where(point, 1.0, r), tent))
 
     def subpixel_weights(self, dx: Array, dy: Array, radius: Array) -> Array:
-        """Share of a point source's energy at (dx, dy) px, not necessarily integers: exact areas in pixels.
+        """Fraction of a point source's light at (dx, dy) px, which need not be integers: exact areas in pixels.
 
-        Serves the sub-pixel sources at silhouettes, for every `edge`; arguments as for `weights`.
+        Used for sub-pixel sources at silhouettes, for every `edge`; arguments as for `weights`.
         """
         if self.signed or self.diffracted:
             return self.pupil.share(dx, dy, np.asarray(radius, np.float64), tent=False)
@@ -239,7 +243,7 @@ class PointSpread:
         return self.pupil.share(dx, dy, np.maximum(r, POINT), tent=False)
 
     def axis_weights(self, offset: Array, radius: Array) -> Array:
-        """Weights along one axis, whose products are those of `weights`; only of "separable"."""
+        """Weights along one axis, whose products are `weights`; only for "separable"."""
         from clsco.optics.pupils.gaussian import Gaussian
 
         assert isinstance(self.pupil, Gaussian)
@@ -248,20 +252,24 @@ class PointSpread:
         return np.where(point, offset == 0.0, share)
 
     def rows(self, radii: Array, dx: Array, dy: Array, subpixel: bool) -> Array:
-        """Weights (radii, dy, dx) where dx and dy rise by 1 px, for positive radii, of waves any; only of "general"."""
+        """Weights (radii, dy, dx) for dx and dy in steps of 1 px, for positive radii, or for waves of any sign; only
+        for "general".
+        """
         return self.pupil.rows(radii, dx, dy, self.edge == "integrated" and not subpixel)
 
     def lens_cells(self) -> Array:
         """Light through the cells (2 LENS_CELLS, 2 LENS_CELLS) of a square around the lens, up to a factor.
 
-        Cells as the image of a positive blur radius shows them; of a negative one they are mirrored where the PSF is
-        `signed`.
+        Cells are oriented as in the image for a positive blur radius; for a negative one they are mirrored if the PSF
+        is `signed`.
         """
         return self.pupil.cells(LENS_CELLS)
 
     @property
     def key(self) -> float:
-        """A sampled PSF covers the pixel centers with dx^2 + dy^2 <= key R^2, and its table goes by that product."""
+        """Factor by which a sampled PSF covers the pixel centers with dx^2 + dy^2 <= key R^2; its table is indexed by
+        this product.
+        """
         return self.extent**2
 
     def _sampled_weights(self, dx: Array, dy: Array, r: Array) -> Array:
@@ -291,7 +299,7 @@ def point_spread(
     image: Pupil | None = None,
     camera: Camera | None = None,
 ) -> PointSpread:
-    """The point spread that a scene asks for.
+    """The PSF that a scene asks for.
 
     Parameters
     ----------
@@ -302,17 +310,17 @@ def point_spread(
     image : Pupil, optional
         Pupil of aperture.shape = "image".
     camera : Camera, optional
-        Camera whose f-number and pixels psf.model = "wave" needs.
+        Its f-number and pixels are needed for psf.model = "wave".
 
     Returns
     -------
     PointSpread
-        By waves that of a gray image.
+        For waves, the PSF of a gray image.
 
     Raises
     ------
     SceneError
-        Waves whose camera is not given, or whose diffraction is far finer than its pixels, or far coarser.
+        Waves without a camera, or diffraction that is far finer or far coarser than the camera's pixels.
 
     Examples
     --------
@@ -342,7 +350,7 @@ def point_spread(
 
 
 def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> tuple[PointSpread, ...]:
-    """Point spreads of red, green and blue, from that of a gray image.
+    """PSFs of red, green and blue, from that of a gray image.
 
     Parameters
     ----------
@@ -354,7 +362,7 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
     Returns
     -------
     tuple of three PointSpread
-        The same three times but by waves.
+        Three equal ones, except for waves.
     """
     if psf.model != "wave" or camera is None:
         return spread, spread, spread
@@ -369,7 +377,7 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
 def _diffracted(
     pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None, color: int = GREEN
 ) -> Diffracted:  # fmt: skip
-    """The pupil with diffraction of light of a color, on the axis of the field."""
+    """The pupil with diffraction in one color, on the axis."""
     from clsco.optics.pupils.fourier import FourierDiffracted
     from clsco.optics.pupils.hankel import HankelDiffracted, is_round
 
@@ -397,7 +405,7 @@ def _diffracted(
 
 
 def _traced(pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None) -> Traced:
-    """The pupil with aberrations by rays, on the axis of the field."""
+    """The pupil with aberrations by rays, on the axis."""
     from clsco.optics.pupils.traced import Traced
 
     wavefront = _wavefront(psf, camera)
@@ -408,7 +416,9 @@ def _traced(pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None)
 
 
 def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
-    """Errors of the wavefront in px of path: waves of green light are the same lengths for all colors."""
+    """Wavefront errors as optical paths in px; errors given in waves of green light are the same lengths for all
+    colors.
+    """
     from clsco.optics.pupils.wavefront import Wavefront
 
     unit = diffraction_unit(camera, psf.wavelengths[GREEN])
@@ -416,7 +426,7 @@ def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
 
 
 def _field(psf: Psf, camera: Camera) -> SeidelField | None:
-    """Seidel's terms over the field, None where nothing varies."""
+    """Seidel's terms over the frame, None if they are constant."""
     if not psf.seidel.varies:
         return None
     from clsco.optics.field import SeidelField
@@ -443,12 +453,12 @@ def diffraction_unit(camera: Camera, wavelength: float) -> float:
 
 
 def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float) -> PointSpread:
-    """The point spread in light of one wavelength, nm, through the same lens.
+    """The PSF for light of one wavelength in nm, through the same lens.
 
     Raises
     ------
     SceneError
-        It is not by waves, or diffraction is far finer than pixels, or far coarser.
+        The PSF is not by waves, or diffraction is far finer or far coarser than pixels.
     """
     from clsco.optics.pupils.diffracted import Diffracted
     from clsco.optics.pupils.traced import Traced
@@ -463,7 +473,7 @@ def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float)
 
 
 def exposure_factor(aperture: Aperture, psf: PointSpread) -> float:
-    """Light of a frame through an aperture, as a part of that through the open circle: 1, or by its area.
+    """Irradiance of a frame relative to an open circular aperture: 1, or the ratio of areas.
 
     Examples
     --------

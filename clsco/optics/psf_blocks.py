@@ -1,5 +1,6 @@
-"""Blocks of the tables of PSF weights: the same intervals at a time, whatever range of radii a table is for, so that a
-weight has the same bits in every table (float64, pure)."""
+"""Blocks of PSF tables: each block always has the same intervals, so that a weight has the same bits in every table
+(float64, pure).
+"""
 
 from __future__ import annotations
 
@@ -29,13 +30,13 @@ class WeightBlock:
     widths : ndarray of int32, (count,)
         Half-widths in px.
     coefficients : ndarray of float32
-        Coefficients of all intervals, one after the other.
+        Coefficients of all intervals, concatenated.
     negative : ndarray of float32
         The same for negative radii of a signed shape, else empty.
     taps : ndarray of float32, (taps, POWERS, count)
         Coefficients of a main table, by tap.
     outlines : ndarray of int32, (count, half-width + 1, 2)
-        Outlines of a main table, see `_outline`; of a ring (.., 4), see `_ring_outline`, and of a general shape
+        Outlines of a main table, see `_outline`; for a ring (.., 4), see `_ring_outline`, and for a general shape
         (count, 2 half-width + 1, 4), see `_column_outline`.
     """
 
@@ -52,16 +53,16 @@ class WeightBlock:
 
 
 def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock:
-    """The block that begins with an interval.
+    """The block that begins at interval `first`.
 
     Parameters
     ----------
     psf : PointSpread
-        No sampled disc, whose one weight per interval needs no block.
+        Not a sampled disc, which has one weight per interval and needs no block.
     first : int
         A multiple of `block_intervals`.
     subpixel : int
-        Sub-pixel sources per axis of a table for these, else 0.
+        Sub-pixel sources per axis for a table of these, else 0.
 
     Returns
     -------
@@ -69,7 +70,7 @@ def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock
 
     Notes
     -----
-    A weight at the radii of NODES gives a cubic in the position within an interval. Validated against
+    Weights at the radii of NODES determine a cubic in the position within an interval. Validated against
     `PointSpread.weights` (tests/optics/test_point_spread.py).
     """
     span = range(first, first + block_intervals(psf, subpixel > 0))
@@ -107,7 +108,9 @@ def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
 
 
 def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
-    """Whole rows, for radii and for negative ones, whose blur is mirrored in its center; of those that a PSF has."""
+    """Block of a general shape: whole rows, for positive and for negative radii (whose blur is mirrored in its center),
+    as far as the PSF needs them.
+    """
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
     found: tuple[list[NDArray[np.float32]], ...] = ([], [])
@@ -137,7 +140,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
 
 
 def _separable(psf: PointSpread, span: range) -> WeightBlock:
-    """A Gaussian by one of its axes."""
+    """Block of a Gaussian, for one of its axes."""
     widths, rows = half_widths(psf, span, False), list[NDArray[np.float32]]()
     sides = np.zeros((int(widths[-1]) + 1, POWERS, len(span)), np.float32)
     for number, radii, half_width in _runs(psf, span, False):
@@ -157,7 +160,7 @@ def _none() -> NDArray[np.float32]:
 
 
 def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, Array, int]]:
-    """Intervals of one half-width in px, at most RUN at a time: number of the first, radii at NODES, half-width."""
+    """Runs of at most RUN intervals with the same half-width: number of the first, radii at NODES, half-width in px."""
     first = 0
     for half_width, of_same in groupby(half_widths(psf, span, subpixel).tolist()):
         end = first + len(list(of_same))
@@ -178,10 +181,10 @@ def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
 
 
 def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Outline of the weights of an interval, and of the part where they are all the same: int32 (half-width + 1, 2).
+    """Outline of an interval's weights, and of the part where they are all equal: int32 (half-width + 1, 2).
 
-    block: coefficients (|dy|, powers, |dx|). Of the column |dx| = n: the first |dy| whose weight is not the one in the
-    middle, where those of all columns nearer the middle are, too, and the last |dy| with a weight above 0.
+    block: coefficients (|dy|, powers, |dx|). For the column |dx| = n: the first |dy| whose weight, in this or a column
+    nearer the middle, differs from the middle one; and the last |dy| with a positive weight.
     """
     same = (block == block[:1, :, :1]).all(axis=1)
     first = np.where(same.all(axis=0), len(same), same.argmin(axis=0))
@@ -192,16 +195,16 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
 
 
 def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]:
-    """Taps (dy, dx) all of which is open at all radii of an interval: `values` (radii, dy, dx)."""
+    """Mask (dy, dx) of taps that are fully covered at all radii of an interval: `values` (radii, dy, dx)."""
     whole = 1.0 / (np.pi * psf.pupil.light * radii * radii)
     return np.asarray((np.abs(values / whole[:, None, None] - 1.0) < SAME).all(axis=0))
 
 
 def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Outline of the weights of an interval of a general shape: int32 (columns, 4).
+    """Outline of an interval's weights for a general shape: int32 (columns, 4).
 
-    values (radii, dy, dx); is_open (dy, dx). Of each column the first and the last dy with a weight above 0, and of its
-    longest run of open taps the first one and the one after the last.
+    values (radii, dy, dx); is_open (dy, dx). For each column the first and the last dy with a positive weight, and the
+    first and the end of its longest run of open taps.
     """
     lit, count = np.asarray((values > 0.0).any(axis=0)), len(is_open)
     place, half_width = np.arange(count)[:, None], count // 2
@@ -215,10 +218,10 @@ def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int
 
 
 def _ring_outline(block: NDArray[np.float32], is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Outline of the weights of an interval of a ring: int32 (half-width + 1, 4).
+    """Outline of an interval's weights for a ring: int32 (half-width + 1, 4).
 
-    block: coefficients (|dy|, powers, |dx|); is_open (|dy|, |dx|). Of the column |dx| = n: the first and the last |dy|
-    with a weight above 0, and the first one of those between the rims and the one after the last.
+    block: coefficients (|dy|, powers, |dx|); is_open (|dy|, |dx|). For the column |dx| = n: the first and the last |dy|
+    with a positive weight, and the first and the end of the taps fully inside the ring.
     """
     lit, count = (block != 0).any(axis=1), len(block)
     last = np.where(lit.any(axis=0), count - 1 - lit[::-1].argmax(axis=0), -1)
@@ -237,9 +240,9 @@ def _main_rows(psf: PointSpread, radii: Array, half_width: int) -> Array:
 
 
 def _subpixel_rows(psf: PointSpread, radii: Array, half_width: int, samples: int) -> Array:
-    """Weights (radii, rows, dx) of point sources: for each offset oy >= 0 and each ox, rows dy = -half..half.
+    """Weights (radii, rows, dx) of point sources: rows dy = -half..half for each offset oy >= 0 and each ox.
 
-    Computed for 0 <= ox <= oy only: the others are the same, mirrored or with the axes swapped.
+    Only 0 <= ox <= oy is computed: the others follow by mirroring or swapping the axes.
     """
     span = np.arange(-half_width, half_width + 1, dtype=float)
     offsets = subpixel_offsets(samples)[samples // 2 :]

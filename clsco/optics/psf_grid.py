@@ -1,4 +1,4 @@
-"""Intervals of the tables of PSF weights: from a blur radius to a coordinate, and back (float64, pure)."""
+"""Intervals of PSF tables: conversion between blur radius and table coordinate (float64, pure)."""
 
 from __future__ import annotations
 
@@ -33,12 +33,14 @@ BLOCK = 64  # intervals of a sampled Gaussian, or of waves, that are computed to
 
 
 def sampled_steps(psf: PointSpread) -> tuple[int, int]:
-    """Intervals per unit of dx^2 + dy^2 at first, and up to how many units; 1 per unit beyond (sampled PSFs)."""
+    """For sampled PSFs: intervals per unit of dx^2 + dy^2 at first, and the number of units with these; 1 per unit
+    beyond.
+    """
     return (1, 0) if psf.uniform else (FINE_STEPS, FINE_UNTIL)
 
 
 def table_steps(psf: PointSpread, subpixel: bool) -> int:
-    """Intervals of a table that is indexed by the radius, per octave, or by waves per px."""
+    """Intervals per octave of the radius, or for waves per px."""
     if psf.diffracted:
         return psf.pupil.steps
     if psf.edge == "area" and not subpixel:
@@ -49,10 +51,10 @@ def table_steps(psf: PointSpread, subpixel: bool) -> int:
 
 
 def octaves_from(psf: PointSpread) -> float:
-    """Inverse of the offset of the radii of a table, 1 / px; a float32.
+    """Inverse offset of the radii of a table, 1 / px; a float32.
 
-    For a Gaussian OFFSET, or less, of its extent: pixel edges are at multiples of 1 / alignment px from sub-pixel
-    sources, and where the cut touches one an interval has to begin.
+    For a Gaussian, OFFSET or less of its extent: for sub-pixel sources pixel edges are at multiples of 1 / alignment
+    px, and an interval must begin where the cut reaches one.
     """
     if not psf.alignment:
         return 1.0 / OFFSET
@@ -60,7 +62,7 @@ def octaves_from(psf: PointSpread) -> float:
 
 
 def table_coordinate(psf: PointSpread, radius: Array, subpixel: bool = False) -> Array:
-    """Coordinate u of a blur radius in px: its integer part names the interval of the table."""
+    """Coordinate u of a blur radius in px; its integer part is the number of the table's interval."""
     r = np.abs(np.asarray(radius, dtype=np.float64))
     if psf.edge == "sampled" and not subpixel:
         key = np.where(r < MINIMUM_BLUR, 0.0, psf.key * r * r)
@@ -84,13 +86,13 @@ def table_radius(psf: PointSpread, coordinate: Array, subpixel: bool) -> Array:
 
 
 def _sampled_reach(psf: PointSpread, coordinate: Array) -> Array:
-    """dx^2 + dy^2 up to which pixel centers are covered, from the coordinate of a sampled PSF."""
+    """Largest dx^2 + dy^2 of covered pixel centers, from the coordinate of a sampled PSF."""
     steps, until = sampled_steps(psf)
     return np.where(coordinate < until * steps, coordinate / steps, until + coordinate - until * steps)
 
 
 def half_widths(psf: PointSpread, span: range, subpixel: bool) -> NDArray[np.int64]:
-    """Half-widths in px of the stencils of a span of intervals; a sampled PSF has about R^2 intervals."""
+    """Half-widths in px of the stencils of a range of intervals; a sampled PSF has about R^2 intervals."""
     if psf.edge == "sampled" and not subpixel:
         return np.floor(np.sqrt(_sampled_reach(psf, np.array(span)))).astype(np.int64)
     return psf.reaches(table_radius(psf, np.array(span) + 1.0, subpixel), subpixel)
@@ -103,8 +105,9 @@ def half_width(psf: PointSpread, index: int, subpixel: bool) -> int:
 
 
 def block_intervals(psf: PointSpread, subpixel: bool) -> int:
-    """Intervals of a table that are computed together: half an octave, of sub-pixel sources a quarter, BLOCK, or by
-    Fourier transforms a px."""
+    """Number of intervals computed together: half an octave, or a quarter for sub-pixel sources; BLOCK, or a px for
+    Fourier transforms.
+    """
     if psf.diffracted and psf.layout == "general":
         return max(table_steps(psf, subpixel), TAP_LANES)
     by_numbers = (psf.edge == "sampled" and not subpixel) or psf.diffracted
@@ -113,10 +116,10 @@ def block_intervals(psf: PointSpread, subpixel: bool) -> int:
 
 @lru_cache(maxsize=256)
 def span_of(psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> range:
-    """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their TAP_LANES.
+    """Intervals for |blur radii| from smallest to largest px, extended downwards to whole TAP_LANES.
 
-    So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums depends;
-    general shapes that waves or aberrations spread have no windows.
+    Thus windows of intervals begin at the same intervals for every smallest radius, which fixes the order of sums;
+    general shapes spread by waves or aberrations have no windows.
     """
     first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
     step = 1 if psf.diffracted and psf.layout == "general" else TAP_LANES
@@ -130,10 +133,10 @@ def table_reach(psf: PointSpread, largest: float, subpixel: bool = False) -> int
 
 
 def octant_taps(reach: int) -> int:
-    """Taps a >= b >= 0 up to `reach` px along the axes."""
+    """Number of taps a >= b >= 0 up to `reach` px along the axes."""
     return (reach + 1) * (reach + 2) // 2
 
 
 def row_lanes(half_width: Widths) -> Widths:
-    """Floats of a row of weights: whole vectors."""
+    """Floats of a row of weights, rounded up to whole vectors."""
     return -(-(2 * half_width + 1) // TAP_LANES) * TAP_LANES

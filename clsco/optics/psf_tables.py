@@ -1,4 +1,4 @@
-"""Tables of PSF weights over the blur radius: piecewise cubics, in the layout that kernels read (float64, pure)."""
+"""Tables of PSF weights over the blur radius, as piecewise cubics in the layout that kernels read (float64, pure)."""
 
 from __future__ import annotations
 
@@ -35,32 +35,28 @@ Join = Callable[[list[NDArray[np.float32]]], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class PsfTable:
-    """Weights over a range of blur radii as piecewise cubics, in the layout that the kernels read.
+    """Weights for a range of blur radii as piecewise cubics, in the layout that kernels read.
 
     A source of radius R has the coordinate u (see `clsco.optics.psf_grid.table_coordinate`), interval floor(u) and
-    position t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
-    intervals: int32 (count, 2): start in `coefficients`, half-width in px.
-    coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or
-    rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. Of a general shape all rows of
-    either, for all S x S offsets.
-    first: the interval that `intervals` begins with; count: how many there are, and of a signed shape so many again, of
-    the negative radii, whose coordinates are larger by count, or the same ones (`PointSpread.side`). low, end: of these
-    intervals, those that hold the radii that the table was asked for, to which others are clamped; reach: their largest
-    half-width.
-    taps, outlines: of a main table, else empty. taps: the same weights once more, float32
-    (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b
-    or, of what is separable, of those along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th
-    one on; zeros beyond the reach of an interval, and after the last one; of a ring before them the weight between its
-    rims. outlines: int32, (count, reach + 1, 2), see `clsco.optics.psf_blocks._outline`, or of a ring (.., 4), see
-    `clsco.optics.psf_blocks._ring_outline`, but for what is separable. Of a general shape, unless waves spread it, taps
-    (.., POWERS, WIDE_LANES) are for each such window first the weight of runs, and then the weights of all dx from the
-    left and in each of these all dy, as far as the window's widest interval reaches; outlines (.., 4) those of
-    `_shared_outlines` for each interval and dx, and after them for each window where it begins in taps, and how many dy
-    it has. Of a sampled disc coefficients and taps have the
-    one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded
-    down.
-    stride: coefficients of each place of a field (`PointSpread.places`), which lie one after the other.
-    place: what the table is kept as; one that is made for more radii takes the place of an earlier one.
+    position t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)). intervals: int32 (count, 2): start
+    in `coefficients`, half-width in px. coefficients: float32, per interval rows of (POWERS, lanes): row |dy| =
+    0..half-width (a main table), or rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source.
+    For a general shape all rows, for all S x S offsets. first: number of the first interval; count: number of
+    intervals; a signed shape has as many again for negative radii, whose coordinates are larger by count, unless it has
+    one sign (`PointSpread.side`). low, end: intervals of the radii that the table was made for; others are clamped to
+    these; reach: largest half-width among them. taps, outlines: of a main table, else empty. taps: the same weights
+    again, float32 (taps, count / TAP_LANES, POWERS, WIDE_LANES): for the octant's taps a >= b >= 0 in the order of a (a
+    + 1) / 2 + b, or for a separable shape those along an axis, the coefficients of WIDE_LANES intervals from every
+    TAP_LANES-th one on; zeros beyond an interval's reach, and after the last one; for a ring preceded by the weight
+    inside the ring. outlines: int32, (count, reach + 1, 2), see `clsco.optics.psf_blocks._outline`, or for a ring (..,
+    4), see `clsco.optics.psf_blocks._ring_outline`; none for a separable shape. For a general shape, unless spread by
+    waves, taps (.., POWERS, WIDE_LANES) hold for each such window first the weight of runs, then the weights of all dx
+    from the left and for each all dy, as far as the window's widest interval reaches; outlines (.., 4) are
+    `_shared_outlines` for each interval and dx, followed for each window by its start in taps and its number of dy. For
+    a sampled disc, coefficients and taps hold the one weight of each interval, and outlines the square roots of 0, 1,
+    ... up to the last interval's number, rounded down. stride: coefficients per position of a field
+    (`PointSpread.places`); positions are concatenated. place: cache key; a table for more radii replaces an earlier one
+    under it.
     """
 
     first: int
@@ -77,7 +73,7 @@ class PsfTable:
 
 
 def psf_features(psf: PointSpread) -> dict[str, int]:
-    """Features that programs are compiled for: the kind of a PSF; EDGES is the number of edges of its lens mask."""
+    """Compile-time features for a PSF: its kind; EDGES is the number of edges of its lens mask."""
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
     found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
     found |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
@@ -88,12 +84,12 @@ def psf_features(psf: PointSpread) -> dict[str, int]:
 
 @lru_cache(maxsize=256)
 def table_sizes(psf: PointSpread, smallest: float, largest: float, subpixel: int = 0) -> Mapping[str, int]:
-    """Bytes of each array of `psf_table` of the same arguments, by its name."""
+    """Bytes of each array of `psf_table` with the same arguments, by name."""
     return span_sizes(psf, rounded_span(psf, smallest, largest, subpixel), subpixel)
 
 
 def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
-    """Bytes of each array of `table_of` of the same arguments, by its name."""
+    """Bytes of each array of `table_of` with the same arguments, by name."""
     if psf.layout == "disc" and not subpixel:
         each = 4 * len(span)
         return {"intervals": 2 * each, "coefficients": each, "taps": each, "outlines": 4 * span.stop}
@@ -121,13 +117,14 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
 
 
 def table_bytes(psf: PointSpread, smallest: float, largest: float, subpixel: int = 0) -> int:
-    """Size of `psf_table` of the same arguments."""
+    """Size in bytes of `psf_table` with the same arguments."""
     return sum(table_sizes(psf, smallest, largest, subpixel).values())
 
 
 def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes: int, occluded: bool) -> None:
-    """Raise SceneError where the tables for |blur radii| in [smallest, largest] px, and the means of rays where some
-    are `occluded` (`clsco.optics.ray_means`), take more than LARGEST_TABLES."""
+    """Raise SceneError if tables for |blur radii| within [smallest, largest] px, and ray means if some are `occluded`
+    (`clsco.optics.ray_means`), exceed LARGEST_TABLES.
+    """
     size = table_bytes(psf, smallest, largest)
     size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     means = 4 * ray_floats(psf, largest) if occluded and has_ray_means(psf) else 0
@@ -153,8 +150,8 @@ def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes:
 def rounded_span(psf: PointSpread, smallest: float, largest: float, subpixel: int) -> range:
     """Intervals of a table for |blur radii| from smallest to largest px.
 
-    Whole blocks of them (`block_intervals`), so that a few tables serve all ranges; just those that are needed of a
-    sampled disc, and where the blocks take more than SHARED_BYTES.
+    Rounded to whole blocks (`block_intervals`), so that a few tables serve all ranges; not rounded for a sampled disc,
+    and if the blocks exceed SHARED_BYTES.
     """
     span = span_of(psf, smallest, largest, subpixel > 0)
     if psf.layout == "disc" and not subpixel:
@@ -175,9 +172,9 @@ def psf_table(
     smallest, largest : float
         px.
     subpixel : int
-        Sub-pixel sources per axis of a table for these, else 0.
+        Sub-pixel sources per axis for a table of these, else 0.
     blocks : callable
-        Gives the blocks that the table is made of.
+        Returns the blocks that make up the table.
 
     Returns
     -------
@@ -188,7 +185,7 @@ def psf_table(
 
 
 def narrowed(table: PsfTable, psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> PsfTable:
-    """A table for fewer radii, with the same arrays."""
+    """A table for fewer radii that shares the arrays."""
     span = span_of(psf, smallest, largest, subpixel)
     return replace(table, low=span.start, end=span.stop, reach=half_width(psf, span[-1], subpixel))
 
@@ -196,8 +193,9 @@ def narrowed(table: PsfTable, psf: PointSpread, smallest: float, largest: float,
 def table_of(
     psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = weight_block, join: Join = np.concatenate
 ) -> PsfTable:  # fmt: skip
-    """The table of intervals, from the first to the last of some TAP_LANES; see `psf_table`. join: of coefficients,
-    which are most of a table."""
+    """The table of a range of intervals, rounded to whole TAP_LANES; see `psf_table`. join: concatenates the
+    coefficients, most of a table.
+    """
     if psf.varying is not None:
         each = [table_of(place, span, subpixel, blocks) for place in psf.places]
         joined = join([table.coefficients for table in each])
@@ -226,7 +224,7 @@ def table_of(
 
 
 def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixel: int) -> WeightBlock:
-    """The intervals of a block that lie in a span; `start`: its first one."""
+    """The intervals of a block that are in a span; start: first interval of the block."""
     first, end = max(span.start - start, 0), min(span.stop - start, len(block.widths))
     if (first, end) == (0, len(block.widths)):
         return block
@@ -253,7 +251,7 @@ def _tap_count(psf: PointSpread, widest: int) -> int:
 
 
 def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -> NDArray[np.int64]:
-    """Coefficients of intervals by their half-widths."""
+    """Number of coefficients of intervals with these half-widths."""
     row, rows = POWERS * row_lanes(widths), 2 * widths + 1
     if psf.layout == "general":
         return row * rows * max(subpixel, 1) ** 2
@@ -263,7 +261,9 @@ def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -
 
 
 def _joined_taps(found: list[WeightBlock]) -> NDArray[np.float32]:
-    """Coefficients by tap, in windows of WIDE_LANES, TAP_LANES apart: axis 1 of four; zeros beyond a block's taps."""
+    """Coefficients by tap, in windows of WIDE_LANES intervals every TAP_LANES (axis 1 of four); zeros beyond a block's
+    taps.
+    """
     most, count = max(len(block.taps) for block in found), sum(block.taps.shape[2] for block in found)
     if not count:
         return np.zeros(0, np.float32)
@@ -277,14 +277,15 @@ def _joined_taps(found: list[WeightBlock]) -> NDArray[np.float32]:
 
 
 def _window_sides(widths: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Taps along an axis of windows of WIDE_LANES intervals of a general shape, TAP_LANES apart."""
+    """Taps along an axis for windows of WIDE_LANES intervals every TAP_LANES, for a general shape."""
     last = np.minimum(np.arange(0, len(widths), TAP_LANES) + WIDE_LANES, len(widths)) - 1
     return 2 * widths[last].astype(np.int64) + 1
 
 
 def _windows(found: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Coefficients by tap of each window of intervals of a general shape, and outlines with the places of windows, see
-    `PsfTable`."""
+    """Coefficients by tap of each window of intervals of a general shape, and outlines followed by the starts of
+    windows, see `PsfTable`.
+    """
     widths = np.concatenate([block.widths for block in found]).astype(np.int64)
     sides, outlines = _window_sides(widths), _centered_outlines(found, int(widths[-1]))
     places = np.concatenate([[0], np.cumsum(sides * sides + 1)])
@@ -317,8 +318,9 @@ def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32
 
 
 def _centered_outlines(found: list[WeightBlock], widest: int) -> NDArray[np.int32]:
-    """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape, of which columns without light
-    have none."""
+    """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape; unlit columns have empty
+    ones.
+    """
     joined = np.zeros((sum(len(block.outlines) for block in found), 2 * widest + 1, OUTLINE_RUN), np.int32)
     joined[..., 1] = -1
     start = 0
@@ -330,8 +332,9 @@ def _centered_outlines(found: list[WeightBlock], widest: int) -> NDArray[np.int3
 
 
 def _shared_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Outlines of intervals that hold for WIDE_LANES of them: of each the light of those up to it, and the part of a
-    run that those from it on share."""
+    """Outlines valid for WIDE_LANES intervals: for each, the union of lit taps up to it, and the intersection of runs
+    from it on.
+    """
     far = np.int32(2**30)
     dark, closed = outlines[..., 1] < outlines[..., 0], outlines[..., 3] <= outlines[..., 2]
     first, start = (np.where(none, far, outlines[..., k]) for none, k in ((dark, 0), (closed, 2)))
@@ -346,7 +349,7 @@ def _shared_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _joined_outlines(found: list[WeightBlock]) -> NDArray[np.int32]:
-    """Outlines of all intervals, with nothing beyond those of a block."""
+    """Outlines of all intervals, empty beyond those of a block."""
     most = max(block.outlines.shape[1] for block in found)
     if not most:
         return np.zeros(0, np.int32)
@@ -360,7 +363,7 @@ def _joined_outlines(found: list[WeightBlock]) -> NDArray[np.int32]:
 
 
 def _disc_table(psf: PointSpread, span: range) -> PsfTable:
-    """Table of a sampled disc: an interval for every whole number n that R^2 exceeds."""
+    """Table of a sampled disc, with an interval for every integer below R^2."""
     widths = np.floor(np.sqrt(span)).astype(np.int32)
     intervals = np.stack([np.arange(len(span)), widths], axis=1).astype(np.int32)
     center = np.zeros(1)
@@ -372,12 +375,12 @@ def _disc_table(psf: PointSpread, span: range) -> PsfTable:
 
 
 def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[np.float32]:
-    """Weights of a source as a device reads them from a main table.
+    """Weights of a source, as a device reads them from a main table.
 
     Parameters
     ----------
     table : PsfTable
-        Table by `psf_table` for a range with this |blur radius|, without sub-pixel sources.
+        Table from `psf_table` for a range that includes this |blur radius|, without sub-pixel sources.
     psf : PointSpread
     radius : float
         Signed blur radius, px.
@@ -385,7 +388,8 @@ def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[n
     Returns
     -------
     ndarray of float32, (2 h + 1, 2 h + 1)
-        Weights of the pixels from h rows above to h below, and from h columns left to h right of the source.
+        Weights of the pixels from h rows above to h rows below the source, and from h columns left to h columns right
+        of it.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""Shapes as canonical quadrics, placed before the camera by a pose (float64, pure).
+"""Shapes as canonical quadrics, placed in front of the camera by a pose (float64, pure).
 
-Every shape is the zero set of  sum q_i X_i^2 + 2 sum l_i X_i - k  in a canonical frame of its own, along its principal
-axes. One ray-surface solution serves all of them, in a form without cancellation (Lagrange's identity, see
-`solve_quadric` in kernels/common/geometry.clh).
+Every shape is the zero set of sum q_i X_i^2 + 2 sum l_i X_i - k in its canonical frame, along its principal axes. One
+ray-surface solution serves all shapes, in a form without cancellation (Lagrange's identity, see `solve_quadric` in
+kernels/common/geometry.clh).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Canonical:
     nappe : int
         Sign that the third canonical coordinate must have, 0 for either.
     radius : float
-        Radius of a disc about the third axis, which cuts the plane that the surface is then; mm.
+        Radius in mm of a disc about the third axis, for a plane that is cut to it.
     """
 
     q: Vector
@@ -67,7 +67,7 @@ class Canonical:
 
 @dataclass(frozen=True)
 class Extent:
-    """Bounds of an object's visible part: slopes (x, y) of rays, low and high, and inverse depths w in 1/mm."""
+    """Bounds of an object's visible part: low and high slopes (x, y) of rays, and inverse depths w in 1/mm."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -79,7 +79,7 @@ EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
 
 @dataclass(frozen=True)
 class PlacedSurface:
-    """A surface at one time in the camera's frame: a ray d has X = offset + Z turn d.
+    """A surface at one time in the camera's frame: the point at depth Z on ray d has X = offset + Z turn d.
 
     Attributes
     ----------
@@ -88,21 +88,22 @@ class PlacedSurface:
     offset : ndarray of float64, (3,)
         Camera to canonical frame, mm.
     body_turn, body_offset
-        Camera to the axes of the camera in the reference pose, about the object's center: the way back to that pose.
+        From the camera's frame to its axes in the reference pose, about the object's center: maps points back to that
+        pose.
     own_turn, own_offset
-        Camera to object's own frame, for bounds: the same without a static rotation.
+        From the camera's frame to the object's own frame, for bounds: the same without a static rotation.
     rest : ndarray of float64, (3,)
         Center in the reference pose, mm.
     constant : float
         The quadric's value at the lens center.
     ball : ndarray of float64, (4,)
-        Center x, y, z and radius of a ball around the surface before the camera, mm; the radius is infinite where there
-        is none.
+        Center x, y, z and radius of a ball around the part of the surface in front of the camera, mm; infinite radius
+        without one.
     seen : Extent
         Bounds of the surface in the image and in depth.
     width : float
-        About how wide the image is across its longest way, a slope of rays; infinite of surfaces without an end; below
-        0 where it is another at each place, between two lines, as of cylinders and cones.
+        Approximate width of the image across its longest direction, as a slope of rays; infinite for unbounded
+        surfaces; negative if it varies between two lines, as for cylinders and cones.
     """
 
     canonical: Canonical
@@ -120,7 +121,7 @@ class PlacedSurface:
 
 
 def _axes_along(axis: Vector) -> NDArray[np.float64]:
-    """Right-handed orthonormal rows whose third row is along `axis`."""
+    """Right-handed orthonormal rows, the third along `axis`."""
     third = axis / np.linalg.norm(axis)
     helper = np.eye(3)[int(np.argmin(np.abs(third)))]
     first = np.cross(helper, third)
@@ -129,8 +130,9 @@ def _axes_along(axis: Vector) -> NDArray[np.float64]:
 
 
 def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Canonical:
-    """Coefficients of 3.39 in principal axes; the origin moves by at most `farthest` mm to make l_i 0, and onto a
-    plane, so that planes have no k, as visibility tests expect."""
+    """Coefficients of 3.39 in principal axes; the origin is shifted by at most `farthest` mm to make l_i 0, and onto a
+    plane, so that planes have no k, as visibility tests expect.
+    """
     xx, yy, zz, xy, yz, zx, x, y, z, constant = coefficients
     matrix = np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])
     linear = np.array([x, y, z]) / 2
@@ -163,8 +165,8 @@ def canonical(item: Object) -> Canonical:
 
     Notes
     -----
-    Coefficients are scaled to the size of the shape where that is free, so that neither 1e-6 nor 1e9 mm leaves the
-    range of float32.
+    Coefficients are scaled to the size of the shape if their scale is free, so that sizes from 1e-6 to 1e9 mm stay in
+    the range of float32.
     """
     still, zero = np.eye(3), np.zeros(3)
     if isinstance(item, Plane):
@@ -198,7 +200,7 @@ def canonical(item: Object) -> Canonical:
 
 
 def cutting_bounds(item: Object) -> Bounds | None:
-    """Bounds of an object that cut its surface: all that rays and visibility tests know of them.
+    """Bounds of an object that really cut its surface; rays and visibility tests use only these.
 
     Parameters
     ----------
@@ -208,7 +210,7 @@ def cutting_bounds(item: Object) -> Bounds | None:
     Returns
     -------
     tuple of three (low, high), or None
-        mm, in the object's own frame; infinite where the surface touches the bound at most. None if nothing cuts it.
+        mm, in the object's own frame; infinite for a bound that the surface at most touches. None if no bound cuts it.
     """
     if item.bounds is None:
         return None
@@ -253,16 +255,18 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
 
 
 def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
-    """Symmetric matrix M (3, 3) of the discriminant r M r of a curved surface along rays r, whose sign is that of a
-    hit: its outline in the image is the conic r M r = 0."""
+    """Symmetric matrix M (3, 3) of the discriminant r M r of a curved surface along rays r, whose sign tells if a ray
+    hits: its outline in the image is the conic r M r = 0.
+    """
     gradient = (surface.canonical.q * surface.offset + surface.canonical.l) @ surface.turn
     square = surface.turn.T @ (surface.canonical.q[:, None] * surface.turn)
     return np.asarray(np.outer(gradient, gradient) - surface.constant * square)
 
 
 def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector, Vector]:
-    """Distances of rays of slopes x and y (any one shape) from the middle of the pair of lines that are the outline of
-    a cylinder or a cone, about, and half of the width between the lines there; infinite where these are far apart."""
+    """For rays of slopes x and y (any one shape): approximate distance from the midline of the two lines that outline a
+    cylinder or a cone, and half of the distance between the lines there; infinite where it is large.
+    """
     form = outline_form(surface)
     bend = -float(form[0, 0] + form[1, 1])
     if not bend > 0.0:
@@ -273,8 +277,9 @@ def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector,
 
 
 def _width(item: Object, surface: PlacedSurface) -> float:
-    """See `PlacedSurface.width`: an area A at depth Z on a plane that the lens is so far from, mm, has the image
-    A distance / Z^3, which is no longer than that of the ball."""
+    """Value of `PlacedSurface.width`: an area A at depth Z in a plane at `distance` mm from the lens has an image of
+    area A distance / Z^3, no longer than that of the ball.
+    """
     depth, radius = surface.ball[2:].tolist()
     whole = 2.0 * radius / depth if depth > radius else inf
     shape = surface.canonical
@@ -294,7 +299,7 @@ def _width(item: Object, surface: PlacedSurface) -> float:
 
 
 def _ball(item: Object, pose: Pose) -> Vector:
-    """See `PlacedSurface.ball`."""
+    """Value of `PlacedSurface.ball`."""
     balls: list[tuple[Vector, float]] = []
     if isinstance(item, Sphere):
         balls.append((np.zeros(3), item.radius))
@@ -312,7 +317,7 @@ def _ball(item: Object, pose: Pose) -> Vector:
 
 
 def _seen(x: float, y: float, z: float, radius: float) -> Extent:
-    """Extent of a ball; everywhere if the lens is in it."""
+    """Extent of a ball; unbounded if the lens is inside it."""
     if z - radius <= 1e-3 * radius:
         return EVERYWHERE
 
@@ -324,7 +329,7 @@ def _seen(x: float, y: float, z: float, radius: float) -> Extent:
 
 
 def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
-    """Signed blur radius in px where the axis of a lens meets a plane."""
+    """Signed blur radius in px of the point where a lens's axis meets a plane."""
     inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
     return float(lens.blur_radius(inverse_depth))
 
@@ -332,7 +337,7 @@ def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
 def predict_inverse_depth(
     item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Inverse depth along rays (x, y, 1), for the plan's predictions only.
+    """Inverse depth along rays (x, y, 1), only for the plan's predictions.
 
     Parameters
     ----------
@@ -344,11 +349,11 @@ def predict_inverse_depth(
     Returns
     -------
     ndarray of float64
-        1/mm, 0 where a ray misses.
+        1/mm, 0 if a ray misses.
 
     Notes
     -----
-    The textbook formula in float64; images are made by `solve_quadric`.
+    The textbook formula in float64; renders use `solve_quadric`.
     """
     rays, shape, bounds = np.stack([x, y, np.ones_like(x)]), surface.canonical, cutting_bounds(item)
     d = np.tensordot(surface.turn, rays, axes=1)

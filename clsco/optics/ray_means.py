@@ -1,11 +1,11 @@
-"""Means and variances of lens points of the light that pixels get of a source: where wide lenses are tested for what
-hides them, if light from a lens point l does not arrive at R l alone, or the rim is neither a circle nor straight edges
-(float64, pure).
+"""Means and variances of lens points over the light that a pixel receives from a source; needed for visibility tests of
+wide lenses if light from a lens point l does not only arrive at R l, or the aperture's edge is neither a circle nor
+straight (float64, pure).
 
-A ray through l arrives at R l + 2 grad W px from its source (`clsco.optics.pupils.wavefront`). Of all rays that a pixel
-gets from a source the mean of l stands for the place in the lens that it sees the source through, and their variance
-for how soft an edge there looks. Where rays are bent, light from several places in the lens may meet in a pixel, and
-where in the source it comes from does not follow from l: of each of two sheets of rays there are these as well.
+A ray through l arrives R l + 2 grad W px from its source (`clsco.optics.pupils.wavefront`). For all rays from a source
+to a pixel, the mean of l is the part of the lens through which the pixel sees the source, and the variance gives the
+softness of an edge there. With wavefront errors, light from several parts of the lens may meet in a pixel, and its
+origin within the source does not follow from l: then there are means for each of two sheets of rays.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ class RayMeans:
     Attributes
     ----------
     first : int
-        Radius that the first ones are for, by `step_of`; negative radii come first.
+        Number, by `step_of`, of the first radius; negative radii come first.
     half_width : int
-        Farthest pixel from the source, px along an axis.
+        Farthest pixel from the source along an axis, px.
     scales : ndarray, (places, radii)
-        px per lens radius of the blur, by its second moments, without a sign; of each place of the field.
+        px per lens radius of the blur, from its second moments, unsigned; for each position of the field.
     means : ndarray, (places, radii, planes, rows, pitch)
-        x and y of lens points, in radii of the lens, and xx, xy and yy of the identity less their covariance over that
-        of a tent, at the scale; row and column from the source, the rest of a row is 0. Where rays are bent, the part
-        of the light that is on the second sheet; then of each sheet, times its part, these, twice the mean place x, y
-        in the source, px, and xx, xy, yy of that place's covariance with the lens point, added to its transpose, over
-        the same, times the scale.
+        x and y of lens points, in lens radii, and xx, xy and yy of the identity minus their covariance divided by that
+        of a tent, at the scale; row and column relative to the source; rows are padded with 0. With bent rays: the
+        fraction of the light on the second sheet; then for each sheet, times its fraction, the same numbers, twice the
+        mean origin x, y in the source in px, and xx, xy, yy of the covariance of origin and lens point, plus its
+        transpose, divided by the same, times the scale.
     """
 
     first: int
@@ -62,8 +62,9 @@ class RayMeans:
     means: Array
 
     def floats(self) -> NDArray[np.float32]:
-        """As kernels read it: first, radii, half-width, pitch; then of each place and radius its scale and, after
-        TAP_LANES floats, its means."""
+        """Layout for kernels: first, radii, half-width, pitch; then for each position and radius its scale and, after
+        TAP_LANES floats, its means.
+        """
         places, radii, _, _, pitch = self.means.shape
         head = np.zeros(TAP_LANES)
         head[:4] = self.first, radii, self.half_width, pitch
@@ -72,8 +73,9 @@ class RayMeans:
         return np.concatenate([head, each.ravel(), np.zeros(2 * TAP_LANES)]).astype(np.float32)
 
     def around(self, radius: Array, places: NDArray[np.int64], shares: Array) -> tuple[NDArray[np.int64], Array, Array]:
-        """Means around sources of signed radii (n,), between places (k, n) of the field with these shares:
-        numbers (n, 2 k) in a list of all, their parts, and scales (n,), signed."""
+        """Means for sources of signed radii (n,) between positions (k, n) of the field with blending factors `shares`:
+        indices (n, 2 k) into a list of all, their fractions, and signed scales (n,).
+        """
         at = np.clip(step_of(radius) - self.first, 0.0, self.means.shape[1] - 1.0)
         number = np.minimum(at.astype(np.int64), self.means.shape[1] - 2)
         first, above = places * self.means.shape[1] + number, at - number
@@ -83,7 +85,7 @@ class RayMeans:
         return numbers, parts, np.where(radius < 0.0, -scale, scale)
 
     def lens_points(self, numbers: NDArray[np.int64], parts: Array, x: Array, y: Array) -> Array:
-        """Numbers (planes, n) of taps x, y (n,) px from sources, by what `around` gives."""
+        """Planes (planes, n) of means at taps x, y (n,) px from sources, given the results of `around`."""
         far, means = self.half_width, self.means.reshape(-1, *self.means.shape[2:])
         left, top = (np.floor(at + ROUNDING) for at in (x, y))
         column, row = (np.clip(at, -far, far - 1).astype(np.int64)[:, None] + far for at in (left, top))
@@ -96,13 +98,13 @@ class RayMeans:
 
 
 def step_of(radius: Array) -> Array:
-    """Place of signed blur radii in px among those that means are for, from 0 on: by the root of wide ones."""
+    """Index, from 0, of signed blur radii in px; the steps grow with the square root of wide radii."""
     size = np.abs(radius)
     return np.copysign(STEPS * np.where(size > EVEN, 2.0 * np.sqrt(EVEN * size) - EVEN, size), radius)
 
 
 def has_ray_means(psf: PointSpread) -> bool:
-    """True if lens points do not follow from places in the blur alone."""
+    """True if lens points do not follow from positions in the blur alone."""
     return psf.pupil.bends_rays or not (psf.diffracted or psf.pupil.has_plain_rim)
 
 
@@ -111,7 +113,7 @@ def _planes(psf: PointSpread) -> int:
 
 
 def ray_floats(psf: PointSpread, largest: float) -> int:
-    """Floats that `RayMeans.floats` gives for |blur radii| up to `largest` px."""
+    """Number of floats in `RayMeans.floats` for |blur radii| up to `largest` px."""
     half_width = _half_width(psf, largest)
     rows, radii = 2 * half_width + 1, len(_steps(psf, largest))
     return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + _planes(psf) * rows * _pitch(half_width))
@@ -138,7 +140,7 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
 
 
 def _steps(psf: PointSpread, largest: float) -> range:
-    """Places of blur radii up to `largest` px, of the signs that `PointSpread.side` leaves, by `step_of`."""
+    """Indices, by `step_of`, of blur radii up to `largest` px with the signs that `PointSpread.side` allows."""
     last = ceil(float(step_of(np.asarray(largest)))) + 1
     return range(-1 if psf.side > 0 else -last, (1 if psf.side < 0 else last) + 1)
 
@@ -152,7 +154,7 @@ def _pitch(half_width: int) -> int:
 
 
 def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int, bent: bool) -> tuple[float, Array]:
-    """Scale of a blur, and numbers (planes, rows, columns), of sources that are pixels: rays light four pixels."""
+    """Scale of a blur, and planes (planes, rows, columns) of means for square sources: each ray lights four pixels."""
     from clsco.optics.pupils.traced import bends, lens_points
 
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
@@ -197,15 +199,16 @@ def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int,
 
 
 def _sums(cells: NDArray[np.int64], light: Array, values: list[Array], count: int) -> Array:
-    """Sums (values, count) by cell of values times light."""
+    """Sums (values, count) per cell of values times light."""
     return np.stack([np.bincount(cells.ravel(), (light * value).ravel(), count) for value in values])
 
 
 def _second_sheet(
     cells: NDArray[np.int64], light: Array, values: list[Array], sums: Array, most: float
 ) -> NDArray[np.bool_]:
-    """Mark rays that are on the second sheet in their cells: where lens points vary by more than `most`, those beyond
-    the mean along the axis along which they vary most, on the side that is farther from the middle of the lens."""
+    """Mask of rays on the second sheet of their cells. If lens points in a cell vary by more than `most`, these are the
+    rays beyond the mean along the axis of largest variance, on the side farther from the lens center.
+    """
     _, x, y, xx, _, yy = values
     at_x, at_y, square_x, product, square_y = sums[1:] / np.where(sums[0] > 0.0, sums[0], 1.0)
     square_x, product, square_y = square_x - at_x * at_x, product - at_x * at_y, square_y - at_y * at_y
@@ -217,7 +220,7 @@ def _second_sheet(
 
 
 def _neighbors(plane: Array) -> Array:
-    """Sum of the pixels around each of a plane, and its own."""
+    """Sum of each pixel of a plane and its neighbors."""
     padded = np.pad(plane, 1)
     rows = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])

@@ -1,4 +1,4 @@
-"""Rays through the pixels of a camera, and places in its image (float64, pure)."""
+"""Rays through the pixels of a camera, and positions in its image (float64, pure)."""
 
 from __future__ import annotations
 
@@ -39,27 +39,30 @@ def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array
 
 
 def slopes_at(camera: Camera, right: ArrayLike, up: ArrayLike) -> tuple[Array, Array]:
-    """Slopes of the rays through places in px right of and above the middle of the image, which broadcast."""
+    """Slopes of the rays through image points given in px right of and above the middle of the image, which
+    broadcast.
+    """
     step, distortion = ray_step(camera), distortion_of(camera)
     x, y = np.broadcast_arrays(*(step * np.asarray(each, dtype=np.float64) for each in (right, up)))
     return (x, y) if distortion is None else distortion.undistorted(x, y)
 
 
 def places_of(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Places in px right of and above the middle of the image of rays of slopes x and y (2.4, 2.5)."""
+    """Positions in px right of and above the middle of the image for rays of slopes x and y (2.4, 2.5)."""
     step, (across, up) = ray_step(camera), image_slopes(camera, x, y)
     return across / step, up / step
 
 
 def image_slopes(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Slopes at which a camera without distortion would see rays of slopes x and y where this one does."""
+    """Slopes that a camera without distortion would image to the same positions as this one images x and y."""
     distortion = distortion_of(camera)
     return (np.asarray(x), np.asarray(y)) if distortion is None else distortion.image(x, y)
 
 
 def ray_changes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Changes of the slopes x and y of a ray per px: of x to the right, of y to the right as of x upwards, of y
-    upwards."""
+    """Derivatives of a ray's slopes x and y per px: of x to the right, of y to the right (equal to x upwards), of y
+    upwards.
+    """
     step, distortion = ray_step(camera), distortion_of(camera)
     if distortion is None:
         return np.full(x.shape, step), np.zeros(x.shape), np.full(x.shape, step)

@@ -1,4 +1,4 @@
-"""Rims before and behind a lens: the circles that points of a scene see its opening through (float64, pure)."""
+"""Rims in front of and behind a lens: circles through which points of a scene see its aperture (float64, pure)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ NODES = 257  # of a frame along each side, between which `frame_throughput` is l
 
 
 def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> tuple[Array, Array, Array]:
-    """Circle that light from points passes a rim within, x, y of its center, right and down, and its radius (N,), in
-    lens radii; infinite for points that lie before the rim.
+    """Circle in lens coordinates inside which light from points passes a rim: x, y of its center, right and down, and
+    its radius (N,), in lens radii; infinite for points in front of the rim.
 
-    A ray to lens point l (of radius D / 2) passes a rim at distance d before the lens at l D/2 (1 - d w) + d slope, and
-    behind it, d < 0, on its way to the detector, at l D/2 (1 + d / s + d R / kappa) + d slope.
+    A ray to lens point l (of radius D / 2) passes a rim at distance d in front of the lens at l D/2 (1 - d w) + d
+    slope, and behind it, d < 0, on its way to the detector, at l D/2 (1 + d / s + d R / kappa) + d slope.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> 
 
 
 def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
-    """Share of the light of the middle of the frame that the lens gives its pixels, by vignetting and rims.
+    """Irradiance of each pixel relative to the middle of the frame, by vignetting and rims.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
 
     Notes
     -----
-    A pixel sees the same of the lens through the rims whatever is before it: its own point in focus. Of frames of more
-    than 257 pixels along a side that is found at so many places, and linear between these: within 1e-3 from where
-    rims cut nothing to where they let nothing through.
+    A pixel sees the same part of the lens through the rims at any depth: that of its own point in focus. In frames of
+    more than 257 pixels along a side it is evaluated at 257 positions and interpolated linearly: within 1e-3, from
+    where rims begin to cut to where they block all light.
     """
     camera = camera_at(scene, time)
     found = throughput(camera, "none" if scene.lens is None else scene.lens.vignetting)
@@ -80,9 +80,9 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
 
 
 def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:
-    """Share (N,) of the light through the opening of a lens that all rims let through; arguments as for `rim_circle`.
+    """Fraction (N,) of the light through the aperture that passes all rims; arguments as for `rim_circle`.
 
-    The area of the opening where it has borders; else summed over cells of the lens, to 0.5 %.
+    By area if the aperture has borders; else by summing over cells of the lens, to 0.5 %.
     """
     found = np.ones(w.shape)
     parts = [slice(start, start + POINTS) for start in range(0, w.size, POINTS)]

@@ -1,6 +1,6 @@
 """Image sensor: electrons, codes and noise of an exposure, by the linear model of EMVA 1288 (float64, pure).
 
-Where random numbers come in, `clsco.reference.sensor` and the kernels have the formulas.
+Formulas with random numbers are in `clsco.reference.sensor` and the kernels.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ MOST_DOUBLINGS = 100.0  # of the dark current, where any pixel is full
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Numbers of a sensor by which the light of an exposure becomes codes.
+    """Numbers of a sensor that convert the irradiance of an exposure to codes.
 
     Attributes
     ----------
     scale : tuple of float
-        Electrons of light of value 1 in red, green, blue, e-.
+        Electrons for irradiance 1 in red, green, blue, e-.
     white : tuple of float
-        Electrons that are 1 in the developed image, e-.
+        Electrons that correspond to 1 in the developed image, e-.
     dark : float
-        Mean electrons of the dark, e-.
+        Mean dark electrons, e-.
     leak : float
-        Most mean electrons that a hot pixel has besides, e-.
+        Largest mean of a hot pixel's additional electrons, e-.
     gain : float
         DN/e-.
     largest : int
@@ -46,9 +46,9 @@ class SensorModel:
     channels : {1, 3}
         Channels of the light.
     filters : tuple of tuple of int
-        For each plane of codes the colors that pixels (0, 0), (0, 1), (1, 0), (1, 1) measure: of a mosaic one plane.
+        For each plane of codes, the colors that pixels (0, 0), (0, 1), (1, 0), (1, 1) measure; a mosaic has one plane.
     sensor : Sensor
-        The rest as the scene has it.
+        The scene's section, for the other parameters.
     """
 
     scale: tuple[float, float, float]
@@ -74,7 +74,7 @@ class SensorModel:
 
 
 def sensor_model(scene: Scene, channels: int) -> SensorModel:
-    """Numbers of the sensor of a scene, which has one, for light of so many channels.
+    """Numbers of the sensor of a scene that has one, for light of `channels` channels.
 
     Parameters
     ----------
@@ -87,10 +87,10 @@ def sensor_model(scene: Scene, channels: int) -> SensorModel:
 
     Notes
     -----
-    Order and notation are those of EMVA 1288: mean electrons white_electrons qe light + i t, with the dark current
-    i = dark_current 2^((temperature - temperature_reference) / temperature_doubling) over the time t that the shutter
-    is open; code gain e + black_level. With iso the light that is 1 makes iso_base / iso as many electrons. A physical
-    exposure has instead t / reference_shutter (reference_f_number / N)^2 as many with N = s0 / D, by whichever iso.
+    Order and notation are those of EMVA 1288: mean electrons white_electrons qe light + i t, with the dark current i =
+    dark_current 2^((temperature - temperature_reference) / temperature_doubling) over the time t that the shutter is
+    open; code gain e + black_level. With iso, irradiance 1 gives iso_base / iso times as many electrons. A physical
+    exposure instead gives t / reference_shutter (reference_f_number / N)^2 times as many, with N = s0 / D, for any iso.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def sensor_model(scene: Scene, channels: int) -> SensorModel:
 
 
 def sensor_values(found: SensorModel) -> dict[str, Any]:
-    """Numbers of a read-out as kernels and the reference take them: fields of sensor_t."""
+    """Numbers of a read-out for kernels and reference: fields of sensor_t."""
     sensor, filters = found.sensor, np.zeros((PLANES, 4), np.int64)
     filters[: len(found.filters)] = found.filters
     return {
@@ -150,17 +150,17 @@ def sensor_values(found: SensorModel) -> dict[str, Any]:
 
 
 def camera_word(frame: int, eye: Eye) -> int:
-    """Word of the counters of random numbers for a frame of a view: both views of a stereo pair differ."""
+    """Word of the random numbers' counters for a frame and view: the views of a stereo pair differ."""
     return 2 * frame + int(eye == "right")
 
 
 def reciprocals_of_counts() -> NDArray[np.float32]:
-    """1 / k from k = 0 on, of which the first is not used, float32 (FEW_ELECTRONS,)."""
+    """1 / k for k = 0, 1, ..., float32 (FEW_ELECTRONS,); the entry for 0 is unused."""
     return (1.0 / np.maximum(np.arange(FEW_ELECTRONS), 1)).astype(np.float32)
 
 
 def noise_variance(found: SensorModel, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Variance of what a pixel reads, over exposures and over sensors, where nothing is clipped, e-^2.
+    """Variance of a pixel's reading over exposures and sensors, without clipping, e-^2.
 
     Parameters
     ----------

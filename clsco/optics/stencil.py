@@ -1,4 +1,4 @@
-"""Stencils of one radius for convolve.cl: runs of weights, and rectangles of one weight (pure)."""
+"""Stencils of a single blur radius for convolve.cl: runs of weights, and rectangles of equal weight (pure)."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ Rectangle = tuple[int, int]
 
 @dataclass(frozen=True)
 class Stencil:
-    """A PSF of one radius, or one of its two factors: the sum of its runs and rectangles, exact but for float32.
+    """The PSF of one radius, or one of its two factors, as a sum of runs and rectangles, exact up to float32.
 
     Attributes
     ----------
     runs : ndarray of int32, (count, 4)
-        |dx|, first dy, number of weights, where they begin. The kernel adds every run at -dx and dx, so runs of dx = 0
-        hold half of the weights.
+        |dx|, first dy, number of weights, index of the first. The kernel adds every run at -dx and at dx, so runs with
+        dx = 0 hold half of the weights.
     weights : ndarray of float32
     rectangles : tuple of (half-width in x, half-width in y)
-        Narrower and higher ones after wider ones. Their union has the weight `share`; runs add to it or subtract.
+        Ordered from wide to narrow, so from low to high. Their union has the weight `share`; runs add to it or subtract
+        from it.
     share : float
     """
 
@@ -55,7 +56,7 @@ class Stencil:
 
     @property
     def pairs(self) -> NDArray[np.int32]:
-        """The union from sums over all that is above and to the left: int32 (count, 4), (dy, dx) of +1 and of -1."""
+        """Evaluation of the union from a summed-area table: int32 (count, 4), (dy, dx) of the +1 and of the -1."""
         found, inner = list[tuple[int, int, int, int]](), -1
         for a, b in self.rectangles:
             found += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]
@@ -66,19 +67,19 @@ class Stencil:
 
 
 def is_summed(psf: PointSpread, half_width: int) -> bool:
-    """True if PSFs of this half-width in px use rectangles."""
+    """True if PSFs with this half-width in px use rectangles."""
     return psf.uniform and half_width >= SUMMED
 
 
 def is_by_axes(psf: PointSpread) -> bool:
-    """True if a PSF has two stencils, for its rows and then its columns."""
+    """True if a PSF has two stencils, one for rows and one for columns."""
     return psf.layout == "separable"
 
 
 def stencil_sizes(psf: PointSpread, far: int) -> dict[str, int]:
-    """Most bytes of the arrays of `stencils` for PSFs that reach at most `far` px, by their names and numbers.
+    """Upper bounds in bytes of the arrays of `stencils` for PSFs that reach at most `far` px, by name and number.
 
-    A column of a disc has at most two pieces, above and below what rectangles cover, each of which is cut into runs.
+    A column of a disc has at most two pieces, above and below the rectangles, and each is cut into runs.
     """
     half, row = far + 1, 2 * far + 1
     runs = -(-row // LONGEST_RUN)
@@ -101,7 +102,7 @@ def stencils(psf: PointSpread, radius: float) -> tuple[Stencil, ...]:
     Returns
     -------
     tuple of Stencil
-        One; of a separable PSF one for each axis.
+        One stencil, or for a separable PSF one per axis.
     """
     far = psf.reach(radius)
     offset = np.arange(far + 1.0)
@@ -119,10 +120,11 @@ def stencils(psf: PointSpread, radius: float) -> tuple[Stencil, ...]:
 
 
 def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Rectangle, ...]:
-    """Rectangles for a quadrant of a disc with one weight in its middle, chosen for the least time.
+    """Rectangles for a quadrant of a disc with a constant weight in its middle, chosen to minimize time.
 
-    same: pixels of that weight; half: pixels of at least half of it. Rectangles may cover the latter, as the runs that
-    subtract the excess are needed anyway. The minimum is a shortest path over the rows where a rectangle ends.
+    same: mask of pixels with that weight; half: mask of pixels with at least half of it. Rectangles may cover the
+    latter, because runs that subtract the excess are needed anyway. The optimum is a shortest path over the rows where
+    a rectangle ends.
     """
     filled, allowed = same.sum(axis=1), half.sum(axis=1)
     count = int((allowed > 0).sum())
@@ -141,7 +143,7 @@ def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Recta
 
 
 def _runs(quadrant: Weights) -> tuple[NDArray[np.int32], Weights]:
-    """Runs of a PSF (|dy|, |dx|) and their weights, see Stencil."""
+    """Runs of a PSF (|dy|, |dx|) and their weights, as in Stencil."""
     runs, found, start = list[tuple[int, int, int, int]](), [np.zeros(0, np.float32)], 0
     for dx, half in enumerate(quadrant.T):
         column = np.concatenate([half[:0:-1], half]) * np.float32(1.0 if dx else 0.5)

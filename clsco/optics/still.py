@@ -1,7 +1,7 @@
-"""Division of a frame's sources into still ones, which all time samples share, and the others (float64, pure).
+"""Splits a frame's sources into still ones, which all time samples share, and other ones (float64, pure).
 
-Blurring still sources once, with the weight of the whole exposure, adds the same terms in another order. How the device
-tells them apart is said in kernels/trace/still.clh.
+Still sources are blurred once, with the weight of the whole exposure: the same terms are added in another order.
+kernels/trace/still.clh explains how the device selects them.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ WINDOW_MARGIN = 2 * MOVING_MARGIN + 1  # px: sources that are not still, and wha
 
 @dataclass(frozen=True, eq=False)
 class Exposed:
-    """Changes of objects while the shutter of a frame is open.
+    """Changes of objects during the exposure of a frame.
 
     Attributes
     ----------
     moving, changing : int
-        Bit k: the shape of object k moves; its shape or its texture does. A cylinder that turns about its axis changes,
-        and hides what it hid before.
+        Bit k of `moving`: the shape of object k moves. Bit k of `changing`: its shape or its texture moves. A cylinder
+        that rotates about its axis is changing but not moving: it hides the same points as before.
     places : ndarray of float64, (samples, objects, PLACE_NUMBERS)
-        Place of each object at each time sample: low and high x and y of rays, low and high inverse depth in 1/mm
-        (`PlacedSurface.seen`); and of the ball around it x and y of the ray to its center, the inverse depth of this,
-        and the radius times this, infinite without a ball.
+        Bounds of each object at each time sample: low and high x and y of rays, low and high inverse depth in 1/mm
+        (`PlacedSurface.seen`); and, for the ball around it, x and y of the ray to its center, the center's inverse
+        depth, and this times the radius, infinite without a ball.
     """
 
     moving: int
@@ -47,14 +47,14 @@ class Exposed:
     places: Array
 
     def spares(self, group: OcclusionGroup) -> bool:
-        """True if sources of an occlusion group may be still: nothing that moves about them is without bounds."""
+        """True if sources of an occlusion group may be still, because all moving objects near them are bounded."""
         moving = numbers(self.moving & (group.members | group.occluders))
         return bool(group.members & ~self.changing) and bool(np.isfinite(self.places[:, moving, 9]).all())
 
     def window(
         self, group: OcclusionGroup, camera: Camera, reach: float, guard: int, first: int, height: int
     ) -> Window | None:  # fmt: skip
-        """Part of a grid in which sources of an occlusion group are not still, None where all are.
+        """Part of a grid that contains all moving sources of an occlusion group; None if all are still.
 
         Parameters
         ----------
@@ -64,9 +64,9 @@ class Exposed:
         reach : float
             Extent of the lens in lens radii.
         guard : int
-            Columns of the apron on each side.
+            Columns of the apron on each side, px.
         first, height : int
-            Row of the frame with which the grid begins, below 0 in the apron, and number of rows.
+            First row of the grid in the frame, negative in the apron, and number of rows.
         """
         step, (columns, rows), radius = ray_step(camera), camera.frame_size, Lens.of(camera).radius * reach
         still, found = numbers(group.members & ~self.changing), list[Array]()
@@ -90,14 +90,14 @@ def numbers(bits: int) -> list[int]:
 
 
 def _cells(low: float, high: float, size: int) -> tuple[int, int]:
-    """First pixel within WINDOW_MARGIN of what is between two places, and the one after the last, of so many."""
+    """First and end of the pixels, out of `size`, within WINDOW_MARGIN of an interval."""
     first = floor(low) - WINDOW_MARGIN if isfinite(low) else 0
     last = ceil(high) + WINDOW_MARGIN + 1 if isfinite(high) else size
     return min(max(first, 0), size), max(min(last, size), 0)
 
 
 def exposed(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]]) -> Exposed:
-    """Find the changes in an exposure of analytic objects, placed at the time of each of its samples.
+    """Find the changes during an exposure of analytic objects, given their surfaces at each time sample.
 
     Examples
     --------
@@ -122,27 +122,28 @@ def exposed(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]]) -
 
 
 def _place(surface: PlacedSurface) -> list[float]:
-    """See `Exposed.places`."""
+    """One entry of `Exposed.places`."""
     seen, (x, y, z, radius) = surface.seen, surface.ball.tolist()
     w, size = (0.0, inf) if isinf(seen.w[1]) else (1.0 / z, radius / z)  # infinite: the lens is in the ball
     return [*seen.x, *seen.y, *seen.w, x * w, y * w, w, size]
 
 
 def _same_place(one: PlacedSurface, other: PlacedSurface) -> bool:
-    """True if an object is in the same pose, to the bit."""
+    """True if an object is in exactly the same pose."""
     ways = ("turn", "offset", "body_turn", "body_offset", "own_turn", "own_offset")
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ways)
 
 
 def _same_shape(item: Object, one: PlacedSurface, other: PlacedSurface) -> bool:
-    """True if an object in another pose hides the same, but for rounding."""
+    """True if an object in another pose hides the same points, up to rounding."""
     pairs = zip(_hiding(item, one), _hiding(item, other), strict=True)
     return all(bool((np.abs(a - b) <= SAME_SHAPE * scale).all()) for (a, scale), (b, _) in pairs)
 
 
 def _hiding(item: Object, surface: PlacedSurface) -> Iterator[tuple[Array, float]]:
-    """Numbers that follow from the shape of an object, in the frame of the camera, each with the size of its terms: the
-    quadratic, linear and constant part of its equation, the axis of its nappe, the center of a disc, and bounds."""
+    """Numbers that determine which points an object hides, in the camera's frame, each with the size of its terms: the
+    quadratic, linear and constant part of its equation, the axis of its nappe, the center of a disc, and bounds.
+    """
     shape, turn, offset = surface.canonical, surface.turn, surface.offset
     size, far, straight = float(np.abs(shape.q).max()), float(np.linalg.norm(offset)), float(np.linalg.norm(shape.l))
     yield turn.T @ (shape.q[:, None] * turn), size

@@ -1,4 +1,4 @@
-"""Map points of a surface to the image that lies on it (float64, pure).
+"""Mapping from points of a surface to its texture image (float64, pure).
 
 A point p of an object's own frame (mm) is q = frame p. Two coordinates of q are lengths or angles on the surface:
 
@@ -9,8 +9,8 @@ A point p of an object's own frame (mm) is q = frame p. Two coordinates of q are
     triplanar   the two other components of q, for each of three axes, weighted by ((n^2 - 0.1)+)^2    mm
     cube        the two other components over the largest one, for each of six sides                 -1 to 1
 
-and (column, row) = scale (x, y) + shift in texels, with edges of texels at whole numbers: column 0 is the left border
-of the image, row 0 the upper one.
+and (column, row) = scale (x, y) + shift in texels, where texel edges are at integers: column 0 is the left border of
+the image, row 0 the upper one.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class TextureMap:
     kind : int
         One of MAP_... (`clsco.constants`).
     frame : ndarray of float64, (3, 3)
-        From the object's own frame.
+        Rotation from the object's own frame.
     scale : ndarray of float64, (2, 2)
         Texels per unit of the two coordinates: columns, then rows.
     shift : ndarray of float64, (2,)
@@ -74,7 +74,7 @@ class TextureMap:
     slant : float
         Sine of a cone's half angle.
     wrap_x, wrap_y : int
-        One of WRAP_... beyond the sides, and beyond top and bottom.
+        One of WRAP_..., horizontally and vertically.
     columns, rows : int
         Size of the image, texels.
     """
@@ -91,30 +91,31 @@ class TextureMap:
 
 
 def needs_detail(scene: Scene, psf: PointSpread, largest: float) -> bool:
-    """True if sources of textures on surfaces need more than their means, for |R| up to `largest` px."""
+    """True if textures on surfaces need sub-pixel sources instead of pixel means, for |R| up to `largest` px."""
     return scene.has_mapped_textures and texture_spread(psf) * largest > detail_least(psf)
 
 
 def texture_spread(psf: PointSpread) -> float:
-    """Radius in px of the disc whose second moments a PSF with R = 1 has, 0 where its sources are no squares."""
+    """Radius in px of the disc with the same second moments as the PSF for R = 1; 0 if its sources are not squares."""
     return 2.0 * sqrt(psf.pupil.second_moment) if psf.edge == "integrated" else 0.0
 
 
 def detail_least(psf: PointSpread) -> float:
-    """`texture_spread` times |R| in px beyond which pixels may need more than one source: below 0 for waves and
-    aberrations, of which a point in focus is a spot."""
+    """Lower bound of `texture_spread` times |R| in px above which pixels may need several sources; negative for waves
+    and aberrations, whose points in focus are spots.
+    """
     return -1.0 if psf.diffracted and psf.edge == "integrated" else DETAILED_LEAST
 
 
 def cut_parts(
     texels: NDArray[Any], spread: NDArray[Any], samples: int, least: float = DETAILED_LEAST
 ) -> NDArray[np.intp]:
-    """Parts per axis of pixels (n,), 0 where one source is enough.
+    """Number of parts per axis into which pixels (n,) are split; 0 where one source is enough.
 
     Parameters
     ----------
     texels : ndarray, (n,)
-        Square of the texels of a pixel, along the wider axis.
+        Squared number of texels per pixel, along the wider axis.
     spread : ndarray, (n,)
         `texture_spread` times |R|, px.
     samples : int
@@ -131,14 +132,14 @@ def cut_parts(
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
-    """Map a texture of so many columns and rows onto an object.
+    """Mapping of a texture with `columns` columns and `rows` rows onto an object.
 
     Parameters
     ----------
     item : Object
         With a mapping other than "projected".
     columns, rows : int
-        Size of the texture, or of each of the six of a cube map.
+        Size of the texture, or of each side of a cube map.
 
     Returns
     -------
@@ -146,8 +147,7 @@ def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
 
     Notes
     -----
-    Validated against the positions of known points of every shape, and by the ray tracer of the benchmarks, which has
-    formulas of its own.
+    Validated against known points on every shape, and by the benchmarks' ray tracer, which has independent formulas.
     """
     kind = KINDS[item.mapped]
     per_unit, middle = _texels(item, kind, columns, rows)
@@ -166,8 +166,9 @@ def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
 
 
 def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, Matrix]:
-    """Texels per mm, or per unit of angles and of a cube's sides: columns to the right, rows up, so below 0; and the
-    column and row in the middle."""
+    """Texels per mm, per rad, or per unit of a cube's sides: columns to the right, rows upwards and therefore negative;
+    and the column and row of the middle.
+    """
     aspect, middle = rows / columns, np.array([0.5 * columns, 0.5 * rows])
     across, *up = item.texture_repeats or (1.0,)
     if kind == MAP_LONGITUDE:
@@ -189,7 +190,7 @@ def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, M
 
 
 def _frame(item: Object, kind: int) -> Matrix:
-    """See `TextureMap.frame`. Its third axis points to the camera where there is a choice, its second up."""
+    """Value of `TextureMap.frame`. If it is free to choose, its third axis points to the camera and its second up."""
     if kind in (MAP_LONGITUDE, MAP_CUBE):
         axes = item.semi_axes if isinstance(item, Ellipsoid) else (1.0, 1.0, 1.0)
         return np.diag([1.0, 1.0, -1.0]) / np.array(axes)[:, None]

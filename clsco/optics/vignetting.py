@@ -1,4 +1,4 @@
-"""Vignetting: share of the light of the middle of the frame that each pixel gets (float64, pure)."""
+"""Vignetting: irradiance of each pixel relative to the middle of the frame (float64, pure)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def throughput(camera: Camera, vignetting: Vignetting) -> Array:
-    """Share of the light of the middle of the frame that pixels get, 1 there.
+    """Irradiance of pixels relative to the middle of the frame.
 
     Parameters
     ----------
@@ -27,13 +27,13 @@ def throughput(camera: Camera, vignetting: Vignetting) -> Array:
     Returns
     -------
     ndarray of float64, (rows, columns)
-        "natural": cos^4 of the angle of the ray from the axis, (1 + t^2)^-2 of its slope t; coefficients a1, a2, a3:
-        1 + a1 r^2 + a2 r^4 + a3 r^6 of the distance r from the middle, 1 in the corner of the frame.
+        "natural": cos^4 of the angle between ray and axis, (1 + t^2)^-2 for slope t; coefficients a1, a2, a3: 1 + a1
+        r^2 + a2 r^4 + a3 r^6 for the distance r from the middle, 1 in the corner of the frame.
 
     Notes
     -----
-    Of a thin lens cos^4 is that of a small aperture: the mean over one of f/2 is 0.6 % higher in the corner of the
-    thesis' frame. Validated against these formulas at single pixels (tests/optics/test_vignetting.py).
+    For a thin lens, cos^4 holds for a small aperture: the mean over an aperture of f/2 is 0.6 % higher in the corner of
+    the thesis' frame. Validated against these formulas at single pixels (tests/optics/test_vignetting.py).
 
     Examples
     --------

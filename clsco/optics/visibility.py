@@ -1,8 +1,7 @@
-"""Occlusion groups: objects that cannot hide each other are blurred together, groups one after the other (float64,
-pure).
+"""Occlusion groups: objects that cannot hide each other are blurred together, group by group (float64, pure).
 
 Every object of a scene scatters its own radiance, including parts that are hidden in the pinhole image. Objects that
-cannot hide each other share an `OcclusionGroup`, and its visibility tests take only objects that can occlude a member.
+cannot hide each other share an `OcclusionGroup`, whose visibility tests include only objects that can occlude a member.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OcclusionGroup:
-    """An occlusion group: objects of which the nearest one along each ray counts, and what may occlude them.
+    """An occlusion group: objects of which only the nearest along each ray counts, and their possible occluders.
 
-    members, occluders: bit k is object k of the scene. own: number of an object that may hide itself, -1 for none;
-    root: which of its roots the group has (`solve_quadric`), 0 for both.
+    members, occluders: bit k stands for object k of the scene. own: number of an object that may hide itself, -1 for
+    none; root: which of its two roots the group contains (`solve_quadric`), 0 for both.
     """
 
     members: int
@@ -44,11 +43,11 @@ NO_GROUP = OcclusionGroup(0, 0)  # where objects are not told apart
 
 @lru_cache(maxsize=16)
 def lens_floats(psf: PointSpread) -> Array:
-    """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them, of others
-    factors by which the mean of what a round rim leaves of each cell is nearer to the middle; then, where rims cut it
-    by chords, squeeze and light, the sizes of the lists of its borders, and these. Not to be written to.
+    """Lens data for kernels, read-only: its cells; then, for a `signed` lens, mirrored cells and its straight edges,
+    for others the factors by which the mean of the part of each cell inside a round edge moves inwards; then, if rims
+    cut it by chords, squeeze and light, the sizes of the lists of its borders, and these lists.
 
-    A rim at the distance s from the middle of a cell leaves of it what has its mean at (s - 1/2) / 2 from there.
+    An edge at the distance s from the middle of a cell leaves a part whose mean is (s - 1/2) / 2 from the middle.
     """
     cells = psf.lens_cells()
     if psf.signed:
@@ -67,7 +66,8 @@ def lens_floats(psf: PointSpread) -> Array:
 
 def extent(item: Object, poses: Sequence[Pose], seen: Array, slack: float = 0.0) -> Extent:
     """Bounds of an object's image and depth over all `poses`; seen: inverse depths in 1/mm at rays over the frame, 0
-    for none; slack: share of their changes by which bounds are wider."""
+    for none; slack: fraction of the changes over poses by which bounds are widened.
+    """
     hit = seen[seen > 0]
     depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
     if isinstance(item, Plane) and hit.size < seen.size:
@@ -82,7 +82,7 @@ def extent(item: Object, poses: Sequence[Pose], seen: Array, slack: float = 0.0)
 
 
 def _wider(hull: Extent, found: Sequence[Extent], slack: float) -> Extent:
-    """Bounds that are wider than the hull of those that were found, by a share of how much these differ."""
+    """Hull of extents, widened by a fraction `slack` of their differences."""
 
     def both(ends: tuple[float, float], each: Sequence[tuple[float, float]]) -> tuple[float, float]:
         lows, highs = zip(*each, strict=True)
@@ -103,7 +103,9 @@ def _hull(a: Extent, b: Extent) -> Extent:
 
 
 def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
-    """True if a point in `near` can be between one in `far` and the lens; reach: extent of the lens in lens radii."""
+    """True if a point in `near` can be between a point in `far` and the lens; reach: extent of the lens in lens
+    radii.
+    """
     depth = near.w[1] - far.w[0]
     if depth <= 0.0:
         return False
@@ -114,21 +116,22 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
 
 
 def is_hollow(item: Object) -> bool:
-    """True if the inside of a surface may be visible past its own edge: it is curved, and cut by bounds."""
+    """True if the inside of a surface may be visible past its own edge: the surface is curved, and cut by bounds."""
     return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
 
 
 def apart(items: Sequence[Object], camera: Camera, psf: PointSpread) -> tuple[OcclusionGroup, ...]:
-    """Occlusion groups of objects that may be anywhere: each by itself, behind all others."""
+    """Occlusion groups for objects that may be anywhere: one object each, with all others as occluders."""
     return occlusion_groups(items, [EVERYWHERE] * len(items), camera, psf)
 
 
 def occlusion_groups(
     items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: PointSpread
 ) -> tuple[OcclusionGroup, ...]:
-    """Few occlusion groups for objects at `extents`, in the order of the scene: no member hides another.
+    """Few occlusion groups for objects with given `extents`, in the order of the scene, such that no member hides
+    another.
 
-    Each of the two roots of a hollow object is a group. One group and no occluders where nothing is hidden.
+    Each of the two roots of a hollow object forms a group. A single group without occluders if no object is hidden.
     """
     count, reach = len(extents), psf.extent
     hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]

@@ -1,4 +1,4 @@
-"""Limits of a point spread by waves, and words on it."""
+"""Limits and descriptions of wave-optics point spread functions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ADEQUATE, PER_DECADE = 29.3, 20.5  # dB: PSNR of a disc instead of waves is abou
 
 
 def disc_psnr(unit: float) -> float:
-    """PSNR in dB that an image of black and white squares has with a disc instead of waves, to 1.5 dB, by Q in px.
+    """PSNR in dB, to 1.5 dB, of an image of black and white squares blurred by a disc instead of waves; unit: Q in px.
 
     Notes
     -----
@@ -27,8 +27,9 @@ def disc_psnr(unit: float) -> float:
 
 
 def check_waves(psf: PointSpread, largest: float) -> None:
-    """Raise SceneError where a blur radius of `largest` px is too many waves of defocus, or with the aberrations turns
-    the phase too fast for the samples of the pupil."""
+    """Raise SceneError if a blur radius of `largest` px has too many waves of defocus, or if with the aberrations the
+    phase changes too fast for the samples of the pupil.
+    """
     pupil = psf.pupil
     if isinstance(pupil, FourierDiffracted):
         pupil.samples(largest)
@@ -41,8 +42,9 @@ def check_waves(psf: PointSpread, largest: float) -> None:
 
 @lru_cache(maxsize=64)
 def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
-    """Largest share of the light of a point that is left out, for |blur radii| from smallest to largest px; 0 but of
-    waves."""
+    """Largest fraction of a point's light that is cut off, for |blur radii| from smallest to largest px; 0 except for
+    waves.
+    """
     pupils = [place.pupil for place in (*psf.places[:1], psf)]  # of a field in a corner, and on the axis
     each = (
         pupil.left_out(r) for pupil in pupils if isinstance(pupil, Diffracted) for r in {smallest, largest, -largest}
@@ -51,8 +53,8 @@ def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
 
 
 def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> float:
-    """Seconds of a core that tables for |blur radii| from smallest to largest px take, which are then kept; 0 of what
-    is made at once.
+    """CPU seconds to compute tables for |blur radii| from smallest to largest px, which are then cached; 0 for PSFs in
+    closed form.
 
     silhouettes: sub-pixel sources along an axis, 0 for none.
     """
@@ -66,7 +68,7 @@ def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes
 
 
 def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> tuple[tuple[str, str], ...]:
-    """Parameters of the blur for reports; none where it is not by waves."""
+    """Parameters of wave optics for reports; empty for other PSFs."""
     pupil = psf.pupil
     if not isinstance(pupil, Diffracted):
         return ()

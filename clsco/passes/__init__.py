@@ -1,1 +1,1 @@
-"""Host side of the kernels: one module for each group of them."""
+"""Host side of the kernels: one module for each group of kernels."""

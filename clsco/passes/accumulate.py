@@ -1,4 +1,4 @@
-"""Exposure of a frame: adds up the blurred planes of its time samples."""
+"""Exposure of a frame: sums the blurred planes of its time samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clsco.records import structs
 
 
 class FrameSum:
-    """A frame, or a strip of it, as the sum of planes, each with one weight for each row, or for each column.
+    """Weighted sum of planes that makes up a frame or a strip, with one weight per row, or per column.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class FrameSum:
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.sum_buffers`.
     by_columns : bool
-        Weights are of columns.
+        True if weights are per column.
 
     Notes
     -----
@@ -40,14 +40,15 @@ class FrameSum:
         self.begins = True
 
     def clear(self) -> None:
-        """Begin a frame, or a strip of it."""
+        """Begin a frame or a strip."""
         self.begins = True
 
     def add(
         self, plane: Plane, weights: NDArray[np.floating], events: Events, top: int = 0, rows: int | None = None
     ) -> Plane:
-        """Add a plane to the rows from `top` on, with weights (rows,) or (columns,) of it; rows: of the sum, by default
-        those of the plane. Returns the sum so far."""
+        """Add a plane from row `top` on, with weights (rows,) or (columns,); rows: of the sum, by default those of the
+        plane. Returns the sum so far.
+        """
         height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]
         if self.begins and plane.rows < height:
             for buffer in (self.sum, self.lost):

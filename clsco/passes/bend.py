@@ -1,4 +1,4 @@
-"""Host side of what a lens that is not thin does to the rays of all pixels, made once for many time samples."""
+"""Host side of a real lens's effect on the rays of all pixels, computed once for many time samples."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from clsco.scene.model import Scene
 
 
 class Bends:
-    """Planes that trace/bend.cl fills: those of a lens that does not change in the session, for one frame after the
-    other; else those of the last time sample, or strip.
+    """Planes filled by trace/bend.cl: cached for a lens that does not change in the session; otherwise only for the
+    last time sample or strip.
 
     Parameters
     ----------
     target : Target
-        With the kernels that cast rays.
+        Program with the kernels that cast rays.
     scene : Scene
     """
 
@@ -31,7 +31,7 @@ class Bends:
         self.own: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
 
     def planes(self, grid: Struct, lens: Struct, events: Events) -> dict[str, cl.Buffer]:
-        """Buffers "bends" and "slopes" of a grid and a lens, as far as this has them; none of a thin lens."""
+        """Buffers "bends" and "slopes" for a grid and a lens, as far as the lens needs them; none for a thin lens."""
         sizes = bend_buffers(self.scene, int(grid["width"]) * int(grid["height"]))
         if not sizes:
             return {}

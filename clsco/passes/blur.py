@@ -1,4 +1,4 @@
-"""Host side of the blur: one class per method makes the blurred plane of a time sample, of a frame or a strip of it."""
+"""Host side of the blur: one class per method computes the blurred plane of a time sample, for a frame or a strip."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ MAPS: tuple[Maps, ...] = ("none", "wide", "float")
 
 
 def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict[str, int]:
-    """Features that kernels of the blur are compiled for: the same ones for all scenes that agree in these.
+    """Features that the blur's kernels are compiled for; scenes that agree in them share a program.
 
     Parameters
     ----------
     spec : BlurSpec
     channels : int
     fp64 : bool
-        The device has doubles.
+        True if the device has double precision.
     maps : Maps
-        Maps that sources are made of.
+        Maps that sources are made from.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
 
 @dataclass(frozen=True)
 class Target:
-    """Device, program and precision for passes: a session, the kernels of a program, the precision of its geometry."""
+    """Target of passes: a session, the kernels of a program, and the precision of its geometry."""
 
     session: Session
     program: Program
@@ -101,13 +101,13 @@ class Target:
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
         origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue a kernel as `clsco.opencl.program.launch` does; events gets its name and its events."""
+        """Enqueue a kernel as `clsco.opencl.program.launch` does; its name and its events are appended to `events`."""
         for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
             events.append((name, event))
 
 
 def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:
-    """Target of the blur: a program of `blur_features`; none for `convolve`, which builds its own."""
+    """Target of the blur: a program with `blur_features`; none for `convolve`, which builds its own."""
     files = FILES_OF[spec.method]
     features = blur_features(spec, channels, session.device.has_fp64, maps)
     return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
@@ -115,7 +115,7 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
 
 @dataclass(frozen=True, kw_only=True)
 class Area:
-    """Part of a frame that a pass works on.
+    """Part of a frame that a pass processes.
 
     Attributes
     ----------
@@ -123,13 +123,13 @@ class Area:
     grid : numpy.void
         grid_t of the strip.
     events : list
-        Gets the launches that are enqueued.
+        List to which launches are appended.
     bounds : tuple of LayerBounds, optional
-        Bounds between depth layers, where they come from all strips: of all colors, or of each.
+        Bounds between depth layers, if they were found over all strips: for all colors, or for each.
     group : OcclusionGroup
-        Objects that are traced and blurred.
+        Objects to trace and blur.
     color : int, optional
-        The color whose light is blurred, 0 to 2; by default all.
+        The color to blur, 0 to 2; by default all.
     """
 
     strip: Strip
@@ -149,8 +149,8 @@ class Image:
     value : Buffer
         float (channels, height, width), radiance.
     maps : tuple of Buffer
-        Signed R in px, real (height, width), and where it is known, uchar (height, width); R alone, float; or none,
-        of an image with one radius.
+        Signed R in px, real (height, width), and a mask of known R, uchar (height, width); or only R, float; or empty
+        for an image with one radius.
     """
 
     value: cl.Buffer
@@ -170,13 +170,13 @@ class Sources:
     sub_source, sub_value : Buffer, optional
         Sub-pixel sources of `capacity` pixels near silhouettes.
     lens, surfaces, group, depth, sub_depth : optional
-        The lens, occluders before it, and the depth of sources; None where nothing is in their way.
+        The lens, occluders in front of it, and the depth of sources; None without occluders.
     radius : float
         |R| of all sources in px, for "convolve" only.
     label : Buffer, optional
-        Labels of the hits, where rays were cast.
+        Labels of the hits, if rays were cast.
     bends : Buffer, optional
-        Plane of `clsco.passes.bend.Bends`, where ellipses are made.
+        Plane of `clsco.passes.bend.Bends`, if blurs are ellipses.
     """
 
     source: cl.Buffer | None
@@ -208,14 +208,14 @@ def prepare_sources(
     ----------
     target : Target
     grid, psf : numpy.void
-        grid_t of the map, and psf_t of the blur that adds the sources.
+        grid_t of the map, and psf_t of the blur that will add the sources.
     maps : tuple of Buffer
-        Signed R in px, real (height, width), and where there is a source, uchar (height, width); or R alone, float.
+        Signed R in px, real (height, width), and a mask of sources, uchar (height, width); or only R, float.
     source : Buffer
-        Gets the records.
+        Buffer for the records.
     events : list
     rims : tuple, optional
-        lens_t, and the buffer that gets inverse depths, where rims cut light.
+        lens_t and a buffer for inverse depths, if rims cut light.
     """
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source, *rims)
@@ -228,13 +228,13 @@ class Plane:
     Attributes
     ----------
     buffer : Buffer
-        Floats of this shape.
+        Floats in this shape.
     shape : tuple of int
-        Channels, and rows and columns that each of them has.
+        Channels, rows and columns in memory.
     rows, columns : int
         Size of the image.
     top, left : int
-        Place of its first pixel.
+        Row and column of its first pixel.
     """
 
     buffer: cl.Buffer
@@ -246,12 +246,14 @@ class Plane:
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """Kernel arguments: buffer, floats from channel to channel, to the first pixel, and from row to row."""
+        """Kernel arguments: buffer, offset between channels, offset of the first pixel, and offset between rows, in
+        floats.
+        """
         _, height, pitch = self.shape
         return self.buffer, np.int32(height * pitch), np.int32(self.top * pitch + self.left), np.int32(pitch)
 
     def read(self, session: Session, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """The image, (rows, columns[, channels]), in `out` where it is given; waits for the device."""
+        """The image, (rows, columns[, channels]), in `out` if given; waits for the device."""
         if out is None:
             size = (self.rows, self.columns)
             out = np.empty(size if self.shape[0] == 1 else (*size, self.shape[0]), np.float32)
@@ -262,7 +264,7 @@ class Plane:
 
 
 def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
-    """The frame's part of an image on the padded grid: the blurred plane where nothing is blurred."""
+    """The frame's part of an image on the padded grid, used as the blurred plane if the scene has no blur."""
     columns, rows, width, height, above, guard = (
         int(grid[name]) for name in ("columns", "rows", "width", "height", "above", "guard")
     )
@@ -270,7 +272,7 @@ def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
 
 
 class BlurredPlane(ABC):
-    """The blurred image of a time sample, and what all methods share.
+    """The blurred image of a time sample: base of all methods.
 
     Parameters
     ----------
@@ -279,7 +281,7 @@ class BlurredPlane(ABC):
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
     grid : numpy.void
-        grid_t of the strip that it begins with; `begin` sets that of another one.
+        grid_t of the first strip; `begin` changes it.
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.blur_buffers`.
     """
@@ -302,7 +304,7 @@ class BlurredPlane(ABC):
 
     @property
     def sink(self) -> tuple[object, ...]:
-        """Kernel arguments of where radiance is added."""
+        """Kernel arguments for the buffer that radiance is added to."""
         return self.layout
 
     @property
@@ -311,12 +313,12 @@ class BlurredPlane(ABC):
         return int(self.grid["columns"]), int(self.grid["rows"])
 
     def begin(self, grid: Struct) -> None:
-        """Begin a time sample of a frame, or a strip of it, by its grid_t."""
+        """Begin a time sample of a frame or a strip, with its grid_t."""
         self.grid = grid
         self.clear()
 
     def clear(self) -> None:
-        """Take all radiance away."""
+        """Set all radiance to 0."""
         cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
 
     @abstractmethod
@@ -324,17 +326,17 @@ class BlurredPlane(ABC):
         """Add the blurred radiance of sources."""
 
     def resolve(self, events: Events) -> None:  # noqa: B027  most methods add to that buffer itself
-        """Enqueue what leaves the image in the buffer of `layout`."""
+        """Enqueue the kernels that leave the image in the buffer of `layout`."""
 
     def plane(self, events: Events) -> Plane:
-        """All that was added, until the next time sample begins."""
+        """Sum of all sources added, valid until the next time sample begins."""
         self.resolve(events)
         columns, rows = self.size
         return Plane(self.total, (self.channels, rows, self.pitch), rows, columns, left=self.pad)
 
 
 class TableBlur(BlurredPlane):
-    """A blur of sources of any radius each, with weights from tables; arguments as for `BlurredPlane`."""
+    """A blur of sources with individual radii, with weights from tables; arguments as for `BlurredPlane`."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)
@@ -365,11 +367,11 @@ class TableBlur(BlurredPlane):
 
     @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
-        """Enqueue the kernels; head, tail: arguments that all methods have in common."""
+        """Enqueue the kernels; head, tail: arguments that all methods share."""
 
 
 class Tiles(TableBlur):
-    """Each work-item gathers what reaches its pixel, for groups of pixels that share their sources."""
+    """Each work-item gathers the sources that reach its pixel, from a list shared by its work-group."""
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
         work = UNITS_PER_TAP * (2 * self.spec.reach + 1) ** 2
@@ -377,7 +379,7 @@ class Tiles(TableBlur):
 
 
 class Scatter(TableBlur):
-    """Each work-item adds a source to all pixels that it reaches, by atomics on whole numbers."""
+    """Each work-item adds a source to all pixels that it reaches, by integer atomics."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)

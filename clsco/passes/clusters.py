@@ -1,4 +1,4 @@
-"""Host side of layered occlusion: the pixels of one image as depth layers, each extended behind nearer ones."""
+"""Host side of layered occlusion: splits an image into depth layers, each extended behind nearer ones."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ ZERO = np.zeros(1, np.uint32)
 
 @dataclass(frozen=True)
 class Layers:
-    """Depth layers, as `clsco.passes.layered.DepthLayers` takes them from any maker.
+    """Depth layers, as input of `clsco.passes.layered.DepthLayers`.
 
     Attributes
     ----------
     count : int
     each : iterator of Image
-        The layers from the nearest on, with coverage as their last channel, which are enqueued when they are asked for
-        and may overwrite each other; none where there is one layer.
+        The layers from near to far, with coverage as their last channel; each is enqueued when requested and may
+        overwrite the previous one. Empty if there is only one layer.
     image : Image
-        Radiance that simply adds up, and is written to with border = "renormalize".
+        Radiance that is added without occlusion; overwritten with border = "renormalize".
     edge : Buffer
-        uchar (height, width): 1 where the layers count, 0 where `image` does; of one layer not read.
+        uchar (height, width): 1 where the layers are used, 0 where `image` is; not read for one layer.
     """
 
     count: int
@@ -48,15 +48,17 @@ class Layers:
 
 
 def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
-    """Target of layered.cl for images of so many channels; by itself, since nothing else changes its eleven kernels."""
+    """Target of layered.cl for images of `channels` channels; a separate program, as nothing else changes its eleven
+    kernels.
+    """
     features = {"CHANNELS": channels + 1, "SCATTER": spec.method == "scatter", "RIMS": len(spec.psf.rims)}
     return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
 
 
 class Clusters:
-    """Divides an image into depth layers by its signed blur radii.
+    """Splits an image into depth layers by its signed blur radii.
 
-    Where a frame is made in strips, `find` of all of them comes first.
+    For a frame in strips, call `find` for all strips first.
 
     Parameters
     ----------
@@ -70,9 +72,9 @@ class Clusters:
     Attributes
     ----------
     buffers : dict
-        By the names of `clsco.plan.buffers.cluster_buffers`. latest: where discontinuities of a time sample are, by
-        class and bin; layer, seed, hidden, edge: uchar (height, width), the depth layer of each pixel, those that go on
-        behind it, and whether an edge is near; offset: int (height, width).
+        By the names of `clsco.plan.buffers.cluster_buffers`. latest: positions of a time sample's discontinuities, by
+        class and bin; layer, seed, hidden, edge: uchar (height, width), the depth layer of each pixel, layers that
+        continue behind it, and a mask of pixels near an edge; offset: int (height, width).
 
     Raises
     ------
@@ -80,11 +82,10 @@ class Clusters:
 
     Notes
     -----
-    Pixels are put into layers so that the two sides of every depth discontinuity beyond DISCONTINUITY px fall into
-    different ones; at most MOST_LAYERS. At discontinuities each layer is extrapolated behind nearer ones, as deep as
-    the blur of both sides reaches, with values from its own pixels as near by, by push-pull (Gortler et al. 1996). A
-    cut through a continuous surface has no hidden part.
-    Validated against `clsco.reference.layered.layered`.
+    Pixels are assigned to layers so that the two sides of every depth discontinuity beyond DISCONTINUITY px are in
+    different layers; at most MOST_LAYERS. At discontinuities each layer is extrapolated behind nearer ones, as deep as
+    the blurs of both sides reach, from its own nearest pixels, by push-pull (Gortler et al. 1996). A cut through a
+    continuous surface has no hidden part. Validated against `clsco.reference.layered.layered`.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid) -> None:
@@ -95,7 +96,7 @@ class Clusters:
         self._forget()
 
     def find(self, at: Area, image: Image) -> None:
-        """Record the depth discontinuities of a strip of a time sample, or of all of it."""
+        """Record the depth discontinuities of a time sample, or of one strip of it."""
         far = np.int32(2 * self.reach + 1)
         head = (at.grid, _real(self.low, self.target.real), np.int32(self.bins), far)
         width, height = _padded(at.grid)
@@ -103,8 +104,7 @@ class Clusters:
         self.target.run("find_discontinuities", (height + width,), LINES, at.events, *args)
 
     def found(self) -> LayerBounds:
-        """Depth layers of the time sample whose strips went through `find` since the last call. Waits for the
-        device."""
+        """Bounds of depth layers from all strips passed to `find` since the last call. Waits for the device."""
         size = DISCONTINUITY_CLASSES * self.bins + 1
         latest = download(self.target.session, self.buffers["latest"], (size,), np.int32)
         self._forget()
@@ -116,7 +116,7 @@ class Clusters:
         cl.enqueue_fill_buffer(self.target.session.queue, latest, ZERO, 0, latest.size)
 
     def divide(self, at: Area, image: Image, bounds: LayerBounds) -> Layers:
-        """The layers of an image, or of a strip of it, between these bounds."""
+        """The layers of an image, or of a strip of it, within these bounds."""
         if not bounds.bounds:
             return Layers(1, iter(()), image, self.buffers["edge"])
         self._label(at, image, bounds)
@@ -125,7 +125,7 @@ class Clusters:
         return Layers(count, each, image, self.buffers["edge"])
 
     def _label(self, at: Area, image: Image, found: LayerBounds) -> None:
-        """The depth layer of every pixel, and the one behind it."""
+        """Compute the depth layer of every pixel, and the layer behind it."""
         run, (width, height), (coc, _) = self.target.run, _padded(at.grid), image.maps
         layer, seed, offset, hidden, edge = (self.buffers[n] for n in ("layer", "seed", "offset", "hidden", "edge"))
         some = (*found.bounds, *(0,) * (8 - len(found.bounds)))  # at most MOST_LAYERS - 1
@@ -139,7 +139,7 @@ class Clusters:
         run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, at.events, *args)
 
     def _extended(self, at: Area, image: Image, which: int, deep: int) -> Image:
-        """One depth layer with its hidden part."""
+        """One depth layer extended by its hidden part."""
         run, number, (width, height) = self.target.run, np.int32(which), _padded(at.grid)
         layer, hidden, pyramid = (self.buffers[name] for name in ("layer", "hidden", "pyramid"))
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))

@@ -1,4 +1,4 @@
-"""Colors that are blurred each by itself: their planes in one."""
+"""Joins separately blurred colors into one plane."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ FLOAT = 4  # bytes
 
 
 class JoinedColors:
-    """A plane of all colors, and of coverage where there is one more channel.
+    """A plane of all colors, and of coverage if there is one more channel.
 
     Parameters
     ----------
     session : Session
     channels, colors : int
-        All channels, and those of color.
+        Number of all channels, and of color channels.
     """
 
     def __init__(self, session: Session, channels: int, colors: int) -> None:
@@ -27,7 +27,7 @@ class JoinedColors:
         self.buffer = empty(session, FLOAT)
 
     def put(self, plane: Plane, color: int, events: Events) -> Plane:
-        """Copy a plane of one color to its place, and the coverage of green for all; returns the plane so far."""
+        """Copy the plane of one color to its channel, and use green's coverage for all; returns the plane so far."""
         rows, columns = plane.rows, plane.columns
         size = FLOAT * self.channels * rows * columns
         if self.buffer.size < size:

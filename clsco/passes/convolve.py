@@ -1,4 +1,4 @@
-"""Blur with one radius: buffers and launches of convolve.cl."""
+"""Blur with a single radius: buffers and launches of convolve.cl."""
 
 from __future__ import annotations
 
@@ -27,11 +27,10 @@ Layout = tuple[cl.Buffer | None, int, int, int]  # buffer, where a plane begins 
 
 
 class Convolve(BlurredPlane):
-    """The blur with one radius, of all sources at once; arguments as for `BlurredPlane`, of whose target it needs no
-    program.
+    """The blur of all sources with a single radius; arguments as for `BlurredPlane`, but the target needs no program.
 
-    It makes the PSF of the sources' radius, up to `spec.largest`. Validated against
-    sums over rectangles (tests/kernels/test_convolve.py).
+    It builds the PSF for the sources' radius, up to `spec.largest`. Validated against sums over rectangles
+    (tests/kernels/test_convolve.py).
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
@@ -49,7 +48,7 @@ class Convolve(BlurredPlane):
         self.stencils = {name: Refilled(session, sizes[name]) for name in arrays}
 
     def clear(self) -> None:
-        """Nothing, as what is in the plane does not count."""
+        """Does nothing, because the plane is overwritten."""
 
     def add(self, sources: Sources, events: Events) -> None:
         columns, rows, width, height, above, guard = (
@@ -70,12 +69,12 @@ class Convolve(BlurredPlane):
             self._convolve(last, (rows, columns), source, last[0].share * unit, target, events)
 
     def _tables(self, number: int, stencil: Stencil) -> list[cl.Buffer | None]:
-        """Runs, weights and pairs of a stencil on the device; launches in the queue may still read those before."""
+        """Runs, weights and pairs of a stencil on the device; queued launches may still read the previous ones."""
         arrays = {"runs": stencil.runs, "weights": stencil.weights, "pairs": stencil.pairs}
         return [self.stencils[f"{k} {number}"].fill(a) if a.size else None for k, a in arrays.items()]
 
     def _sum(self, stencil: Stencil, size: tuple[int, int], source: Layout, events: Events) -> float:
-        """Make the sums of a plane; the radiance of a unit of them."""
+        """Compute the summed-area table of a plane; returns the radiance per unit of it."""
         scale = 2.0 ** floor(BITS - log2(stencil.area * max(self.spec.brightest, 1e-20)))
         shape, (value, start, *_) = tuple(map(np.int32, size)), source
         args = (*shape, value, np.int32(start), np.float32(scale), self.sums)
@@ -87,7 +86,7 @@ class Convolve(BlurredPlane):
         self, stencil: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
         target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
-        """One launch; target: buffer, pixel (0, 0), pitch."""
+        """Enqueue one convolution; target: buffer, pixel (0, 0), pitch."""
         found, (runs, weights, pairs) = stencil
         args = (
             *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(found.runs)), weights,

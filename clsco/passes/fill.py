@@ -1,4 +1,4 @@
-"""Filling of missing pixels of a warped image, sweep by sweep (4.3.5, chapter 5)."""
+"""Fills missing pixels of a warped image, sweep by sweep (4.3.5, chapter 5)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CHAPTER5 = MeanMedian()
 
 @dataclass
 class FillPlanes:
-    """Buffers of a filling on the padded grid, as in fill.cl; the first six are for the caller to write before it.
+    """Buffers for filling on the padded grid, as in fill.cl; the caller writes the first six before filling.
 
     Attributes
     ----------
@@ -47,12 +47,12 @@ class FillPlanes:
     valid, status : Buffer
         uchar.
     object : Buffer, optional
-        uchar, of scenes with several objects.
+        uchar, for scenes with several objects.
     indices : (Buffer, Buffer)
-        Lists of pixels, an int per pixel, that only the filling itself needs.
+        Lists of pixels, an int per pixel, used only during filling.
     spans, grown, counters : Buffer
     far : tuple of Buffer
-        Bounds on the depth of neighbors, where holes are filled from the far side.
+        Bounds on the depth of neighbors, if holes are filled from the far side.
     done, sums, other_value, other_w : Buffer, optional
         Buffers of mean/median filling.
     """
@@ -93,11 +93,11 @@ class Filler:
     Parameters
     ----------
     target : Target
-        With fill.cl, and for mean/median filling score.cl and fill_mean_median.cl.
+        Program with fill.cl, and for mean/median filling score.cl and fill_mean_median.cl.
     grid : numpy.void
-        grid_t, whose padded grid the planes have.
+        grid_t with the padded grid of the planes.
     lens : numpy.void
-        lens_t of the radii.
+        lens_t for the radii.
     features : dict
         Features of the program.
     sizes : dict
@@ -123,8 +123,8 @@ class Filler:
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
 
-        surfaces: `count` of surface_t, where pixels may be missing with domain "surface"; brightest: what radiance is
-        at most. Waits once per sweep.
+        surfaces: `count` of surface_t, which limit the missing pixels with domain "surface"; brightest: largest
+        radiance. Waits for the device once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
         source, left = self.planes.indices
@@ -157,7 +157,7 @@ class Filler:
         }
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
-        """List all missing pixels."""
+        """Enqueue listing of all missing pixels; returns their counts."""
         chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.grid, self.planes.valid)
         self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
         args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
@@ -165,11 +165,13 @@ class Filler:
         return self._found()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
-        """Buffers with depths of neighbors, and the bound that is made from them."""
+        """Buffers with depths of neighbors, and the bound computed from them."""
         return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
-        """Fill what can be filled of a list of `count` missing pixels; wins: of the median, by count of neighbors."""
+        """Fill pixels of a list of `count` missing ones, as far as they have enough neighbors; wins: bit k is set to
+        use the median of k neighbors.
+        """
         p = self.planes
         seen = () if p.object is None else (p.object,)
         planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *seen)
@@ -184,7 +186,9 @@ class Filler:
     def _settle(
         self, placed: tuple[Any, ...], source: cl.Buffer, left: cl.Buffer, count: int, events: Events
     ) -> list[int]:
-        """End a sweep over the list `source`; lists in `left` what is missing now."""
+        """End a sweep over the list `source`; writes pixels still missing to the list `left`, and returns the
+        counts.
+        """
         p = self.planes
         cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
@@ -196,7 +200,7 @@ class Filler:
         return self._found()
 
     def _score(self, brightest: float, events: Events) -> int:
-        """For which counts of neighbors the median is the better estimator: bit k for k of them."""
+        """Bit mask over counts k of neighbors for which the median is the better estimator."""
         scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
         args = (self.grid, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
         self._run("score_mean_median", events, (scored,), OWNERS, *args)
@@ -204,7 +208,7 @@ class Filler:
         return bits_of(score.median_wins())
 
     def _smooth(self, count: int, events: Events) -> None:
-        """Rounds of the median over the filled pixels, to and fro between two sets of planes."""
+        """Apply rounds of the median to the filled pixels, in alternation between two sets of planes."""
         p = self.planes
         here, there = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(here, there, strict=True):

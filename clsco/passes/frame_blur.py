@@ -1,4 +1,4 @@
-"""The blur of a frame by its method."""
+"""Creates the blur of a frame for its method."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> Bl
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
     grid : numpy.void
-        grid_t of the strip that it begins with.
+        grid_t of the first strip.
 
     Returns
     -------

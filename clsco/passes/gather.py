@@ -1,4 +1,4 @@
-"""The blur on processors: bands of rows, each with all sources that reach it, in launches of a moment."""
+"""The blur on processors: bands of rows gather all sources that reach them, in short launches."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ INT2 = cl.cltypes.int2
 
 
 class Gather(TableBlur):
-    """Each work-item walks the sources that reach a band of rows; some bands at a time, so that a large frame does not
-    take several times its size."""
+    """Each work-item gathers the sources that reach a band of rows; only some bands run at a time, to limit scratch
+    memory.
+    """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)
@@ -75,8 +76,9 @@ class Gather(TableBlur):
         return launch_whole(self.target.session, run, (self.bands,), (1,), *before, budget, *after)
 
     def _in_pieces(self, before: tuple[Any, ...], after: tuple[Any, ...], bands: int) -> list[cl.Event]:
-        """Launch a few steps or vectors of each band at a time, as many as the time of those before suggests; nobody
-        knows before what is hidden, and where."""
+        """Launch a few steps or vectors of each band at a time, as many as the previous times allow; the cost of
+        occlusion is not known in advance.
+        """
         session, columns = self.target.session, int(self.grid["columns"])
         at_once = -(-bands // session.device.compute_units)  # bands that a core takes one after the other
         steps, vectors = 1, max(1, int(pace.PIECE / BRIEF / VECTOR / at_once))

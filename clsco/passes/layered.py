@@ -1,4 +1,4 @@
-"""Host side of layered occlusion: depth layers, each blurred with its coverage, composited front to back."""
+"""Host side of layered occlusion: depth layers, each blurred with its coverage, are composited front to back."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from clsco.plan.buffers import depth_layer_spec, layered_buffers
 
 
 class DepthLayers:
-    """Blurs depth layers into a plane, with occlusion from what the pinhole sees: psf.occlusion = "layered".
+    """Blurs depth layers into a plane, with occlusion based on the pinhole image: psf.occlusion = "layered".
 
-    `add` takes the place of that of the frame's blur.
+    `add` replaces that of the frame's blur.
 
     Parameters
     ----------
     blur : BlurredPlane
-        Blur of the frame, or a strip of it, by one of MANY_RADII and without sub-pixel sources.
+        Blur of the frame or strip, by one of MANY_RADII and without sub-pixel sources.
     target : Target
         Target of `layered_program`.
     tallest : Grid
@@ -48,11 +48,10 @@ class DepthLayers:
 
     Notes
     -----
-    Near discontinuities the radiance of a layer and its coverage are blurred by the PSF as one image, and it gets at
-    each pixel the room that the coverage of nearer layers leaves; elsewhere radiance simply adds up. A cut through a
-    continuous surface, which has no hidden part, shows nowhere; with one layer the frame is that of psf.occlusion =
-    "none", to the bit.
-    Validated against `clsco.reference.layered.layered` and the ray tracer.
+    Near discontinuities the radiance and the coverage of a layer are blurred by the PSF as one image, and weighted at
+    each pixel by the fraction that the coverage of nearer layers leaves; elsewhere radiance is simply added. A cut
+    through a continuous surface, which has no hidden part, is invisible; with one layer the frame equals that of
+    psf.occlusion = "none", to the bit. Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
 
     def __init__(
@@ -68,7 +67,7 @@ class DepthLayers:
         self.depth, self.open = (empty(session, sizes[name]) if name in sizes else None for name in ("depth", "open"))
 
     def add(self, at: Area, layers: Layers) -> None:
-        """Add the radiance of layers to the frame, or strip."""
+        """Add the radiance of layers to the frame or strip."""
         behind: dict[str, Any] = {}
         if self.depth is not None and self.behind_rims is not None:
             behind = self.behind_rims(at) | {"depth": self.depth}
@@ -91,13 +90,13 @@ class DepthLayers:
         return Sources(self.source, image.value, **behind)
 
     def _keep(self, at: Area, edge: cl.Buffer, near_edges: bool) -> None:
-        """Leave only the sources near edges, or only the others."""
+        """Remove the sources away from edges (`near_edges`), or those near them."""
         size = int(at.grid["width"]), int(at.grid["height"])
         args = (at.grid, np.int32(near_edges), edge, self.source)
         self.target.run("keep_sources", size, PIXELS, at.events, *args)
 
     def _blur(self, at: Area, layer: Image, edge: cl.Buffer, behind: dict[str, Any]) -> None:
-        """Blur the depth layer and put it behind those before."""
+        """Blur the depth layer, and composite it behind the previous ones."""
         inner, frame = self.inner, (int(at.grid["columns"]), int(at.grid["rows"]))
         sources = self._sources(at, inner, layer, behind)
         self._keep(at, edge, near_edges=True)

@@ -1,4 +1,4 @@
-"""Pack scenes into the structs that kernels read."""
+"""Packs scenes into the structs that kernels read."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def grid_struct(
         Width of the apron, px.
     real : {"double", "float"}
     strip : Strip, optional
-        Rows of the frame that are worked on; all by default.
+        Rows of the frame to process; by default all.
     step : float
-        Slope between the rays of neighboring pixels, where rays are cast.
+        Slope between the rays of neighboring pixels, if rays are cast.
     rest_step : float, optional
-        The same in the reference pose, if it is another one.
+        The same in the reference pose, if it differs.
 
     Returns
     -------
@@ -64,7 +64,8 @@ def camera_grid(
     camera: Camera, guard: int, real: Real, strip: Strip | None = None, reference: Camera | None = None
 ) -> Struct:
     """grid_t of a camera with a resolution, for a guard band of `guard` px; strip as for `grid_struct`; reference: the
-    camera of the reference pose, if it is another one."""
+    camera of the reference pose, if it differs.
+    """
     columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
     grid = grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
     if (distortion := distortion_of(camera)) is not None:
@@ -74,7 +75,7 @@ def camera_grid(
 
 
 def towards(grid: Struct, camera: Camera) -> Struct:
-    """grid_t with the rays of another camera, whose lens zooms or has another magnification."""
+    """grid_t with the rays of another camera, whose lens has another focal length or magnification."""
     grid = grid.copy()
     grid["step"] = ray_step(camera)
     if (distortion := distortion_of(camera)) is not None:
@@ -83,7 +84,9 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set where Newton's method begins, and how many steps rays of a grid and of its reference pose need at most."""
+    """Set the start of Newton's method, and the largest number of steps for rays of a grid and of its reference
+    pose.
+    """
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
 
@@ -102,7 +105,9 @@ def lens_struct(lens: Lens, real: Real) -> Struct:
 def surface_structs(
     items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
 ) -> NDArray[np.void]:
-    """surface_t of every object placed before the camera, (objects,); textures: number of each one's, by default 0."""
+    """surface_t of every object at its position in front of the camera, (objects,); textures: number of the texture of
+    each, by default 0.
+    """
     numbers = textures or [0] * len(items)
     placed = [_surface_struct(*one, real) for one in zip(items, surfaces, numbers, strict=True)]
     return np.array(placed, structs(real)["surface_t"])
@@ -149,10 +154,10 @@ def texture_map_structs(
     maps : sequence of TextureMap or None
         None for a projected texture.
     bases : sequence of int
-        First float of each one's mipmap.
+        Index of the first float of each mipmap.
     psf : PointSpread
     covered : float
-        Value of the last channel where there is no image: 1 of coverage, else 0.
+        Value of the last channel outside of the image: 1 for coverage, else 0.
     real : {"double", "float"}
     """
     found_structs = []
@@ -168,7 +173,7 @@ def texture_map_structs(
 
 
 def pose_structs(poses: Sequence[Pose], real: Real, step: float = 0.0) -> NDArray[np.void]:
-    """pose_t of every pose, (poses,); step: slope between rays then, where points are projected."""
+    """pose_t of every pose, (poses,); step: slope between rays at that time, if points are projected."""
     placed = [filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift, "step": step}) for p in poses]
     return np.array(placed, structs(real)["pose_t"])
 
@@ -180,19 +185,19 @@ def light_struct(light: PlacedLight, real: Real) -> Struct:
 
 
 def group_struct(group: OcclusionGroup, objects: int) -> Struct:
-    """group_t of an occlusion group of a scene of so many objects."""
+    """group_t of an occlusion group in a scene with `objects` objects."""
     return filled("group_t", "double", vars(group) | {"count": objects})
 
 
 def exposure_struct(exposed: Exposed, still: bool, window: Window | None, real: Real) -> Struct:
-    """exposure_t of a part of an exposure; no window: sources that are not still are nowhere."""
+    """exposure_t of a part of an exposure; window None: no sources move."""
     ends = dict(zip(("left", "top", "right", "bottom"), window or (0, 0, 0, 0), strict=True))
     values = {"moving": exposed.moving, "changing": exposed.changing, "samples": len(exposed.places), "still": still}
     return filled("exposure_t", real, values | ends)
 
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
-    """psf_t for a main table and, where there are sub-pixel sources, theirs."""
+    """psf_t for a main table and, if there are sub-pixel sources, their table."""
     values: dict[str, Any] = {
         "first": table.first,
         "count": table.count,
@@ -221,9 +226,9 @@ def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, rea
 
 
 def texture_planes(radiances: Sequence[NDArray[np.float32]], channels: int) -> NDArray[np.float32]:
-    """Channel planes (textures, channels, rows, columns); gray textures serve color scenes as well.
+    """Channel planes (textures, channels, rows, columns); gray textures are repeated in color scenes.
 
-    The only texture of a gray scene is given as it is, without a copy.
+    The only texture of a gray scene is returned without a copy.
     """
     planes = [radiance[None] if radiance.ndim == 2 else np.moveaxis(radiance, -1, 0) for radiance in radiances]
     if len(planes) == channels == 1:

@@ -43,9 +43,9 @@ class TimeSample:
     time : float
         Seconds.
     camera : Camera
-        With the lens that it has then.
+        The camera with its lens at that time.
     poses : tuple of Pose
-        Pose of every object before the camera, wherever that is itself.
+        Pose of every object relative to the camera, wherever that is itself.
     placed : tuple of PlacedSurface or None
         The objects in their poses.
     packed : ndarray
@@ -53,7 +53,7 @@ class TimeSample:
     surfaces : Buffer
         The same on the device.
     light : (numpy.void,), optional
-        light_t, where the scene has a light.
+        light_t, if the scene has a light.
     """
 
     time: float
@@ -67,13 +67,13 @@ class TimeSample:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Sources of a divided exposure: the still ones, or the others of a time sample.
+    """Some of the sources of an exposure: the still ones, or the other ones of a time sample.
 
     Attributes
     ----------
     exposed : Exposed
     places : Buffer
-        Its `places` on the device.
+        `exposed.places` on the device.
     still : bool
     """
 
@@ -92,13 +92,13 @@ class Moment(Area):
     weights : ndarray of float64, (rows,) or (columns,)
         Weights of the time sample in the strip.
     first : bool
-        It is the first time sample of the frame.
+        True for the first time sample of the frame.
     of : Strip
-        The strip of the frame that this one is a part of, or is.
+        The whole strip that this one is a part of, or equals.
     camera : int, optional
-        `clsco.optics.sensor.camera_word` of the frame, at its last time sample.
+        `clsco.optics.sensor.camera_word` of the frame, set only for its last time sample.
     part : Part, optional
-        Sources that are made, where a frame is divided.
+        Sources to trace, if the frame splits them into still and other ones.
     """
 
     sample: TimeSample
@@ -124,11 +124,11 @@ class PlacedScene:
     eye : {"left", "right"}
         View of a stereo pair.
     covered : bool
-        The last channel is coverage.
+        True if the last channel is coverage.
 
     Notes
     -----
-    What is uploaded stays until `release`, since the host runs ahead of the launches that read it.
+    Uploaded arrays stay until `release`, since the host runs ahead of the launches that read them.
     """
 
     def __init__(
@@ -159,20 +159,20 @@ class PlacedScene:
 
     @cached_property
     def channels(self) -> int:
-        """1, or 3 where any texture has color."""
+        """Number of channels: 3 if any texture has color, else 1."""
         images = (image for texture in (*self.stack, *self.mapped) for image in texture.images)
         return max(image.shape[2] if image.ndim == 3 else 1 for image in images)
 
     @property
     def content(self) -> Hashable:
-        """Key of the textures: the same for the same ones; None where it is not known."""
+        """Key of the textures, equal for equal textures; None if unknown."""
         found = ("textures", self.channels, *(texture.content for texture in self.stack))
         found += ("mapped", *(texture.content for texture in self.mapped)) if self.mapped else ()
         return None if None in found else found
 
     @property
     def texture(self) -> cl.Buffer:
-        """The textures: float (textures, channels, rows, columns), then mipmaps of those that lie on surfaces."""
+        """The textures: float (textures, channels, rows, columns), followed by mipmaps of those on surfaces."""
         if self._texture is None:
             key, cache = self.content, self.session.cache
             self._texture = self._planes() if key is None else cache.get(key, self._planes, lambda planes: planes.size)
@@ -198,7 +198,7 @@ class PlacedScene:
 
     @property
     def texture_maps(self) -> tuple[cl.Buffer, ...]:
-        """texture_map_t of every object, where kernels read it: where a texture lies on a surface."""
+        """texture_map_t of every object, if a texture is on a surface, else empty."""
         if not self.mapped:
             return ()
         if self._maps is None:
@@ -221,7 +221,7 @@ class PlacedScene:
         return texture_map_structs(maps, first, self.psf, float(self.covered), self.real)
 
     def at(self, time: float, eye: Eye | None = None) -> TimeSample:
-        """The objects at a time in s, as `eye` sees them."""
+        """The objects at a time in s, as seen from `eye`."""
         key = time, eye or self.eye
         if key not in self._samples:
             sample = self.posed(poses_at(self.scene, *key), time, camera_at(self.scene, time))
@@ -230,11 +230,11 @@ class PlacedScene:
         return self._samples[key]
 
     def in_reference_pose(self) -> TimeSample:
-        """The objects as the textures show them."""
+        """The objects in the reference pose, as textures show them."""
         return self.posed(rest_poses(self.scene))
 
     def parts(self, times: Sequence[float]) -> dict[bool | None, Part]:
-        """The parts of a divided exposure with time samples at these times in s, by `Part.still`."""
+        """Still and other sources of an exposure with time samples at these times in s, by `Part.still`."""
         placed = (self._placed(poses_at(self.scene, time, self.eye)) for time in times)
         found = exposed(self.scene.objects, [[each for each in one if each is not None] for one in placed])
         places = self.hold(found.places.astype(REAL[self.real]))
@@ -245,7 +245,7 @@ class PlacedScene:
         return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
 
     def posed(self, poses: Sequence[Pose], time: float = 0.0, camera: Camera | None = None) -> TimeSample:
-        """The objects in given poses; before the camera of the scene by default."""
+        """The objects in given poses, relative to `camera`, by default the scene's."""
         placed = self._placed(poses)
         packed = self._surface_structs(placed)
         return TimeSample(time, camera or reference_camera(self.scene), tuple(poses), placed, packed, self.hold(packed))
@@ -255,17 +255,17 @@ class PlacedScene:
         return self.hold(pose_structs(sample.poses, self.real, ray_step(sample.camera)))
 
     def hold(self, array: NDArray[Any]) -> cl.Buffer:
-        """An array on the device until `release`."""
+        """An array on the device, kept until `release`."""
         self._held.append(upload(self.session, array))
         return self._held[-1]
 
     def release(self) -> None:
-        """Let go of what is held; all launches that read it have ended."""
+        """Release the arrays; call this after all launches that read them have ended."""
         self._held.clear()
         self._samples.clear()
 
     def _surface_structs(self, placed: Surfaces) -> NDArray[np.void]:
-        """surface_t of every object; of depth maps only the center, about which they turn."""
+        """surface_t of every object; for depth maps only the center of rotation."""
         items, known = self.scene.objects, [k for k, surface in enumerate(placed) if surface is not None]
         array = np.zeros(len(items), structs(self.real)["surface_t"])
         given = [surface for surface in placed if surface is not None]

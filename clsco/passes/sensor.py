@@ -1,4 +1,4 @@
-"""Image sensor: codes of a frame, or of a strip of it, from its light."""
+"""Image sensor: converts the irradiance of a frame or a strip to codes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ RECIPROCALS = reciprocals_of_counts()
 
 @dataclass(frozen=True)
 class Codes:
-    """Codes on the device, with rows of whole vectors.
+    """Codes on the device, with rows padded to whole vectors.
 
     Attributes
     ----------
     code, saturated : Buffer
-        ushort and uchar of this shape.
+        ushort and uchar in this shape.
     shape : tuple of int
-        Planes, rows, columns of whole vectors.
+        Planes, rows, columns padded to whole vectors.
     columns : int
         Columns of the image.
     """
@@ -42,13 +42,13 @@ class Codes:
     columns: int
 
     def read(self, session: Session, code: NDArray[np.uint16], saturated: NDArray[np.bool_]) -> None:
-        """Read into arrays (rows, columns, planes); waits for the device."""
+        """Copy the codes to arrays (rows, columns, planes); waits for the device."""
         for buffer, out, dtype in ((self.code, code, np.uint16), (self.saturated, saturated, np.uint8)):
             out[...] = np.moveaxis(download(session, buffer, self.shape, dtype)[..., : self.columns], 0, -1)
 
 
 class FrameSensor:
-    """The sensor of a scene, which reads out a frame or strips of it.
+    """The sensor of a scene, which reads out a frame or its strips.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class FrameSensor:
 
     Notes
     -----
-    Validated against `clsco.reference.sensor.sensor.sense`, which has the same bits (tests/kernels/test_sensor.py).
+    Validated against `clsco.reference.sensor.sensor.sense`, with equal bits (tests/kernels/test_sensor.py).
     """
 
     def __init__(self, session: Session, sensor_model: SensorModel, sizes: Sizes) -> None:
@@ -70,7 +70,7 @@ class FrameSensor:
         self.struct = filled("sensor_t", "float", sensor_values(sensor_model))
 
     def expose(self, strip: Strip, plane: Plane, camera: int, events: Events) -> Codes:
-        """Codes of the light of a strip; camera: `clsco.optics.sensor.camera_word` of the frame."""
+        """Codes for the irradiance of a strip; camera: `clsco.optics.sensor.camera_word` of the frame."""
         padded = padded_columns(plane.columns)
         counts = upload_cached(self.target.session, RECIPROCALS, "reciprocals of counts")
         head = (np.int32(n) for n in (plane.rows, plane.columns, strip.top, padded))

@@ -1,4 +1,4 @@
-"""Images that are given with their radii, and static depth maps: the host sends them, strip by strip."""
+"""Images given with their radii, and static depth maps: the host uploads them, strip by strip."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class GivenImage(ABC):
-    """An image with its signed radii on the host.
+    """An image and its signed radii, in host memory.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class GivenImage(ABC):
     guard : int
         Width of the apron around the frame, px.
     outside : {"symmetric", "constant"}
-        In the apron both go on as their mirror images, as textures do, or are 0.
+        In the apron both continue as mirror images, as textures do, or are 0.
     """
 
     def __init__(
@@ -47,11 +47,12 @@ class GivenImage(ABC):
 
     @abstractmethod
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
-        """Signed radii around a strip, "coc", and where there are some, "valid", as `Image` has them."""
+        """Signed radii around a strip, "coc", and possibly a mask "valid", as in `Image`."""
 
     def image(self, at: Area, buffers: Mapping[str, cl.Buffer]) -> Image:
-        """The image of a strip, in buffers "value", "coc" and "valid"; kernels read the host's array for one that is
-        not there, and "valid" stays as it is where `radii` has none."""
+        """The image of a strip, in buffers "value", "coc" and "valid"; kernels read the host's array in place of a
+        missing buffer, and "valid" stays unchanged if `radii` has none.
+        """
         value = self._sent(buffers.get("value"), flat(self._around(self.radiance, at.strip), np.float32))
         sent = {name: self._sent(buffers.get(name), array) for name, array in self.radii(at.strip).items()}
         found = {name: buffers[name] for name in ("coc", "valid") if name in buffers} | sent
@@ -68,8 +69,7 @@ class GivenImage(ABC):
 
 
 class StaticMap(GivenImage):
-    """Image and depth map of a scene where nothing moves, and which is seen from where they were made: its own pixels
-    are what the pinhole sees.
+    """Image and depth map of a static scene seen from the original viewpoint: its pixels are the pinhole image.
 
     Parameters
     ----------
@@ -78,14 +78,14 @@ class StaticMap(GivenImage):
     lens : Lens
     radiance : ndarray of float32 (rows, columns[, channels])
     inverse_depth : ndarray of float64 (rows, columns)
-        1/mm, 0 where nothing is.
+        1/mm, 0 without a surface.
     guard : int
-        px, of the apron.
+        Width of the apron, px.
     real : {"double", "float"}
 
     Notes
     -----
-    Validated against `clsco.reference.render`, which moves every pixel to its own place.
+    Validated against `clsco.reference.render`, which moves every pixel.
     """
 
     def __init__(
@@ -102,8 +102,7 @@ class StaticMap(GivenImage):
         return {"coc": radii.astype(REAL[self.real], copy=False), "valid": there.view(np.uint8)}
 
     def _radii(self, w: Array, top: int) -> Array:
-        """Signed radii of inverse depths (rows, columns) of rows from `top` on, with as many columns on both sides of
-        the axis."""
+        """Signed radii of inverse depths (rows, columns), from row `top` on, for columns centered on the axis."""
         if not self.lens.is_curved and self.lens.distortion is None:
             return self.lens.blur_radius(w)
         (rows, columns), (_, height) = w.shape, self.camera.frame_size
@@ -113,7 +112,7 @@ class StaticMap(GivenImage):
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
-        """Pixels (rows, columns) without depth between the first and last one with it of their row, or their column."""
+        """Mask (rows, columns) of pixels without depth between pixels with depth in their row or column."""
         there = self.inverse_depth > 0
         ends = [
             np.logical_or.accumulate(there, axis) & np.flip(np.logical_or.accumulate(np.flip(there, axis), axis), axis)
@@ -122,7 +121,7 @@ class StaticMap(GivenImage):
         return (ends[0] | ends[1]) & ~there
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Ground truth that needs no differences; values as of `clsco.passes.warp.ForwardWarp.truth`."""
+        """Ground truth that needs no differences; arrays as of `clsco.passes.warp.ForwardWarp.truth`."""
         w, there = self.inverse_depth, self.inverse_depth > 0
         seen = there if self.radiance.ndim == 2 else there[..., None]
         radii = self._radii(w, 0)

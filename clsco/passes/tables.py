@@ -1,4 +1,4 @@
-"""Tables of PSF weights: made once, kept in the process by what they depend on, and their blocks on disk."""
+"""Tables of PSF weights: cached in the process, with their blocks cached on disk."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ R = TypeVar("R", PsfTable, WeightBlock)
 
 
 class TableStore:
-    """Tables of this process. Safe to share between threads.
+    """PSF tables of this process. Threads may share it.
 
     Parameters
     ----------
     disk : ArrayCache
-        For blocks of weights.
+        Cache for blocks of weights.
     limit : int
-        Most bytes of tables; those used longest ago go, but for the latest two.
+        Most bytes of tables; the least recently used ones are evicted, except the latest two.
     """
 
     def __init__(self, disk: ArrayCache, limit: int = CACHE_BYTES) -> None:
@@ -48,10 +48,10 @@ class TableStore:
     def table(
         self, psf: PointSpread, smallest: float, largest: float, subpixel: int = 0, go_on: Callable[[], object] = tuple
     ) -> PsfTable:
-        """`clsco.optics.psf_tables.psf_table`, with the arrays of an earlier one where these hold the range.
+        """`clsco.optics.psf_tables.psf_table`; shares the arrays of a cached table that includes the range.
 
-        A PSF has one table that grows, and the latest of those that are larger than it may be: so a rendering with a
-        wide blur leaves no more than the one before it. go_on: called before each block, and may raise.
+        Each PSF has one cached table that grows, and the latest one above the size limit: so a rendering with wide blur
+        leaves no more in memory than the one before it. go_on: called before each block, and may raise.
         """
 
         def block(psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
@@ -79,7 +79,7 @@ class TableStore:
         return narrowed(table, psf, smallest, largest, subpixel > 0)
 
     def block(self, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
-        """A block of weights, from the process or the disk where it is there."""
+        """A block of weights, from the process or the disk if cached."""
         key = f"{_code()} {_key(psf, subpixel)} {first}"
         return self.blocks.get(key, lambda: self._block(key, psf, first, subpixel), lambda block: block.nbytes)
 
@@ -92,7 +92,7 @@ class TableStore:
         return _in_pages(block)
 
     def clear(self, blocks: bool = True) -> None:
-        """Forget all tables, and the blocks that are not on disk as well."""
+        """Remove all tables and, with `blocks`, also the blocks in memory."""
         with self._lock:
             self._tables.clear()
             if blocks:
@@ -101,18 +101,18 @@ class TableStore:
 
 @cache
 def _code() -> str:
-    """Digest of the code that makes blocks."""
+    """Digest of the code that computes blocks."""
     return code_digest(constants, point_spread, pupils, psf_blocks, psf_grid)
 
 
 @cache
 def shared_tables() -> TableStore:
-    """The tables of this process, with blocks in the user's cache where nobody else can write to it."""
+    """The tables of this process, with blocks in the user's cache if nobody else can write to it."""
     return TableStore(user_cache("tables"))
 
 
 def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | None]:
-    """Tables of weights of pixels and, where there are such, of sub-pixel sources. Raises CanceledError."""
+    """Tables of weights for pixels and, if there are any, for sub-pixel sources. Raises CanceledError."""
 
     def table(subpixel: int) -> PsfTable:
         return shared_tables().table(spec.psf, spec.smallest, spec.largest, subpixel, session.go_on)
@@ -121,14 +121,15 @@ def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | No
 
 
 def forget_others(session: Session) -> None:
-    """Let go of what earlier calls have left on the device, before one whose memory is limited: tables are then those
-    that it has planned."""
+    """Release cached data of earlier calls on the device before a call with limited memory, which then holds only
+    planned tables.
+    """
     session.cache.clear()
     shared_tables().clear(blocks=False)
 
 
 def _key(psf: PointSpread, subpixel: int) -> str:
-    """All that the weights depend on but the radius."""
+    """Cache key: everything that the weights depend on except the radius."""
     return f"{psf!r} {subpixel}"
 
 
@@ -141,18 +142,18 @@ def _holds(table: PsfTable, span: range) -> bool:
 
 
 def _is_disc(psf: PointSpread, subpixel: int) -> bool:
-    """True if a table is that of a sampled disc."""
+    """True if the table is that of a sampled disc."""
     return psf.layout == "disc" and not subpixel
 
 
 @lru_cache(maxsize=256)
 def _size(psf: PointSpread, span: range, subpixel: int) -> int:
-    """Bytes of the table of a span."""
+    """Bytes of the table for a range of intervals."""
     return sum(span_sizes(psf, span, subpixel).values())
 
 
 def _in_pages(record: R) -> R:
-    """A table or block with its large arrays in pages of their own, so that they leave no gaps when they go."""
+    """A table or block with its large arrays in their own pages, so that freeing them leaves no gaps."""
     arrays = {name: value for name, value in vars(record).items() if isinstance(value, np.ndarray)}
     large = {name: array for name, array in arrays.items() if array.nbytes >= SMALLEST and not is_in_pages(array)}
     placed: dict[str, Any] = {name: in_pages(array) for name, array in large.items()}

@@ -1,4 +1,4 @@
-"""Host side of the tracing: rays to sources, sub-pixel sources at silhouettes, and what a pinhole sees."""
+"""Host side of ray tracing: sources, sub-pixel sources at silhouettes, and the pinhole image."""
 
 from __future__ import annotations
 
@@ -45,8 +45,9 @@ Cast = Callable[[HitPlanes], None]
 
 
 class HitKey(NamedTuple):
-    """All that hits depend on: the group, what is cast at what, and the textures, None where their content is not
-    known."""
+    """Everything that ray hits depend on: the group, rays and surfaces, and the textures, None if their content is
+    unknown.
+    """
 
     group: OcclusionGroup
     cast: Hashable
@@ -54,10 +55,10 @@ class HitKey(NamedTuple):
 
 
 class Hits(Protocol):
-    """Store of the planes of what rays hit, for several lenses."""
+    """Cache of planes of ray hits, shared by several lenses."""
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        """The planes of an occlusion group, cast into where they are not there.
+        """The planes of an occlusion group; on a cache miss, rays are cast into them.
 
         Parameters
         ----------
@@ -70,7 +71,7 @@ class Hits(Protocol):
 
 
 class LatestHits:
-    """The planes of the last time sample of each occlusion group, for the lenses of a sweep."""
+    """Cache of the last time sample's planes for each occlusion group, for the lenses of a sweep."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -88,7 +89,7 @@ class LatestHits:
 
 
 class KeptHits:
-    """Planes of all that was cast, as long as the session keeps them."""
+    """Cache of all planes of ray hits, kept by the session."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -113,12 +114,12 @@ class Tracer:
     plan : Plan
     scene : PlacedScene
     buffers : dict
-        By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`; those of slots are
-        replaced where more are needed.
+        By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`; slot buffers are
+        reallocated if more slots are needed.
     psf : numpy.void
-        psf_t of the blur that the sources are for.
+        psf_t of the blur that will add the sources.
     hits : Hits, optional
-        Shared with other lenses.
+        Hits shared with other lenses.
     """
 
     plan: Plan
@@ -129,16 +130,16 @@ class Tracer:
 
     @cached_property
     def target(self) -> Target:
-        """With the kernels that cast rays."""
+        """Target with the kernels that cast rays."""
         return ray_target(self.plan, self.scene)
 
     @cached_property
     def bends(self) -> Bends:
-        """Planes of the lens along the rays."""
+        """Planes of the lens's effect on rays."""
         return Bends(self.target, self.plan.scene)
 
     def _bends(self, at: Moment, *names: str) -> tuple[cl.Buffer, ...]:
-        """Planes of the lens by these names, as far as there are some: kernel arguments."""
+        """Named planes of the lens's effect on rays, as far as they exist: kernel arguments."""
         found = self.bends.planes(at.grid, self.lens(at), at.events)
         return tuple(found[name] for name in names if name in found)
 
@@ -148,7 +149,7 @@ class Tracer:
 
     @cached_property
     def extents(self) -> tuple[cl.Buffer, ...]:
-        """Extents that the plan predicts for several objects, on the device."""
+        """Predicted extents of the objects, if there are several, on the device."""
         count = len(self.plan.scene.objects)
         if count == 1:
             return ()
@@ -158,8 +159,9 @@ class Tracer:
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
     def trace(self, at: Moment) -> Sources | None:
-        """Sources of one occlusion group, None where a part of an exposure has none; its buffers are those of the group
-        before, which the queue is done with."""
+        """Sources of one occlusion group, None if this part of the exposure has none; reuses the buffers of the
+        previous group, whose launches have ended.
+        """
         plan, buffers, head = self.plan, self.buffers, self._head(at)
         sizes = hit_buffers(plan.grid, plan.mapped > 0)
         window = self._window(at)
@@ -186,7 +188,7 @@ class Tracer:
         return found if plan.silhouettes else self._merged(at, found)
 
     def _cast(self, at: Moment, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]) -> None:
-        """Enqueue the rays of one occlusion group, which are the same for all lenses."""
+        """Enqueue the rays of one occlusion group, which all lenses share."""
         grid, lens, surfaces, group, psf = self._head(at)
         divided, slopes = (lens, psf) if exposure else (), self._bends(at, "slopes")
         self._per_pixel(
@@ -194,7 +196,7 @@ class Tracer:
         )
 
     def silhouettes(self, at: Moment, sources: Sources | None) -> Sources | None:
-        """The sources of an occlusion group with those of sub-pixels."""
+        """The sources of an occlusion group, with sub-pixel sources added."""
         window = self._window(at)
         if sources is None or window is None:
             return None
@@ -222,12 +224,13 @@ class Tracer:
 
     @property
     def _room(self) -> int:
-        """Pixels near silhouettes that there is room for."""
+        """Number of slots for pixels near silhouettes."""
         return self.buffers["pixels"].size // 4
 
     def _take_slots(self, at: Moment, sources: Sources, window: Window) -> int:
-        """Give slots to the pixels that need sub-pixel sources, with more room where there are more than the plan has
-        predicted; how many they are. Waits for the device."""
+        """Assign slots to the pixels that need sub-pixel sources, and reallocate if there are more than predicted;
+        returns their number. Waits for the device.
+        """
         session, statistics = self.target.session, self.buffers["statistics"]
         left, top, right, bottom = window
         runs, origin = (-(-right // TAP_LANES) - left // TAP_LANES, bottom - top), (left // TAP_LANES, top)
@@ -244,13 +247,13 @@ class Tracer:
             self._make_room(int(SPARE_SLOTS * taken))
 
     def _make_room(self, slots: int) -> None:
-        """Replace the buffers of slots by larger ones; what has a slot keeps it. Nothing is in the queue."""
+        """Replace the slot buffers by larger ones and copy existing slots. The queue must be empty."""
         session, before = self.target.session, self.buffers["pixels"]
         self.buffers.update(allocate(session, silhouette_buffers(self.plan.spec, self.plan.grid, slots, False)))
         cl.enqueue_copy(session.queue, self.buffers["pixels"], before, byte_count=before.size).wait()
 
     def _merged(self, at: Moment, sources: Sources) -> Sources:
-        """The sources with those merged that a tolerance lets be."""
+        """The sources, merged as far as the tolerance allows."""
         plan, grid = self.plan, at.grid
         if plan.merged:
             size = (-(-int(grid["width"]) // MERGED_SIDE), -(-int(grid["height"]) // MERGED_SIDE))
@@ -261,7 +264,7 @@ class Tracer:
         return sources
 
     def pinhole(self, at: Moment) -> Image:
-        """The image of a pinhole, with its radii."""
+        """The pinhole image with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         head = (at.grid, self.lens(at), at.sample.surfaces, everything(self.plan), *self._appearance(at))
         out = value, coc, valid, self.buffers["statistics"], *self._bends(at, "slopes", "bends")
@@ -275,7 +278,7 @@ class Tracer:
         return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
 
     def _key(self, at: Moment) -> HitKey:
-        """All that what rays hit depends on: where they are, and what they may meet."""
+        """Everything that ray hits depend on: the rays and the surfaces that they may meet."""
         sample = at.sample
         members = [k for k in range(len(sample.placed)) if at.group.members >> k & 1]
         light = tuple(each.tobytes() for each in sample.light)
@@ -284,11 +287,11 @@ class Tracer:
         return HitKey(at.group, (cast, maps), self.scene.content)
 
     def _appearance(self, at: Moment) -> tuple[Any, ...]:
-        """The textures, how they lie on surfaces where they do, and the light where there is one."""
+        """The textures, their mappings, and the light, as far as the scene has them."""
         return (self.scene.texture, *self.scene.texture_maps, *at.sample.light)
 
     def nothing_hidden(self, at: Moment) -> dict[str, Any]:
-        """The lens, and surfaces of which none hides any, as `Sources` have them."""
+        """The lens, and an empty set of occluders, as fields of `Sources`."""
         group = group_struct(OcclusionGroup(0, 0), 0)
         return {"lens": self.lens(at), "surfaces": at.sample.surfaces, "group": group}
 
@@ -297,20 +300,22 @@ class Tracer:
         return at.grid, self.lens(at), at.sample.surfaces, group, self.psf
 
     def _changed(self, at: Moment, part: Part) -> Window | None:
-        """Window of the sources that are not still."""
+        """Window around the sources that are not still."""
         plan, strip = self.plan, at.strip
         rows = strip.top - strip.above, strip.height
         return part.exposed.window(at.group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
 
     def _window(self, at: Moment) -> Window | None:
-        """Part of the grid whose sources are made; from whole groups of pixels on, so that all passes pad it alike."""
+        """Part of the grid whose sources are traced, aligned to whole groups of pixels, so that all passes pad it
+        equally.
+        """
         if at.part is None or at.part.still:
             return whole_grid(at)
         found = self._changed(at, at.part)
         return None if found is None else (found[0] - found[0] % PIXELS[0], *found[1:])
 
     def _exposure(self, at: Moment, every: bool = False) -> tuple[Any, ...]:
-        """Kernel arguments of a part of an exposure; every: of rays that other lenses share."""
+        """Kernel arguments of a part of an exposure; every: True for rays that other lenses share."""
         if at.part is None:
             return ()
         window, part = self._changed(at, at.part), at.part
@@ -322,7 +327,7 @@ class Tracer:
 
 
 def whole_grid(at: Moment) -> Window:
-    """Window of all pixels of frame and apron."""
+    """Window of all pixels of the frame and the apron."""
     return 0, 0, int(at.grid["width"]), int(at.grid["height"])
 
 
@@ -333,6 +338,6 @@ def ray_target(plan: Plan, scene: PlacedScene) -> Target:
 
 
 def everything(plan: Plan) -> Struct:
-    """group_t of all objects of a scene, with nothing in their way."""
+    """group_t of all objects of a scene, without occluders."""
     count = len(plan.scene.objects)
     return group_struct(OcclusionGroup((1 << count) - 1, 0), count)

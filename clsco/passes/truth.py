@@ -1,4 +1,4 @@
-"""Ground truth of a frame, at the middle of its exposure, or of those of its rows or columns."""
+"""Ground truth of a frame, at the middle of its exposure, or of the exposures of its rows or columns."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Makes the outputs of a plan besides color.
+    """Computes the outputs of a plan besides color.
 
     Attributes
     ----------
     plan : Plan
     scene : PlacedScene
     pixels : ForwardWarp or StaticMap, optional
-        Moves the pixels of the reference pose, or has them as they are.
+        Source of pixels in the reference pose: moved by a forward warp, or static.
     """
 
     plan: Plan
@@ -52,11 +52,11 @@ class GroundTruth:
 
     @cached_property
     def target(self) -> Target:
-        """With the kernels that cast rays, which are built where the first ray is cast."""
+        """Target with the kernels that cast rays, built when the first ray is cast."""
         return ray_target(self.plan, self.scene)
 
     def of_frame(self, index: int, events: Events) -> Arrays:
-        """The outputs of the frame of this number that are wanted: (rows, columns[, 3]), as `Frame` has them."""
+        """The requested outputs of frame `index`: (rows, columns[, 3]), as in `Frame`."""
         plan = self.plan
         if not plan.truth:
             return {}
@@ -71,7 +71,7 @@ class GroundTruth:
         return {name: array for name, array in found.items() if name in plan.truth}
 
     def _middles(self, index: int) -> tuple[float, float, float]:
-        """Times of the ground truth of the frame before, of a frame, and of the next one."""
+        """Times of the ground truth of the previous, the current and the next frame."""
         if not self.plan.moves:
             return 0.0, 0.0, 0.0
         sequence = self.plan.scene.sequence
@@ -82,7 +82,7 @@ class GroundTruth:
         return "left" if self.plan.eye == "right" else "right"
 
     def _of_rays(self, before: float, time: float, later: float, events: Events) -> Arrays:
-        """By rays at analytic surfaces, strip by strip."""
+        """Outputs from rays at analytic surfaces, strip by strip."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         sample, after = scene.at(time), scene.at(later)
         there = scene.at(time, eye=self._opposite) if set(STEREO_NAMES) & set(names) else None
@@ -101,7 +101,7 @@ class GroundTruth:
         return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._of_motion() | out
 
     def _of_motion(self) -> Arrays:
-        """Outputs that rays are not asked for where nothing moves: 0 all over."""
+        """Outputs that are 0 everywhere in static scenes and need no rays."""
         shape = self.plan.rows, self.plan.columns
         return {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
 
@@ -109,9 +109,10 @@ class GroundTruth:
         self, reference: TimeSample, sample: TimeSample, after: TimeSample, there: TimeSample | None = None,
         earlier: TimeSample | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Kernel arguments of a frame, or a line of it, between the grid and the outputs.
+        """Kernel arguments of a frame, or of one of its lines, between the grid and the outputs.
 
-        reference: the reference pose; after, earlier: the next frame, and the one before; there: the other view.
+        reference: objects in the reference pose; after, earlier: in the next and the previous frame; there: in the
+        other view.
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
@@ -127,14 +128,14 @@ class GroundTruth:
         self, strip: Strip, camera: Camera, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
         size: tuple[int, int], origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue the rays of a strip, or of so many columns and rows of it from `origin` on."""
+        """Enqueue the rays of a strip, or of a block of columns and rows of it from `origin` on."""
         grid = camera_grid(camera, self.plan.guard_px, self.scene.real, strip, self.plan.scene.camera)
         out = (buffers["mask"], *(buffers.get(name) for name in RAY_OUTPUTS))
         local = PIXELS if size[0] > 1 else PIXELS[::-1]
         self.target.run("ground_truth", size, local, events, grid, *arguments, *out, origin=origin)
 
     def _of_lines(self, index: int, events: Events) -> Arrays:
-        """By rays at analytic surfaces, each line at its own time; the host follows points from line to line."""
+        """Outputs from rays at analytic surfaces with a time per line; the host follows points from line to line."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         times, by_columns = line_times(plan.scene, index), plan.scene.sequence.by_columns
         reference = scene.in_reference_pose()
@@ -151,7 +152,7 @@ class GroundTruth:
         return out | (self._between_lines(index, out) if set(OF_LINES) & set(plan.truth) else {})
 
     def _between_lines(self, index: int, found: Arrays) -> Arrays:
-        """Flow, disparity and what they hide, where each line has its own time."""
+        """Flow, disparity and their occlusion, with a time per line."""
         plan, out = self.plan, Arrays()
         items, eye = plan.scene.objects, plan.eye
         points = LinePoints(items, found["depth"], found["object_id"], lines_of(plan.scene, index, eye))
@@ -170,7 +171,7 @@ class GroundTruth:
         return out
 
     def _tell_colors_apart(self, found: Arrays, times: NDArray[np.float64]) -> None:
-        """Turn radii into those of red, green and blue, where the lens tells these apart; times: of lines, s."""
+        """Convert radii to those of red, green and blue, if the lens separates colors; times: of lines, s."""
         if not self.plan.scene.separates_colors or "blur_radius" not in found:
             return
         sizes, shifts, steps = np.empty((*times.shape, 3)), np.empty((*times.shape, 3)), np.empty(times.shape)
@@ -184,7 +185,9 @@ class GroundTruth:
         found["blur_radius"] = np.where(found["mask"][..., None], radius, 0.0).astype(np.float32)
 
     def _stretch(self, steps: NDArray[np.float64]) -> NDArray[np.float64] | float:
-        """Sizes (rows, columns, 1) in a distorted image over those in one without; steps: between rays, of lines."""
+        """Ratio of sizes (rows, columns, 1) in the distorted image to sizes without distortion; steps: between rays,
+        for each line.
+        """
         distortion = Distortion.of(self.plan.scene.lens)
         if distortion is None:
             return 1.0
@@ -193,7 +196,7 @@ class GroundTruth:
         return distortion.stretch(*distortion.undistorted(x, y))[..., None]
 
     def _take_out_background(self, found: Arrays) -> NDArray[np.bool_]:
-        """Make outputs what they are without a surface where there is the background; True there."""
+        """Give background pixels the output values of pixels without a surface; returns the mask of these pixels."""
         if self.plan.background is None:
             return np.zeros((), np.bool_)
         beyond = np.asarray(found["object_id"] == self.plan.background)
@@ -216,7 +219,7 @@ class GroundTruth:
             download_into(self.scene.session, buffers[name], array[strip.inside])
 
     def _of_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
-        """Ground truth of a scene with depth maps, which no ray can be cast at: from the pixels in their new places."""
+        """Outputs of a scene with depth maps, which rays cannot be cast at: from its warped pixels."""
         scene, plan, pixels = self.scene, self.plan, self.pixels
         now, then = scene.at(time), scene.at(later)
         out: Arrays = {}

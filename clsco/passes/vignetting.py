@@ -1,4 +1,4 @@
-"""Vignetting of the blurred plane of a time sample."""
+"""Applies vignetting to the blurred plane of a time sample."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clsco.scene.model import Camera
 
 @lru_cache(maxsize=2)
 def _share(camera: Camera, kind: Kind) -> NDArray[np.float32]:
-    """`throughput` of a lens, which many time samples and frames have in common."""
+    """`throughput` of a lens, cached for many time samples and frames."""
     return throughput(camera, kind).astype(np.float32)
 
 
@@ -33,9 +33,9 @@ class Vignetting:
     kind : {"natural"} or tuple of float
         Key of the scene.
     colors : int
-        Channels of light, the first ones of a plane; coverage stays as it is.
+        Number of light channels, which come first in a plane; coverage is not changed.
     pixels : int
-        Number of those of the frame.
+        Number of pixels in the frame.
 
     Notes
     -----
@@ -50,7 +50,7 @@ class Vignetting:
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as of `FrameSum`
 
     def darken(self, plane: Plane, camera: Camera, top: int, events: Events) -> Plane:
-        """Darken a plane of the frame of a camera, whose first row is `top`."""
+        """Darken a plane of a camera's frame, whose first row is `top`."""
         share = _share(camera, self.kind)
         if share is not self._filled:
             self._buffer.fill(share)

@@ -1,4 +1,6 @@
-"""Host side of the forward warp: every pixel of the reference pose to its place at a time sample, holes filled."""
+"""Host side of the forward warp: moves every pixel of the reference pose to its position at a time sample, and fills
+holes.
+"""
 
 from __future__ import annotations
 
@@ -38,10 +40,10 @@ SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDE
 class Warped:
     """One time sample on the device, on the padded grid (height, width); overwritten by the next one.
 
-    value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed
-    radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known
-    or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none and in
-    the mirror image around a depth map, or None where the scene has only one; counters: as `Filler.fill` returns them.
+    value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed blur radius in
+    px; valid: uchar, 1 if known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known or not missing, 1
+    filled, 2 not filled; object: uchar, number of the visible object, 255 for none and in the mirror image around a
+    depth map, or None if the scene has only one; counters: as returned by `Filler.fill`.
     """
 
     value: cl.Buffer
@@ -54,10 +56,10 @@ class Warped:
 
 
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """Features that warp.cl and fill.cl are compiled for; owned: bands of the image without atomics, for CPUs.
+    """Features that warp.cl and fill.cl are compiled for; owned: bands of the image instead of atomics, for CPUs.
 
-    A depth map has no outline that a ray could miss: where there is one, domain "surface" is "span". Holes are filled
-    from the far side (FILL_FAR) where a scene may have surfaces at several depths: several objects, or a depth map.
+    A depth map has no outline that a ray could miss: with one, domain "surface" becomes "span". Holes are filled from
+    the far side (FILL_FAR) if a scene may have surfaces at several depths: with several objects, or a depth map.
     """
     fill, mapped = plan.scene.fill, not plan.scene.is_analytic
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
@@ -73,17 +75,17 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
 
 
 class ForwardWarp:
-    """Moves the pixels of the reference pose of a scene to their places at a time, and has the missing ones filled.
+    """Moves the pixels of a scene's reference pose to their positions at a time, and fills missing pixels.
 
     Parameters
     ----------
     plan : Plan
     scene : PlacedScene
-        On the device that it is to run on.
+        On the device to run on.
     maps : sequence of ndarray of float64 (rows, columns) or None
-        Inverse depth in 1/mm of every object that is a depth map, 0 where nothing is; None for others.
+        Inverse depth in 1/mm of every object that is a depth map, 0 without a surface; None for other objects.
     owned : bool, optional
-        The depth test without atomics, by default on processors; the same bits either way.
+        Use the depth test without atomics, by default on processors; both give the same bits.
 
     Raises
     ------
@@ -125,13 +127,13 @@ class ForwardWarp:
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
 
     def warp(self, sample: TimeSample, events: Events) -> Warped:
-        """The pixels of the reference pose at a time sample, with missing ones filled as the scene says.
+        """The pixels of the reference pose at a time sample, with missing ones filled as the scene asks for.
 
         Parameters
         ----------
         sample : TimeSample
         events : list
-            Gets what was enqueued.
+            List to which launches are appended.
 
         Returns
         -------
@@ -142,7 +144,7 @@ class ForwardWarp:
         return self.fill(sample, events)
 
     def fill(self, sample: TimeSample, events: Events) -> Warped:
-        """Fill what is missing after `gather`; arguments and what is returned as for `warp`."""
+        """Fill missing pixels after `gather`; arguments and result as for `warp`."""
         planes, plan = self.filler.planes, self.plan
         counters = self.filler.fill(sample.surfaces, len(sample.placed), events, self.scene.brightest)
         if self.maps:
@@ -154,8 +156,9 @@ class ForwardWarp:
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
-        """Enqueue the depth test: where each pixel of the reference pose moves, and which one is the nearest that
-        comes to a pixel. Arguments as for `warp`."""
+        """Enqueue the depth test: the target of each pixel of the reference pose, and the nearest pixel that reaches
+        each target. Arguments as for `warp`.
+        """
         scene, real = self.plan.scene, self.scene.real
         if scene.lens_moves or self.plan.only is not None:
             self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)
@@ -168,7 +171,9 @@ class ForwardWarp:
             self._test_by_atomics(args, events)
 
     def gather(self, events: Events) -> None:
-        """Enqueue what the winners of the depth test bring: the planes of `filler`, with nothing filled. As `warp`."""
+        """Enqueue copying of the depth test's winners to the planes of `filler`, without filling. Arguments as for
+        `warp`.
+        """
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
             chunks = (-(-plan.width // (OWNED_PIXELS if self.owned else 1)), plan.height)
@@ -183,22 +188,23 @@ class ForwardWarp:
             self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
-        """Keep the range of the radii that `warp` has found, largest and smallest, in the first two of these ints."""
+        """Store the largest and the smallest radius found by `warp` in the first two of these ints."""
         chunks = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
         found = (self.filler.planes.coc, self.filler.planes.valid, statistics)
         self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.grid, *found)
 
     def missing(self, warped: Warped) -> NDArray[np.bool_]:
-        """Pixels (rows, columns) of the frame that were missing, filled or not."""
+        """Mask (rows, columns) of the frame's pixels that were missing, filled or not."""
         return self._frame(warped.status, np.uint8) > 0
 
     def truth(self, sample: TimeSample, wanted: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
-        """Wanted ones of these arrays, float32 or as stated, (rows, columns[, channels]).
+        """The arrays in `wanted`, float32 unless stated otherwise, (rows, columns[, channels]).
 
-        "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
-        ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none,
-        float64, for normals come from its differences; "blur_radius" in px, 0 for none; "mask", bool; "object_id",
-        int32, -1 for none. These are values of the source that came to the pixel, up to half a pixel from its center.
+        "sharp": radiance after the move; "filled": uint8, as `Warped.status`. For a scene with a depth map, at which no
+        ray can be cast, also properties of the pixels' surface, including filled ones: "depth" in mm, +inf for none,
+        float64, because normals are computed from its differences; "blur_radius" in px, 0 for none; "mask", bool;
+        "object_id", int32, -1 for none. These are values of the source that was moved to the pixel, up to half a pixel
+        from its center.
         """
         plan = self.plan
         names = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
@@ -223,14 +229,16 @@ class ForwardWarp:
         return {name: array for name, array in found.items() if name in names & set(wanted)}
 
     def _frame(self, buffer: cl.Buffer, dtype: Any, channels: int | None = None) -> NDArray[Any]:
-        """The frame's part (rows, columns) of a plane on the padded grid, or (channels, rows, columns) of several."""
+        """The frame's part (rows, columns) of a plane on the padded grid, or (channels, rows, columns) of several
+        planes.
+        """
         plan, guard = self.plan, self.plan.guard_px
         shape = (plan.height, plan.width) if channels is None else (channels, plan.height, plan.width)
         inside = (..., slice(guard, guard + plan.rows), slice(guard, guard + plan.columns))
         return np.ascontiguousarray(download(self.scene.session, buffer, shape, dtype)[inside])
 
     def _test_in_bands(self, args: tuple[Any, ...], events: Events) -> None:
-        """Targets and winners; work-items own bands of the image."""
+        """Enqueue targets and winners, with work-items that own bands of the image."""
         rows, cores = self.plan.height, self.scene.session.device.compute_units
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
         segments = self.plan.rows * -(-self.plan.columns // OWNED_PIXELS)
@@ -240,7 +248,7 @@ class ForwardWarp:
         self.kernels.run("reproject_nearest", (-(-rows // band),), OWNERS, events, *owned, *depth)
 
     def _test_by_atomics(self, args: tuple[Any, ...], events: Events) -> None:
-        """Targets and winners; a work-item per source."""
+        """Enqueue targets and winners, with a work-item per source."""
         queue, sources = self.scene.session.queue, (self.plan.rows * self.plan.columns,)
         cl.enqueue_fill_buffer(queue, self.depth, ZERO, 0, self.depth.size)
         cl.enqueue_fill_buffer(queue, self.winner, NOWHERE, 0, self.winner.size)
@@ -250,7 +258,7 @@ class ForwardWarp:
         self.kernels.run("reproject_winner", sources, LISTED, events, *tested, self.winner)
 
     def _per_line(self, name: str, events: Events, *args: Any) -> None:
-        """Run a kernel for all rows of the frame, and then for all columns."""
+        """Run a kernel for all rows of the frame, then for all columns."""
         rows, lines = self.plan.rows, self.plan.rows + self.plan.columns
         for first, end in ((0, rows), (rows, lines)):
             self.kernels.run(name, (end - first,), LINES, events, self.grid, np.int32(first), np.int32(end), *args)

@@ -1,1 +1,1 @@
-"""From a scene to the passes that render it, with their methods and memory; without OpenCL."""
+"""Plans: passes that render a scene, with their methods and memory; independent of OpenCL."""

@@ -1,22 +1,23 @@
-"""Fewer time samples, silhouette samples and sources, by what they are estimated to change in a frame (float64, pure).
+"""Reduction of time samples, silhouette samples and sources, by their estimated effect on a frame (float64, pure).
 
 A pattern that moves by D px while the shutter is open is multiplied, at f cycles per px along the motion, by the sum
-M(f) = sum_i w_i exp(2 pi i f D t_i) of the time samples, t from 0 to 1. Fewer of them give another sum:
+M(f) = sum_i w_i exp(2 pi i f D t_i) over the time samples, t from 0 to 1. With fewer samples the sum differs:
 
     e^2 = sum_f P(f) H(f)^2 |M(f) - M_exact(f)|^2
 
-P: power of what moves, from the texture along its rows and columns, and l c^2 / (2 pi f)^2 of outlines of length l per
-px^2 and contrast c; H: of the PSF. Each of N x N sub-pixel sources has what its surface covers of it, in its middle:
-the first moment of what a pixel shows beside an edge along the sources' rows is off, by m.
+P: power of the moving pattern, from the texture along its rows and columns, and l c^2 / (2 pi f)^2 for outlines of
+length l per px^2 and contrast c; H: transfer function of the PSF. Each of N x N sub-pixel sources emits the light of
+its covered part from its middle: for an edge along the sources' rows, the first moment of the pixel's light is off by
+m.
 
     e^2 = l c^2 (mean m^2 sum_f (2 pi f)^2 H(f)^2 + s mean off^2 sum_f H(f)^2)
 
-off: of the coverage, where it is counted by sources: on a share s, CORNERS of outlines, all of them where each pixel is
-one source. What textures on surfaces lose besides: `clsco.plan.texture_sources`.
+off: error of the coverage, if it is counted by sources: on a share s, CORNERS of outlines, or everywhere if each pixel
+is one source. `clsco.plan.texture_sources` treats errors of textures on surfaces.
 
-One source in the place of MERGED_SIDE x MERGED_SIDE (kernels/trace/merge.cl) leaves a lattice of discs, whose harmonics
-are e^2 = share L^2 (4 H(g)^2 + 4 H(sqrt(2) g)^2) of a radiance L, g = 1 / MERGED_SIDE per px.
-Validated against frames of all samples: tests/plan/test_approximation.py.
+One source in place of MERGED_SIDE x MERGED_SIDE (kernels/trace/merge.cl) leaves a lattice of discs, whose harmonics are
+e^2 = share L^2 (4 H(g)^2 + 4 H(sqrt(2) g)^2) for a radiance L, g = 1 / MERGED_SIDE per px. Validated against frames
+with all samples: tests/plan/test_approximation.py.
 """
 
 from __future__ import annotations
@@ -63,20 +64,20 @@ WAYS = (0.55, 0.7, 0.85, 1.0)  # parts of the longest way, of which the worst co
 
 @dataclass(frozen=True)
 class ApproximationReport:
-    """Samples of a frame for which a tolerance was given.
+    """Samples used for a frame with a tolerance.
 
     Attributes
     ----------
     tolerance : float
-        RMS error of white that was asked for.
+        RMS error that was asked for, 1 = white.
     rms_error : float
-        Estimated, against all samples of the scene; 0 where these are taken.
+        Estimated RMS error relative to all samples of the scene; 0 if all are used.
     samples, of_samples : int
-        Time samples that are taken, and those of the scene.
+        Time samples used, and those of the scene.
     silhouette_samples, of_silhouette_samples : int
-        The same for sub-pixel sources along an axis of a pixel, 1 where there are none.
+        The same for sub-pixel sources along an axis of a pixel, 1 for none.
     merged : float
-        |R| in px from which on sources that are hidden in part may be merged, 0 for none.
+        |R| in px from which partly hidden sources may be merged, 0 for none.
     """
 
     tolerance: float
@@ -89,11 +90,11 @@ class ApproximationReport:
 
     @property
     def taken(self) -> Samples:
-        """Time samples, and sub-pixel sources along an axis."""
+        """Time samples, and sub-pixel sources along an axis, in use."""
         return self.samples, self.silhouette_samples
 
     def line(self) -> str:
-        """Report in a line."""
+        """Report in one line."""
         time, silhouettes = (self.samples, self.of_samples), (self.silhouette_samples, self.of_silhouette_samples)
         if time == silhouettes == (1, 1) and not self.merged:
             return "exact: nothing can be saved, as nothing moves, and no silhouette is in sight"
@@ -111,7 +112,7 @@ def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) ->
 
 
 def checked_tolerance(tolerance: float) -> float:
-    """Return the tolerance; raises SceneError where it is no number above 0."""
+    """Return the tolerance; raises SceneError unless it is a positive number."""
     if not (isfinite(tolerance) and tolerance > 0.0):
         raise SceneError(f"tolerance: must be a number above 0, RMS of white; got {tolerance}")
     return tolerance
@@ -120,22 +121,22 @@ def checked_tolerance(tolerance: float) -> float:
 def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
-    """Take the samples that cost least of those whose estimated error is within a tolerance.
+    """Choose the cheapest numbers of samples whose estimated error is within a tolerance.
 
-    Sources are merged last; the scene does not say it, so that the plan has to be told.
+    Merging of sources is tried last; it is not a key of the scene, so the plan needs it separately.
 
     Parameters
     ----------
     plan : Plan
         Plan with all samples.
     tolerance : float
-        RMS error of white.
+        RMS error, 1 = white.
     textures : callable
-        Gives those of all objects; not called where nothing can be saved.
+        Returns the textures of all objects; not called if nothing can be saved.
     maps : sequence
         As for `clsco.plan.plan.make_plan`.
     least : tuple of int
-        Time samples and silhouette samples that are taken at least.
+        Lower bounds of time samples and silhouette samples.
 
     Returns
     -------
@@ -146,7 +147,7 @@ def fewer_samples(
     Raises
     ------
     SceneError
-        The tolerance is no number above 0.
+        The tolerance is not a positive number.
     """
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
@@ -186,9 +187,10 @@ def fewer_samples(
 def _cheapest(
     samples: Samples, of_sources: Mapping[int, float], square: float, of_time: Callable[[int], float], fine: bool
 ) -> Samples:
-    """Time samples, from least to most, and sources along an axis that cost least within a squared error.
+    """Time samples, and sources along an axis, with the lowest cost within a squared error.
 
-    of_sources: squared errors by sources; fine: textures have them, not outlines alone.
+    of_sources: squared errors by number of sources; of_time: squared error by number of time samples; fine: True if
+    textures need sub-pixel sources, not only outlines.
     """
     each, found = FINE_COST if fine else OUTLINE_COST, []
     for count, lost in of_sources.items():
@@ -199,7 +201,7 @@ def _cheapest(
 
 
 def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
-    """First of rising counts with a squared error within `square`, by halving; 0 where there is none."""
+    """First of increasing counts with a squared error within `square`, by bisection; 0 if there is none."""
     few, many = 0, len(counts)
     while few < many:
         middle = (few + many) // 2
@@ -208,14 +210,16 @@ def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
 
 
 def _may_merge(plan: Plan) -> bool:
-    """True if some sources may be so wide, and hidden in part, that to merge them saves time."""
+    """True if some sources may be so wide, and partly hidden, that merging them saves time."""
     spec, psf = plan.spec, plan.psf
     wide = plan.largest_blur >= MERGED_RADII[0]
     return wide and spec.method == "gather" and spec.occluders > 0 and psf.uniform and not psf.signed and not psf.rims
 
 
 def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple[float, float]:
-    """Least |R| from which on sources may be merged within a squared error, 0 for none, and its squared error."""
+    """Smallest |R| from which sources may be merged within a squared error, 0 for none, and the squared error of
+    merging.
+    """
     along, across = (round(SIDE * frequency / MERGED_SIDE) - 1 for frequency in (1.0, sqrt(2.0)))
     for least in MERGED_RADII:
         error, wide = 0.0, [part for part in parts if part.widest >= least]
@@ -229,12 +233,12 @@ def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple
 
 @dataclass(frozen=True)
 class _Part:
-    """An object as the frame shows it.
+    """Statistics of an object in the frame.
 
-    way: of its image and of the rim of its blur while the shutter is open, px along x and y; radius, widest: its
-    smallest and largest |R|, px, the latter 0 where nothing is nearer; light: its mean squared radiance, times its
-    share of the frame; power: of its texture, of white^2 of the frame, by FREQUENCIES along x and y; outline: length
-    times squared contrast per px^2, of outlines across x and y.
+    way: path of its image and of its blur's edge while the shutter is open, px along x and y; radius, widest: smallest
+    and largest |R|, px, the latter 0 if no object is nearer; light: mean squared radiance, times its share of the
+    frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length times
+    squared contrast per px^2, of outlines across x and y.
     """
 
     way: tuple[float, float]
@@ -246,8 +250,9 @@ class _Part:
 
 
 def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
-    """Cycles that patterns move on by while the shutter is open, (n,), and their power in the frame, white^2, for each
-    of WAYS (ways, n)."""
+    """Cycles by which patterns move while the shutter is open, (n,), and their power in the frame, white^2, for each of
+    WAYS (ways, n).
+    """
     longest = max((max(part.way) for part in parts), default=0.0)
     found = np.zeros((len(WAYS), ceil(longest * CYCLE_STEPS) + 1))
     for part in parts:
@@ -261,13 +266,15 @@ def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
 
 
 def _of_time(scene: Scene, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
-    """Squared error of `count` time samples instead of `exact`; uneven: of the coverage in each of them."""
+    """Squared error of `count` time samples instead of `exact`; uneven: squared error of the coverage in each
+    sample.
+    """
     missed = np.mean(np.abs(_sums(scene, cycles, exact) - _sums(scene, cycles, count)) ** 2, axis=0)
     return MARGIN * (float((power * missed).sum(axis=1).max()) + uneven * (1.0 / count + 1.0 / exact))
 
 
 def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
-    """M of so many time samples, (rows or 1, n)."""
+    """Sums M for `count` time samples, (rows or 1, n)."""
     exposure = frame_exposure(scene, 0, count)
     opens, closes = shutter_span(scene.sequence, 0)
     turns = np.exp(2j * np.pi / (closes - opens) * np.multiply.outer(exposure.times, cycles))
@@ -276,9 +283,9 @@ def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
 
 @dataclass(frozen=True)
 class _Outlines:
-    """Multiples of which squared errors of outlines are: length times squared contrast per px^2, as the blur leaves it.
+    """Factors of squared errors at outlines: length times squared contrast per px^2, after the blur.
 
-    edges: of the coverage; slopes: of its first moment, px^-2.
+    edges: for the coverage; slopes: for its first moment, px^-2.
     """
 
     edges: float
@@ -294,7 +301,7 @@ class _Outlines:
         return _Outlines(sum(edges), sum(slopes))
 
     def uneven(self, sources: int) -> float:
-        """Squared error of the coverage at one time."""
+        """Squared error of the coverage at one time, for `sources` per axis."""
         return self.edges * (UNEVEN if sources > 1 else 1.0) / (12.0 * sources**2)
 
     def square(self, exact: int, count: int) -> float:
@@ -308,14 +315,15 @@ class _Outlines:
 
 
 def _moments(place: Array, sources: int) -> Array:
-    """First moments of what is covered of a pixel up to a place, each source's share in its middle."""
+    """First moments of the part of a pixel covered up to a position, with each source's share in its middle."""
     full = np.floor(place * sources)
     return np.asarray((0.5 * full**2 + (place * sources - full) * (full + 0.5)) / sources**2)
 
 
 def _passed(psf: PointSpread, radius: float) -> Array:
-    """H^2 by FREQUENCIES, at most: of a Gaussian, or of the disc with the second moment of another PSF; 1 where light
-    is not spread evenly."""
+    """Upper bound of H^2 by FREQUENCIES: for a Gaussian, or for the disc with the second moment of another PSF; 1 if
+    light is not spread evenly.
+    """
     z = 4.0 * np.pi * sqrt(psf.pupil.second_moment) * radius * FREQUENCIES
     if not (psf.pupil.soft or psf.uniform):
         return np.ones_like(FREQUENCIES)
@@ -325,7 +333,7 @@ def _passed(psf: PointSpread, radius: float) -> Array:
 
 
 def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Part, ...]:
-    """Objects in sight in the middle of the sequence, with their longest ways in all of it."""
+    """Objects visible in the middle of the sequence, with their longest paths over the whole sequence."""
     w, (x, y) = seen_depths(scene, maps), seen_slopes(scene)
     front = w.max(axis=0)
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
@@ -351,7 +359,9 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
 
 
 def _way(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
-    """Longest way of an object's image and of its blur's rim along x and y, px: all of one that goes across both."""
+    """Longest path of an object's image and of its blur's edge along x and y, px; a diagonal path counts fully for
+    both.
+    """
     longest, (lens, *_) = np.zeros(2), lenses_at(scene, 0.0)
     for path in paths:
         slopes = slopes_at(reference_camera(scene), path.places[:, 0], path.places[:, 1])
@@ -363,8 +373,9 @@ def _way(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
 
 
 def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Array, axis: int) -> Array:
-    """Outlines per object: length per px^2 times squared contrast of those that rays one after another along an axis
-    cross: each of the object in front."""
+    """Outlines per object: length per px^2 times squared contrast of outlines crossed between consecutive rays along an
+    axis; each counts for the object in front.
+    """
     size = scene.camera.frame_size[1 - axis]
     one, other = (np.take(nearest, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
     depth, behind = (np.take(w, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
@@ -376,8 +387,9 @@ def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Arra
 
 
 def _contrasts(textures: tuple[Texture, ...], shaded: bool) -> Array:
-    """Mean squared difference of the radiance of two objects, or of one and nothing, the last; shaded: either may be
-    dark."""
+    """Mean squared difference between the radiances of two objects, or of an object and an empty pixel, the last entry;
+    shaded: either may be dark.
+    """
     some = [texture.radiance[::EACH, ::EACH] for texture in textures]
     mean = np.array([*(float(image.mean()) for image in some), 0.0])
     square = np.array([*(float(np.square(image).mean()) for image in some), 0.0])
@@ -386,13 +398,13 @@ def _contrasts(textures: tuple[Texture, ...], shaded: bool) -> Array:
 
 
 def _power(texture: Texture) -> tuple[Array, Array]:
-    """Power of a texture by FREQUENCIES along x and y, mean of its channels."""
+    """Power of a texture by FREQUENCIES along x and y, averaged over its channels."""
     image = texture.radiance.reshape(*texture.radiance.shape[:2], -1)
     return _along(image), _along(image.swapaxes(0, 1))
 
 
 def _mapped_power(scene: Scene, number: int, texture: Texture, x: Array, y: Array) -> tuple[Array, Array]:
-    """Power of a texture on a surface, which rays of slopes (n,) meet in the middle of the sequence."""
+    """Power of a texture on a surface, met by rays of slopes (n,) in the middle of the sequence."""
     time, item, image = middle_of(scene), scene.objects[number], texture.radiance
     mapped = texture_map(item, image.shape[1], image.shape[0])
     across = footprints(item, poses_at(scene, time)[number], mapped, camera_at(scene, time), x, y)

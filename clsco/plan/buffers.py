@@ -1,4 +1,4 @@
-"""Buffers on the device: for each pass a table, name -> bytes. The plan sums them, and the passes allocate them."""
+"""Buffers on the device: a table name -> bytes for each pass. The plan adds them up, and the passes allocate them."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ OF_LINES = ("flow", "disparity", "occluded", "flow_backward", "flow_occluded")
 
 
 def ray_truth(scene: Scene, wanted: Collection[str], is_forward: bool) -> tuple[str, ...]:
-    """Outputs of ground truth that rays are asked for; the host makes of them those that are `wanted`.
+    """Outputs that rays must compute so that the host can derive the `wanted` ones.
 
-    is_forward: a forward warp makes its own focused image.
+    is_forward: True if a forward warp makes the focused image.
     """
     asked = {*wanted}
     if asked and any(item.is_background for item in scene.objects):
@@ -87,18 +87,18 @@ def ray_truth(scene: Scene, wanted: Collection[str], is_forward: bool) -> tuple[
 
 
 def bands_at_a_time(rows: int, cores: int) -> int:
-    """Bands of a strip of so many rows that are worked on together where each needs memory of its own."""
+    """Number of bands of a strip processed together, if each needs its own memory."""
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
 def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
-    """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, columns of others."""
+    """Kind of scratch memory that `gather` needs per band: whole rows for sampled discs, columns for others."""
     found: dict[str, Scratch] = {"disc": "rows", "general": "columns" if psf.has_runs else "none"}
     return found.get(psf.layout, "columns") if fp64 or psf.layout not in found else "none"
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
-    """True if `gather` keeps ends of runs of wide sources that are hidden in part (kernels/blur/cpu/spans.clh)."""
+    """True if `gather` stores ends of runs for wide, partly hidden sources (kernels/blur/cpu/spans.clh)."""
     return spec.method == "gather" and bool(spec.occluders) and _is_uniform(spec) and fp64 and _in_parts(spec.reach)
 
 
@@ -107,7 +107,7 @@ def _is_uniform(spec: BlurSpec) -> bool:
 
 
 def _in_parts(reach: int) -> bool:
-    """True if a pixel may get more taps of single sources than one float adds up."""
+    """True if a pixel may receive more taps of single sources than one float can sum accurately."""
     return (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM
 
 
@@ -117,15 +117,15 @@ def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
-    """Planes of sources.clh for so many sources; marked: with sub-pixel sources, or something in their way."""
+    """Bytes of the planes of sources.clh; marked: True if there are sub-pixel sources or occluders."""
     return 4 * (1 + 2 * tilt + marked) * sources
 
 
 def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
-    """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors.
+    """Scratch columns on both sides of a row of the blurred frame, and the row length, in whole vectors.
 
-    Not near a multiple of PAGE of them, and not an even number: what lies below each other in a few rows would have the
-    same place in a processor's cache, and take up to four times as long (docs/lessons.md).
+    The length is odd and not near a multiple of PAGE: otherwise vertical neighbors would compete for the same place in
+    a processor's cache, and take up to four times as long (docs/lessons.md).
     """
     pad = ceil((guard + far + TAP_LANES) / TAP_LANES) * TAP_LANES
     vectors = ceil(columns / TAP_LANES) + 2 * pad // TAP_LANES | 1
@@ -135,14 +135,14 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
 
 
 def row_bytes(tilt: bool, channels: int, far: int) -> int:
-    """Scratch of a work-item of `gather` for whole rows of sources, see discs.clh; a whole number of doubles."""
+    """Scratch bytes of a work-item of `gather` for whole rows of sources, see discs.clh; rounded to whole doubles."""
     beside = (far // TAP_LANES + 3) * TAP_LANES
     planes, width = (3 if tilt else 1) * channels, ROW_TILE + 2 * beside
     return 8 * channels * BAND * ROW_TILE + 4 * width * (1 + 3 * planes)
 
 
 def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
-    """The same for columns of sources, see kernels/blur/cpu/columns.clh."""
+    """Scratch bytes for columns of sources, see kernels/blur/cpu/columns.clh."""
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * tilt
     if psf.layout == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
@@ -176,7 +176,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Returns
     -------
     dict
-        "total": the plane of a time sample, in rows of `margin`; the others are of single methods.
+        "total": the plane of a time sample, in rows of `margin`; the other buffers depend on the method.
     """
     reach, channels, rows, columns = spec.reach, grid.channels, grid.rows, grid.columns
     _, pitch = margin(columns, grid.guard, reach)
@@ -221,7 +221,7 @@ def sensor_buffers(sensor_model: SensorModel, grid: Grid) -> Sizes:
 
 
 def padded_columns(columns: int) -> int:
-    """Columns in whole vectors of a sensor."""
+    """Columns rounded up to whole vectors of the sensor kernel."""
     return -(-columns // NOISE_LANES) * NOISE_LANES
 
 
@@ -245,21 +245,22 @@ def _span(spec: BlurSpec) -> range:
 
 
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
-    """The blur of a depth layer and its coverage, for that of the frame."""
+    """Specification of the blur of a depth layer with its coverage, from that of the frame."""
     brightest = max(spec.brightest, 1.0)
     return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
 
 
 def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, largest: float) -> int:
-    """Pyramid of `clsco.passes.layered.DepthLayers` over a grid, for radii up to `largest` px."""
+    """Bytes of the pyramid of `clsco.passes.layered.DepthLayers` over a grid, for radii up to `largest` px."""
     planes = channels + 2  # radius, and how far it is known
     rows, columns, start = levels_of(height, width, most_deep(psf, largest), planes)[-1]
     return 4 * (start + planes * rows * columns)
 
 
 def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Buffers of depth layers that an image is divided into (`clsco.passes.clusters.Clusters`); arguments as for
-    `layered_buffers`: planes of where each pixel is, and of a layer with its pyramid."""
+    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`); arguments as for
+    `layered_buffers`: planes of the layer of each pixel, and one layer with its pyramid.
+    """
     pixels = grid.sources
     return {
         "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
@@ -288,7 +289,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Returns
     -------
     dict
-        Sources, where layers are, and "blur ..." of a layer's blur.
+        Sources, a mask of layers, and "blur ..." for a layer's blur.
     """
     sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
     sizes |= {"open": sizes["covered"]} if spec.occluders else {}
@@ -336,11 +337,11 @@ def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
     grid : Grid
         Grid of the whole frame.
     several : bool
-        There are several objects.
+        True for several objects.
     far : bool
-        Holes are filled from the far side.
+        True if holes are filled from the far side.
     smooths : bool
-        By mean/median.
+        True for mean/median filling.
 
     Returns
     -------
@@ -368,14 +369,15 @@ def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
 
 
 def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
-    """`fill_buffers` of the filling after a forward warp of a scene."""
+    """`fill_buffers` for filling after a forward warp of a scene."""
     several = len(scene.objects) > 1
     return fill_buffers(grid, several, several or not scene.is_analytic, scene.fill.method == "mean_median")
 
 
 def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Sizes:
-    """Hits and sources of one time sample of an occlusion group, as trace.cl writes them; predicted extents of several
-    objects, what the lens does to rays, and statistics of a frame. mapped: as for `hit_buffers`."""
+    """Ray hits and sources of one time sample of an occlusion group, as written by trace.cl; predicted extents of
+    several objects, the lens's effect on rays, and statistics of a frame. mapped: as for `hit_buffers`.
+    """
     objects, bends = len(scene.objects), bend_buffers(scene, grid.sources)
     sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}
     extents = {"extents": 6 * REAL_BYTES * objects} if objects > 1 else {}
@@ -383,7 +385,7 @@ def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Siz
 
 
 def bend_buffers(scene: Scene, pixels: int) -> Sizes:
-    """Planes of what the lens does to rays (kernels/trace/bend.cl), for so many pixels of frame and apron."""
+    """Planes of the lens's effect on rays (kernels/trace/bend.cl), for all pixels of frame and apron."""
     curved = curvature_of(scene)
     distorts = bool(curved & CURVED_IMAGE)
     floats = 2 * bool(curved & (CURVED_FIELD | CURVED_SPHERE)) + 6 * distorts
@@ -392,8 +394,9 @@ def bend_buffers(scene: Scene, pixels: int) -> Sizes:
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
-    """Sub-pixel sources, in `slots` pixels near silhouettes; mapped: and, of textures on surfaces, what neighbors
-    exchange."""
+    """Sub-pixel sources for `slots` pixels near silhouettes; mapped: also data exchanged by neighbors, for textures on
+    surfaces.
+    """
     subs = slots * spec.subpixels**2
     sizes = {"pixels": 4 * slots, "sub_label": subs, "sub_depth": REAL_BYTES * subs}
     sizes |= {"sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
@@ -401,7 +404,7 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> 
 
 
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
-    """The textures of a scene with a resolution, each once; alpha: that of a background covers nothing."""
+    """The textures of a scene with a resolution, without duplicates; alpha: the background's texture has coverage 0."""
     columns, rows = scene.camera.resolution or (0, 0)
     seen = [item for item in scene.objects if item.mapped is None]
     count = len({(item.inputs()["texture"], alpha and item.is_background) for item in seen})
@@ -412,25 +415,26 @@ def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Records of sources, one per pixel, and depths where rims cut their light."""
+    """Records of sources, one per pixel, and depths if rims cut their light."""
     depth = {"depth": REAL_BYTES * grid.sources} if spec.occluders else {}
     return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)} | depth
 
 
 def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
-    """Sizes of the planes of what rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped:
-    textures lie on surfaces, and a plane has their texels per pixel."""
+    """Sizes of the planes of an occlusion group's ray hits, shared by all lenses (`clsco.passes.trace.Hits`); mapped:
+    True if textures are on surfaces, which adds a plane of texels per pixel.
+    """
     pixels, planes = grid.sources, grid.channels + mapped
     return {"value": 4 * planes * pixels, "depth": REAL_BYTES * pixels, "label": pixels}
 
 
 def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:
-    """An image with its map of signed radii; scene: one whose rays make it."""
+    """An image with its map of signed radii; scene: the scene whose rays make it, if any."""
     bends = {} if scene is None else bend_buffers(scene, grid.sources)
     return {"value": 4 * grid.channels * grid.sources, "coc": REAL_BYTES * grid.sources, "valid": grid.sources} | bends
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:
-    """Outputs of ground truth by rays with the mask, of one strip; they are there only while it is made."""
+    """Ground truth of one strip by rays, including the mask; allocated only while it is computed."""
     pixels, made = grid.rows * grid.columns, (OUTPUTS[name] for name in ("mask", *names))
     return {each.name: np.dtype(each.dtype).itemsize * (each.components or grid.channels) * pixels for each in made}

@@ -10,16 +10,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Choice(Generic[T]):
-    """Value that a plan decided on, and why.
+    """A value that a plan decided on, and the reason.
 
     Attributes
     ----------
     value : object
-        False, 0, empty or "none" where a part of the pipeline is left out.
+        False, 0, empty or "none" if a part of the pipeline is left out.
     reason : str
-        Words for reports.
+        Text for reports.
     unused : tuple of str
-        Keys of the scene file that nothing depends on with this value.
+        Keys of the scene file without effect under this value.
     """
 
     value: T
@@ -28,5 +28,5 @@ class Choice(Generic[T]):
 
     @property
     def left_out(self) -> bool:
-        """True if the scene has no use for the part."""
+        """True if the scene does not need the part."""
         return not self.value or self.value == "none"

@@ -1,4 +1,4 @@
-"""Colors that are blurred each by itself: their passes, and the one that joins them."""
+"""Passes for colors that are blurred separately, and the pass that joins them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ JOINED: Parameters = (("colors", "each blurred by itself"),)
 
 
 def color_passes(each: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
-    """The passes that blur each color by itself, and put it in its place in the plane of all.
+    """The passes that blur each color separately, and copy it to its channel of the joined plane.
 
     Parameters
     ----------
     each : sequence of iterable of Pass
-        Passes of red, green and blue light, up to the blurred plane.
+        Passes of red, green and blue light, each up to the blurred plane.
     grid : Grid
-        With the channels of the plane of all.
+        With the channels of the joined plane.
 
     Yields
     ------

@@ -1,4 +1,6 @@
-"""Decisions of a plan, each by one function: what a scene needs of the pipeline, and why it does not need the rest."""
+"""Decisions of a plan, one function each: the parts of the pipeline that a scene needs, and why it does not need
+others.
+"""
 
 from __future__ import annotations
 
@@ -50,42 +52,42 @@ POSSIBLE: tuple[tuple[Group, Callable[[Scene], bool], str], ...] = (
 
 @dataclass(frozen=True)
 class Choices:
-    """Decisions of a plan, in the order in which reports name the parts that they leave out.
+    """Decisions of a plan, in the order in which reports list the parts left out.
 
     Attributes
     ----------
     image : Choice of bool
-        The image is made, and not ground truth alone.
+        Make the image, not only ground truth.
     motion : Choice of int
-        Time samples of what moves.
+        Number of time samples for moving objects.
     trace : Choice of bool
-        Rays are cast.
+        Cast rays.
     texture_sampling : Choice of bool
-        Textures are looked up between their texels.
+        Interpolate textures between their texels.
     reproject : Choice of bool
-        Pixels of the reference pose are moved.
+        Move pixels of the reference pose.
     fill : Choice of bool
-        Pixels that this leaves missing are filled.
+        Fill pixels that this leaves missing.
     silhouettes : Choice of int
-        Sub-pixel sources per axis.
+        Number of sub-pixel sources per axis.
     tilt : Choice of bool
-        Weights depend on the gradient of R.
+        Make weights depend on the gradient of R.
     blur : Choice of Blur
-        Method that spreads radiance.
+        Method of the blur.
     renormalize : Choice of bool
-        Light over the border is given back.
+        Return light lost over the border to the frame.
     guard_band : Choice of bool
-        Surface beyond the frame lights it.
+        Include light from surfaces beyond the frame.
     color : Choice of bool
-        There are three channels.
+        Use three channels.
     occlusion : Choice of Occlusion
-        Method by which nearer surfaces hide farther ones.
+        Method of occlusion.
     ground_truth : Choice of tuple of str
         Outputs besides color and alpha.
     still_sources : Choice of bool
-        Sources that all time samples share are blurred once.
+        Blur sources shared by all time samples only once.
     other_outputs : Choice of bool
-        All possible outputs are wanted, or none.
+        Make all possible outputs, or none.
     """
 
     image: Choice[bool]
@@ -107,14 +109,16 @@ class Choices:
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:
-        """Name of each part of the pipeline that the scene has no use for, and the reason; of no image, that alone."""
+        """Name of each part of the pipeline that the scene does not need, and the reason; if no image is made, only
+        that.
+        """
         if self.image.left_out:
             return (("image", self.image.reason),)
         return tuple((name, choice.reason) for name, choice in self._all().items() if choice.left_out)
 
     @property
     def unused(self) -> dict[str, str]:
-        """Reason of each key that nothing depends on, by the key."""
+        """Reason for each key without effect, by key."""
         return {key: choice.reason for choice in self._all().values() for key in choice.unused}
 
     def _all(self) -> dict[str, Choice[object]]:
@@ -125,8 +129,9 @@ def choose(
     scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, device: DeviceFacts,
     seen: Prediction,
 ) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
-    """All decisions for a view of a scene, its occlusion groups, and the extents of objects that these are for. Raises
-    SceneError where the method cannot be."""
+    """All decisions for a view of a scene, its occlusion groups, and the predicted extents that these are valid for.
+    Raises SceneError for an unusable method.
+    """
     warp = choose_warp(scene, eye)
     rays = choose_rays(scene, warp.value)
     silhouettes = choose_silhouettes(scene, psf, rays.value, seen)
@@ -165,13 +170,12 @@ def choose(
 
 
 def choose_image(color: bool) -> Choice[bool]:
-    """True where the image is made."""
+    """True if the image is made."""
     return Choice(True) if color else Choice(False, "nobody asked for the color: neither its rays nor its blur")
 
 
 def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard: int) -> Choice[int]:
-    """Time samples of what moves, while a line of the frame is exposed; guard: width in px of the band around the frame
-    that lights it."""
+    """Number of time samples while a line of the frame is exposed; guard: width in px of the guard band."""
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
     from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
@@ -196,7 +200,7 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
 
 
 def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:
-    """True where pixels of the reference pose are moved."""
+    """True if pixels of the reference pose are moved."""
     if is_forward(scene, eye):
         return Choice(True)
     if scene.motion.warp == "forward" and scene.is_analytic:
@@ -205,14 +209,14 @@ def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:
 
 
 def choose_rays(scene: Scene, forward: bool) -> Choice[bool]:
-    """True where rays are cast."""
+    """True if rays are cast."""
     if is_static_map(scene):
         return Choice(False, "a static depth map: its own pixels")
     return Choice(False, "replaced by the forward warp") if forward else Choice(True)
 
 
 def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[bool]:
-    """True where textures are looked up between their texels."""
+    """True if textures are interpolated between their texels."""
     key = ("motion.texture_filter",)
     if forward:
         return Choice(False, WHOLE_PIXELS, key)
@@ -222,7 +226,7 @@ def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[boo
 
 
 def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
-    """True where missing pixels are filled."""
+    """True if missing pixels are filled."""
     static = is_static_map(scene)
     if not (forward or static):
         return Choice(False, "only a forward warp leaves pixels missing", FILL_KEYS)
@@ -234,7 +238,7 @@ def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
 
 
 def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, seen: Prediction) -> Choice[int]:
-    """Sub-pixel sources per axis; 0: every source is a pixel."""
+    """Number of sub-pixel sources per axis; 0 if every source is a pixel."""
     samples, key = scene.psf.silhouette_samples, ("psf.silhouette_samples",)
     if samples == 1:
         return Choice(0, "silhouette_samples = 1")
@@ -250,8 +254,9 @@ def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, seen: Predict
 def choose_occlusion(
     scene: Scene, psf: PointSpread, rays: bool, seen: Prediction
 ) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
-    """Method by which nearer surfaces hide farther ones, the occlusion groups that follow, and the extents of objects
-    by which they were found, where they were."""
+    """Method of occlusion, the resulting occlusion groups, and the extents of objects that they are valid for, if
+    any.
+    """
     together, key = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), ("psf.occlusion",)
     wanted = scene.psf.occlusion
     if wanted == "none":
@@ -270,12 +275,14 @@ def choose_occlusion(
 
 
 def hides_nothing(scene: Scene) -> bool:
-    """True if the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
+    """True if the whole lens sees the same points as the pinhole: for a single surface without a visible inside that is
+    not a depth map.
+    """
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
 
 def choose_tilt(scene: Scene, constant: bool, blur: Blur) -> Choice[bool]:
-    """True where weights depend on the gradient of R."""
+    """True if weights depend on the gradient of R."""
     if not scene.psf.tilt:
         return Choice(False, "tilt = false")
     if blur == "none":
@@ -284,7 +291,7 @@ def choose_tilt(scene: Scene, constant: bool, blur: Blur) -> Choice[bool]:
 
 
 def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
-    """Choices of `renormalize` and `guard_band`."""
+    """Values of `renormalize` and `guard_band`."""
     if scene.psf.border == "renormalize":
         return Choice(True), Choice(False, "light stays inside the frame")
     beyond = "the mirrored map" if is_static_map(scene) else "surface"
@@ -294,7 +301,7 @@ def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
 def choose_still_sources(
     scene: Scene, spread: bool, asked: tuple[str, ...], seen: Prediction, groups: tuple[OcclusionGroup, ...]
 ) -> Choice[bool]:
-    """True where sources that all time samples share are blurred once; spread: sources of rays have many radii."""
+    """True if sources shared by all time samples are blurred once; spread: True if traced sources have many radii."""
     if not scene.moves:
         return Choice(True)
     if not spread:
@@ -319,7 +326,7 @@ def choose_still_sources(
 def choose_truth(
     scene: Scene, asked: tuple[str, ...], color: bool = True
 ) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
-    """Outputs besides color and alpha, of those that a scene can have; and whether any others are left out."""
+    """Outputs besides color and alpha that the scene can have; and True if all possible ones, or none, are made."""
     reasons = {group: why for group, can, why in POSSIBLE if not can(scene)}
     impossible = {name: reasons[row.group] for name, row in OUTPUTS.items() if row.group in reasons}
     impossible |= {} if color else dict.fromkeys(SENSOR_NAMES, "no image is made")

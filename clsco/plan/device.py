@@ -1,4 +1,4 @@
-"""Facts of a device that plans and sizes of buffers depend on."""
+"""Properties of a device that plans and buffer sizes depend on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ UNKNOWN = 2**62  # bytes, of a limit that is not known
 
 
 class DeviceFacts(Protocol):
-    """Device limits that a plan depends on; `clsco.opencl.device.Device` has them."""
+    """Interface of a device's limits that a plan depends on; `clsco.opencl.device.Device` implements it."""
 
     @property
     def kind(self) -> str:
@@ -22,28 +22,28 @@ class DeviceFacts(Protocol):
 
     @property
     def has_int64_atomics(self) -> bool:
-        """True if the device adds whole numbers of 64 bits by atomics."""
+        """True if the device has atomic addition of 64-bit integers."""
 
     @property
     def compute_units(self) -> int:
-        """Cores, which work at a time."""
+        """Number of cores."""
 
     @property
     def global_mem(self) -> int:
-        """Its memory in bytes."""
+        """Size of its memory in bytes."""
 
     @property
     def max_alloc(self) -> int:
-        """Bytes of its largest buffer."""
+        """Size of its largest buffer in bytes."""
 
     @property
     def unified_memory(self) -> bool:
-        """True if the device works in the machine's memory."""
+        """True if the device uses host memory."""
 
 
 @dataclass(frozen=True)
 class ThisMachine:
-    """The processor, for a plan that is made before a device is opened."""
+    """This machine's processor, for a plan made before a device is opened."""
 
     kind: str = "cpu"
     has_fp64: bool = True

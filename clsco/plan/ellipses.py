@@ -1,4 +1,4 @@
-"""Choice of ellipses or discs for the blur of a distorted image."""
+"""Choice between ellipses and discs for the blur in a distorted image."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ BEYOND = 1.1  # times as much is planned for, for what is between places and in 
 
 
 def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
-    """The point spread of a scene, by default its own: where the image is distorted with room for ellipses, as far as
-    they can be made. eye: that the scene is seen from."""
+    """The PSF of a scene (or `psf`); in a distorted image, if ellipses are supported, with the margin `stretched` for
+    them. eye: view of the scene.
+    """
     psf = psf or scene_point_spread(scene)
     off = ellipticity_of(scene)
     plain = type(psf.pupil) is Circle and psf.edge == "integrated" and not psf.rims
@@ -35,8 +36,9 @@ def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpr
 
 
 def ellipticity_of(scene: Scene) -> float:
-    """Largest distance over the frame between the rims of ellipses and of the discs of their areas, over R; 0 without
-    distortion."""
+    """Largest distance over the frame between the edges of ellipses and of discs of the same area, divided by R; 0
+    without distortion.
+    """
     camera = reference_camera(scene)
     return _ellipticity(camera) if isinstance(camera, DistortedCamera) else 0.0
 

@@ -1,4 +1,4 @@
-"""Structure of shapes that kernels are compiled for."""
+"""Compile-time features that the shapes of a scene need."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clsco.scene.objects import Object
 
 
 def curvature_of(scene: Scene) -> int:
-    """Feature CURVED: which terms bend the surface in focus, or the image; 0 for flat ones."""
+    """Feature CURVED: terms that curve the surface in focus, or the image; 0 for none."""
     lens = scene.lens
     if lens is None:
         return 0
@@ -21,10 +21,10 @@ def curvature_of(scene: Scene) -> int:
 
 
 def shape_features(objects: Sequence[Object]) -> dict[str, int]:
-    """Features of the geometry (kernels/common/geometry.clh) that objects need.
+    """Geometry features (kernels/common/geometry.clh) that objects need.
 
-    Several objects have linear terms where any is a quadric, and what has bounds is asked for its nappe: a few
-    operations more, on which no bit depends, so that fewer programs serve all scenes.
+    With several objects, linear terms are on if any is a quadric, and nappes are tested if any has bounds: this costs a
+    few operations and changes no bit, but fewer programs serve all scenes.
     """
     analytic = [item for item in objects if item.is_analytic]
     shapes, several = [canonical(item) for item in analytic], len(objects) > 1

@@ -1,4 +1,4 @@
-"""The passes from an image with its radii to its blurred plane, and the plan of an image that is given with them."""
+"""Passes from an image with its radii to its blurred plane, and the plan for an image given with radii."""
 
 from __future__ import annotations
 
@@ -27,20 +27,21 @@ SLOPE = ("gradient", "from differences of R")
 
 
 def named(owner: str, sizes: Sizes) -> Sizes:
-    """Buffers of an owner by names of the whole plan."""
+    """Buffers of an owner, renamed to be unique in the plan."""
     return {f"{owner} {name}": size for name, size in sizes.items()}
 
 
 def light_of(spec: BlurSpec) -> str:
-    """Name of what a pass that makes an image hands on: the image with its radii; of one radius for all pixels its
-    sources, which are the pixels; in focus it is the plane already."""
+    """Name of the output of a pass that makes an image: the image with its radii; with one radius for all pixels,
+    sources; in focus, already the plane.
+    """
     if spec.method == "none":
         return "plane"
     return "image" if spec.method in MANY_RADII else "sources"
 
 
 def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Parameters = ()) -> Iterator[Pass]:
-    """The passes from what `light_of` names to the plane; parameters: of the blur, for reports."""
+    """The passes from the output named by `light_of` to the plane; parameters: of the blur, for reports."""
     blur = named("blur", blur_buffers(spec, grid, device))
     if spec.layered:
         sizes = named("depth layer", layered_buffers(spec, grid, device)) | blur
@@ -56,7 +57,7 @@ def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Par
 
 @dataclass(frozen=True)
 class ImagePlan:
-    """Plan of the blur of an image that is given with its map of radii, as `clsco.defocus` has it.
+    """Plan for blurring an image by its map of radii, as in `clsco.defocus`.
 
     Attributes
     ----------
@@ -65,9 +66,9 @@ class ImagePlan:
     rows, columns, channels : int
         Size of the image, px.
     guard_px : int
-        Width of the apron around the image that lights it.
+        Width of the apron around the image that contributes light.
     strip_rows : int
-        Rows that are worked on at a time, 0 for all.
+        Rows processed at a time, 0 for all.
     """
 
     spec: BlurSpec
@@ -81,7 +82,7 @@ class ImagePlan:
 
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
-        """The strips that the image is blurred in, one after the other; the first one is the tallest."""
+        """The strips in which the image is blurred, in order; the first one is the tallest."""
         reach = table_reach(self.spec.psf, self.spec.largest) + 2
         return strips_of(self.spec, self.rows, self.strip_rows, self.guard_px, reach)
 
@@ -100,6 +101,6 @@ class ImagePlan:
 
 
 def strips_of(spec: BlurSpec, rows: int, tallest: int, guard: int, reach: int) -> tuple[Strip, ...]:
-    """Strips of a frame of so many rows; tallest: 0 for all; reach: px at which a source may matter to a pixel."""
+    """Strips of a frame with `rows` rows; tallest: 0 for all; reach: px within which a source may affect a pixel."""
     far, step = margin_of_layers(spec.psf, spec.largest) if spec.layered else (reach, 1)
     return cut_strips(rows, tallest or rows, guard, far, step)

@@ -1,15 +1,15 @@
-"""Motion of objects over the image while a shutter is open, and the time samples that it needs (float64, pure).
+"""Motion of objects in the image while a shutter is open, and the time samples that it needs (float64, pure).
 
-An edge of contrast 1 passes a pixel. What is seen of the object that moves, and what it hides, is blurred by its own
-pupil of radius R: the light of the pixel changes by at most v c / R for a speed of v px per exposure, c the share of
-the lens's light that an edge passes in one radius, 2 / pi of a disc. The midpoint rule with n samples is then off by at
-most (Euler and Maclaurin)
+Consider an edge of contrast 1 that passes a pixel. The visible part of the moving object, and the part that it hides,
+are blurred by its pupil of radius R: the light of the pixel changes by at most v c / R for a speed of v px per
+exposure, where c is the fraction of the lens's light that an edge crosses per radius, 2 / pi for a disc. The error of
+the midpoint rule with n samples is then at most (Euler and Maclaurin)
 
     c v / (24 R n^2)
 
-of white, v the speed of a uniform motion, of any other one half of what its velocity changes by from rest to rest.
-Where R is small it is the pixel that evens out the steps, if they are PIXELS_PER_SAMPLE long at most. The smaller
-number is enough.
+of white, where v is the speed of a uniform motion, or half of the total variation of the velocity, from rest to rest,
+of any other motion. If R is small, the pixel smooths the steps, provided that they are at most PIXELS_PER_SAMPLE long.
+The smaller of the two numbers is used.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ BETWEEN = 0.95  # of the smallest |R| of rays may be what is between them
 
 @dataclass(frozen=True, eq=False)
 class ImagePath:
-    """Way of points of an object over the image while the shutter of a frame is open.
+    """Path of an object's points in the image while the shutter of a frame is open.
 
     Attributes
     ----------
     times : ndarray of float64, (n,)
-        From 0, where the shutter opens, to 1.
+        From 0, when the shutter opens, to 1.
     places : ndarray of float64, (n, 3, points)
         x and y in px from the middle of the image, and inverse depth in 1/mm.
     seen : ndarray of bool, (n - 1, points)
-        Steps that touch the frame or the band around it that lights it.
+        True for steps that touch the frame or its guard band.
     """
 
     times: Array
@@ -68,12 +68,12 @@ class ImagePath:
 
     @cached_property
     def steps(self) -> Array:
-        """Way of each step along x and y (n - 1, 2, points), px; 0 where it is not seen."""
+        """Displacement in each step along x and y (n - 1, 2, points), px; 0 if not visible."""
         return np.asarray(np.diff(self.places[:, :2], axis=0) * self.seen[:, None])
 
     @property
     def longest(self) -> float:
-        """Longest way of a point, px."""
+        """Longest path of a point, px."""
         return float(np.linalg.norm(self.steps, axis=1).sum(axis=0).max(initial=0.0))
 
     @property
@@ -83,15 +83,17 @@ class ImagePath:
 
     @property
     def variation(self) -> float:
-        """One half of what the velocity of a point changes by from rest to rest, px per exposure: its speed, where the
-        motion is uniform."""
+        """Half of the total variation of a point's velocity, from rest to rest, px per exposure: the speed of a uniform
+        motion.
+        """
         velocity = self.steps / np.diff(self.times)[:, None, None]
         changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
         return 0.5 * float(np.linalg.norm(changes, axis=1).sum(axis=0).max(initial=0.0))
 
     def radius(self, scene: Scene) -> float:
-        """Smallest |R| of what is seen, px, less what may be between rays; 0 where it goes through the focus of a
-        color."""
+        """Smallest |R| of the visible points, px, minus a margin for points between rays; 0 if the path crosses the
+        focus of a color.
+        """
         ends = np.zeros((len(self.times), self.places.shape[2]), dtype=np.bool_)
         ends[1:] |= self.seen
         ends[:-1] |= self.seen
@@ -105,16 +107,16 @@ class ImagePath:
 
 @dataclass(frozen=True)
 class Need:
-    """Time samples that the motion of an object needs.
+    """Number of time samples that the motion of an object needs.
 
     Attributes
     ----------
     number : int
         Number of the object.
     speed : float
-        Its largest speed over the image, px per exposure of a line.
+        Its largest speed in the image, px per exposure of a line.
     radius : float
-        Smallest |R| of what is seen of it, px.
+        Smallest |R| of its visible points, px.
     samples : float
     """
 
@@ -131,7 +133,7 @@ class Need:
 def motion_needs(
     scene: Scene, psf: PointSpread, maps: Maps | None = None, guard: int = 0, evened: bool = True
 ) -> list[Need]:
-    """Time samples while a line is exposed that suit the motion of each object, those that need most first.
+    """Time samples per exposure of a line that the motion of each object needs, most demanding first.
 
     Parameters
     ----------
@@ -140,14 +142,14 @@ def motion_needs(
     maps : sequence of ndarray of float64 or None, optional
         As for `clsco.plan.plan.make_plan`.
     guard : int
-        Width in px of the band around the frame that lights it.
+        Width in px of the guard band.
     evened : bool
-        The blur of an object is that of its outline, too: what it hides appears as gradually.
+        True if an object's outline is blurred as the object: points that it hides then appear gradually.
 
     Returns
     -------
     list of Need
-        Objects that are seen to move.
+        Objects with visible motion.
     """
     evened = evened and scene.sequence.sampling == "midpoint" and not scene.lens_moves
     maps = None if maps is None or all(each is None for each in maps) else maps
@@ -156,7 +158,7 @@ def motion_needs(
 
 @lru_cache(maxsize=32)
 def _kept_needs(scene: Scene, psf: PointSpread, guard: int, evened: bool) -> tuple[Need, ...]:
-    """`motion_needs` of a scene without maps, whose frames are often asked for one by one."""
+    """`motion_needs` of a scene without depth maps, cached because frames are often requested one by one."""
     return _needs(scene, psf, (None,) * len(scene.objects), guard, evened)
 
 
@@ -177,17 +179,18 @@ def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, evened: bool)
 
 @lru_cache(maxsize=16)
 def _chord(psf: PointSpread) -> float:
-    """Largest share of a lens's light that an edge along x or y passes in one radius."""
+    """Largest fraction of a lens's light that an edge along x or y crosses per radius."""
     cells = psf.lens_cells()
     shares = max(float(cells.sum(axis=axis).max()) for axis in (0, 1)) / float(cells.sum())
     return shares * 0.5 * len(cells) / psf.extent
 
 
 def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
-    """Time samples, while a line is exposed, that are enough for all objects: odd, so that the middle is one of them.
+    """Time samples per exposure of a line that are enough for all objects; odd, so that the middle is one of them.
 
-    A line that shares them with others takes part of the light of its first and its last share, as if it were open for
-    all of these: with LINE_SAMPLES shares, or as many that each is a tenth of a px of motion, this matters little.
+    A line that shares samples with other lines takes part of the light of its first and last interval, as if it were
+    open for all of these intervals: with LINE_SAMPLES intervals, or with intervals of a tenth of a px of motion, the
+    error is small.
     """
     wanted = ceil(max((need.samples for need in needs), default=1.0))
     if scene.rolls and lines_overlap(scene):
@@ -198,7 +201,9 @@ def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
 
 
 def lens_samples(scene: Scene, maps: Maps) -> int:
-    """Time samples that suit the changes of the lens while a line is exposed: one per px of the blur radius."""
+    """Time samples that suit the changes of the lens while a line is exposed: one per px of change of the blur
+    radius.
+    """
     if not scene.lens_moves:
         return 1
     w, way = seen_depths(scene, maps), 0.0
@@ -219,11 +224,11 @@ def some_frames(scene: Scene) -> list[int]:
 
 
 def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[ImagePath]:
-    """Ways of all objects over the image while the shutter of a frame is open.
+    """Paths of all objects in the image while the shutter of a frame is open.
 
-    Poses are taken at FIRST_STEPS + 1 times, and at twice as many while that makes a path longer: 8 for each turn or
-    swing make it 0.97 of its length, so that up to MOST_STEPS / 8 of them are seen. What is away and back within a step
-    may be missed: it has a share of 1 / FIRST_STEPS of the light at most.
+    Poses are evaluated at FIRST_STEPS + 1 times, and at twice as many while that makes a path longer: 8 steps per
+    rotation or oscillation give 0.97 of its length, so that up to MOST_STEPS / 8 of them are detected. An object that
+    appears and disappears within a step may be missed: its light is at most a fraction 1 / FIRST_STEPS.
 
     Parameters
     ----------
@@ -232,12 +237,12 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
         As for `clsco.plan.plan.make_plan`.
     frame : int
     guard : int
-        Width in px of the band around the frame that lights it.
+        Width in px of the guard band.
 
     Returns
     -------
     list of ImagePath
-        One for each object, without points where it stands still.
+        One per object, without points if it stands still.
     """
     opens, closes = shutter_span(scene.sequence, frame)
     jumps = (jump_times(scene, frame) - opens) / (closes - opens)
@@ -268,20 +273,21 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
 
 
 def _same(pose: Pose) -> Callable[[Pose], bool]:
-    """Test for another pose that is the same to the bit."""
+    """Test whether another pose is identical."""
     return lambda other: np.array_equal(pose.rotation, other.rotation) and np.array_equal(pose.shift, other.shift)
 
 
 def _times(steps: int) -> Array:
-    """Ends of so many uneven steps from 0 to 1."""
+    """Ends of `steps` uneven steps from 0 to 1."""
     k = np.arange(steps + 1, dtype=np.float64)
     inner = (k > 0) & (k < steps)
     return (k + inner * UNEVEN * (np.mod(k * 0.5 * (sqrt(5.0) - 1.0), 1.0) - 0.5)) / steps
 
 
 def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) -> Array:
-    """Points (3, n) that are seen of an object in a pose, in mm from its center in its reference pose; of a thing that
-    no ray meets the middle of the ball around it."""
+    """Visible points (3, n) of an object in a pose, in mm from its center in its reference pose; for an object that no
+    ray meets, the center of the ball around it.
+    """
     columns, rows = camera.frame_size
     x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, RAYS) * (size - 1) for size in (columns, rows))))
     half = float(x.max()), float(y.max())
@@ -302,14 +308,16 @@ def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) 
 
 
 def _slopes(ends: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """Slopes along x and y (RAYS, RAYS) of rays between those at the ends; none where these have nothing between."""
+    """Slopes along x and y (RAYS, RAYS) of rays between two ends on each axis; empty if there is nothing between
+    them.
+    """
     counts = [RAYS if low <= high else 0 for low, high in ends]
     x, y = np.meshgrid(*(np.linspace(*both, count) for both, count in zip(ends, counts, strict=True)))
     return x, y
 
 
 def _followed(item: Object, body: Array, views: Sequence[tuple[Camera, Pose]], guard: int) -> ImagePath:
-    """Way of points `body` (3, points) of an object that takes poses before cameras one after another."""
+    """Path of points `body` (3, points) of an object through consecutive pairs of camera and pose."""
     turns, shifts = (np.stack([getattr(pose, name) for _, pose in views]) for name in ("rotation", "shift"))
     camera, steps = views[0][0], np.array([ray_step(camera) for camera, _ in views])[:, None, None]
     points = turns @ body + (rest_center(item) + shifts)[:, :, None]

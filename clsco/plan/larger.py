@@ -1,4 +1,4 @@
-"""A larger plan for a frame that met more than its plan had room for."""
+"""Makes a larger plan for a frame that exceeded the predictions of its plan."""
 
 from __future__ import annotations
 
@@ -29,16 +29,17 @@ SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differentl
 
 @dataclass(frozen=True)
 class Met:
-    """Range of sources that a frame has met on the device.
+    """Statistics of a frame's sources, measured on the device.
 
     Attributes
     ----------
     smallest, largest : float
-        Range of |R| of its sources in px; largest 0 where there are none.
+        Range of |R| in px; largest is 0 without sources.
     beyond : bool
-        A hit was outside of the predicted extent of its object, so that it may be hidden by others than its group has.
+        True if a hit was outside of its object's predicted extent, so that objects outside its group's occluders may
+        hide it.
     outside : bool
-        A source is not still that was predicted to be.
+        True if a source moves that was predicted to be still.
     """
 
     smallest: float
@@ -59,14 +60,14 @@ class Met:
 
 
 def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
-    """The plan with room for what a frame has met; None where it has.
+    """A plan with room for the measured statistics; None if the present one is large enough.
 
     Parameters
     ----------
     plan : Plan
     met : Met
     limit : Limit
-        Limit that the larger plan is fitted to.
+        Limit for the larger plan.
 
     Returns
     -------
@@ -75,7 +76,7 @@ def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
     Raises
     ------
     SceneError
-        The blur radius passes LARGEST_BLUR, or the memory that was given does not suffice.
+        The blur radius exceeds LARGEST_BLUR, or the memory limit is too small.
     """
     fits = met.largest <= plan.largest_blur * SLACK + 1e-6 and met.smallest >= plan.smallest_blur / SLACK - 1e-6
     if met.largest == 0.0 or (fits and not met.beyond and not met.outside):
@@ -90,8 +91,7 @@ def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
 
 
 def _for_any_place(plan: Plan) -> Plan:
-    """The plan with occlusion groups that are right wherever the objects are, and a blur that tests what is in the
-    way."""
+    """The plan with occlusion groups that are valid for any positions of objects, and a blur with visibility tests."""
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
     if plan.blur == "tiles":
         choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))
@@ -99,7 +99,7 @@ def _for_any_place(plan: Plan) -> Plan:
 
 
 def widened(plan: Plan, smallest: float, largest: float) -> Plan:
-    """The plan for a wider range of |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
+    """The plan for a wider range of |R| in px than predicted. Raises SceneError beyond LARGEST_BLUR."""
     if largest > LARGEST_BLUR:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))

@@ -1,4 +1,4 @@
-"""Memory on the device: what the buffers of a plan take, how much there is, and the strips that fit; without OpenCL."""
+"""Device memory: sizes of a plan's buffers, the memory available, and the strips that fit; independent of OpenCL."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
 
 @dataclass(frozen=True)
 class Limit:
-    """Limit of a frame's buffers, in bytes.
+    """Memory limit for a frame's buffers, in bytes.
 
-    total: all of them; buffer: each of them; given: by the user, so that it is an error where nothing fits; views: that
-    are on the device together and share `total`, as those of a stereo pair.
+    total: of all buffers together; buffer: of each buffer; given: True if set by the user, so that exceeding it is an
+    error; views: number of views that share `total` on the device, 2 for a stereo pair.
     """
 
     total: int
@@ -36,7 +36,7 @@ class Limit:
 
 
 def parse_size(size: str | int, name: str = "memory") -> int:
-    """Bytes of a size like 1.5GiB, 800MB or 100000. Raises SceneError for what is none; name: for the message."""
+    """Bytes from a size like 1.5GiB, 800MB or 100000. Raises SceneError for anything else; name: for the message."""
     match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,15})?)\s*([a-z]{0,3})\s*", str(size).lower(), re.ASCII)
     bytes_of_unit = _UNITS.get(match[2]) if match else None
     of_text = int(float(match[1]) * bytes_of_unit) if match and bytes_of_unit else 0
@@ -47,9 +47,9 @@ def parse_size(size: str | int, name: str = "memory") -> int:
 
 
 def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Limit:
-    """The limit that a user gives, or half of what is free.
+    """The limit set by the user, or half of the free memory.
 
-    memory: as `parse_size` takes it, or None; device: by default the processor. Raises SceneError as `parse_size`.
+    memory: as for `parse_size`, or None; device: by default the processor. Raises SceneError as `parse_size`.
     """
     known = device or ThisMachine()
     total = min(known.global_mem, machine_bytes(free=True)) if known.unified_memory else known.global_mem
@@ -60,9 +60,9 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
 
 
 def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
-    """Buffers on the device while a frame of a plan is made, in the strips that the plan has.
+    """Buffers on the device while a plan's frame is rendered in the plan's strips.
 
-    Those of ground truth, "truth ...", are there only while it is made.
+    Buffers "truth ..." exist only while ground truth is computed.
     """
     sizes: Sizes = {}
     for each in plan.passes:
@@ -71,28 +71,30 @@ def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
 
 
 def lens_bytes(plans: Sequence[Plan]) -> int:
-    """All of `buffer_bytes` for lenses that are on the device together: hits of each occlusion group once for all."""
+    """Total of `buffer_bytes` for lenses that are on the device together; they share the ray hits of each occlusion
+    group.
+    """
     hits = sum(hit_buffers(plans[0].grid, plans[0].mapped > 0).values())
     return sum(device_bytes(plan) - hits for plan in plans) + len(plans[0].groups) * hits
 
 
 def device_bytes(plan: Plan | ImagePlan, views: int = 1) -> int:
-    """All of `buffer_bytes` for one view, or several that are on the device together."""
+    """Total of `buffer_bytes` for one view, or for several that are on the device together."""
     return _sum(buffer_bytes(plan), views)
 
 
 def _sum(sizes: Mapping[str, int], views: int) -> int:
-    """Views get their ground truth one after the other."""
+    """Total for several views; ground truth counts once, because the views compute it one after the other."""
     return sum(size * (1 if name.startswith("truth") else views) for name, size in sizes.items())
 
 
 def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
-    """True if buffers of these sizes fit the limit, for all views together."""
+    """True if buffers of these sizes fit within the limit, for all views together."""
     return _sum(sizes, limit.views) <= limit.total and max(sizes.values(), default=0) <= limit.buffer
 
 
 def fitted(plan: P, limit: Limit) -> P:
-    """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
+    """The plan with the fewest strips within the limit, ideally the whole frame. Raises as `rows_that_fit`."""
     known = {plan.strip_rows: plan}  # a plan knows its passes, which take a while to lay out
 
     def in_strips(rows: int) -> P:
@@ -104,11 +106,11 @@ def fitted(plan: P, limit: Limit) -> P:
 
 
 def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], whole: bool = False) -> int:
-    """Rows of the tallest strips that fit the limit: all of them, or a multiple of BAND.
+    """Rows of the tallest strips that fit within the limit: all rows, or a multiple of BAND.
 
-    rows: of the frame; sizes: gives the buffers for strips of so many rows; whole: a forward warp
-    needs the whole frame. Where nothing fits it raises SceneError if the limit was given; else the least strips are
-    taken, or the whole frame.
+    rows: of the frame; sizes: returns the buffers for strips of a given height; whole: True for a forward warp, which
+    needs the whole frame. If nothing fits, it raises SceneError for a limit set by the user; otherwise it returns the
+    smallest strips, or the whole frame.
     """
 
     if fits(sizes(rows), limit):

@@ -1,4 +1,4 @@
-"""Choice of the blur method, and what a blur is made for."""
+"""Chooses the blur method, and specifies a blur."""
 
 from __future__ import annotations
 
@@ -32,36 +32,36 @@ HOW: dict[Blur, str] = {
 
 @dataclass(frozen=True)
 class BlurSpec:
-    """A blur by the PSF of each source: what its programs are built for, and its buffers are made for.
+    """Specification of a blur by each source's PSF: decides its programs and buffers.
 
     Attributes
     ----------
     psf : PointSpread
     method : Blur
     smallest, largest : float
-        Range of |R| in px; other radii are clamped to it ("convolve" makes the PSF of its radius).
+        Range of |R| in px, to which other radii are clamped ("convolve" uses its own radius).
     subpixels : int
         Sub-pixel sources per axis at silhouettes, 0 for none.
     small : bool
-        Small surfaces have slots of sub-pixel sources of their own.
+        True if small surfaces have their own slots of sub-pixel sources.
     tilt : bool
-        Sources have the gradient of R.
+        True if sources have the gradient of R.
     occluders : int
-        Objects that may stand in the way of one source, as `occluder_room` rounds their number.
+        Largest number of occluders of one source, rounded by `occluder_room`.
     limited : bool
-        Any occluder has bounds, or one nappe of two, or is a disc.
+        True if any occluder has bounds, one nappe of two, or is a disc.
     brightest : float
-        Largest |radiance|, which sets the unit of sums of whole numbers.
+        Largest |radiance|, which sets the unit of integer sums.
     border : {"lose", "renormalize"}
-        Fate of irradiance outside of the frame: lost, or given back to it.
+        Treatment of light beyond the frame: lost, or returned to the frame.
     layered : bool
-        Sources are in depth layers, of which nearer ones hide farther ones.
+        True if sources are in depth layers, with nearer ones hiding farther ones.
     curved : int
-        Feature CURVED, where visibility tests need radii.
+        Feature CURVED, if visibility tests need radii.
     merged : float
-        |R| in px from which on sources that are hidden in part may be merged; 0 for none.
+        |R| in px from which partly hidden sources may be merged; 0 for none.
     shared : bool
-        Sub-pixel sources of fine textures may see the lens from the middle of their pixel.
+        True if sub-pixel sources of fine textures may share the visibility test of their pixel.
     """
 
     psf: PointSpread
@@ -92,12 +92,12 @@ class BlurSpec:
 
 
 def can_convolve(psf: PointSpread, border: str) -> bool:
-    """True if `convolve` can blur by this PSF: the same one everywhere, whole, and for -R."""
+    """True if `convolve` supports this PSF: constant over the frame, not cut by rims, and the same for -R."""
     return border == "lose" and not psf.signed and not psf.rims
 
 
 def check_shape(psf: PointSpread, method: str) -> None:
-    """Raise SceneError where a method cannot take the shape of the lens."""
+    """Raise SceneError if a method does not support the shape of the lens."""
     if method == "convolve" and psf.signed:
         raise SceneError(f"method: convolve needs an aperture that blurs alike for R and -R; got {psf.pupil.name}")
     if method == "convolve" and psf.rims:
@@ -105,8 +105,9 @@ def check_shape(psf: PointSpread, method: str) -> None:
 
 
 def occluder_room(occluders: int) -> int:
-    """So many occluders as a program has room for: 4, 16 or 64, so that few programs serve all scenes. Room for 4 takes
-    no longer than room for 1."""
+    """Number of occluders that a program is compiled for: 4, 16 or 64, so that few programs serve all scenes. 4 cost no
+    more time than 1.
+    """
     room = 4
     while room < occluders:
         room *= 4
@@ -114,35 +115,36 @@ def occluder_room(occluders: int) -> int:
 
 
 def check_method(method: str) -> None:
-    """Raises SceneError where no method of the blur has this name."""
+    """Raise SceneError for an unknown blur method."""
     known = ("auto", *MANY_RADII, "convolve")
     if method not in known:
         raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
 
 
 def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
-    """True on a GPU that adds so few taps by atomics in less time than work-items of tiles look at their sources;
-    largest: of |R| in px."""
+    """True on a GPU if adding this few taps by atomics takes less time than the sources' tests in tiles; largest: of
+    |R| in px.
+    """
     return device.kind == "gpu" and device.has_int64_atomics and largest * channels <= FEW_TAPS
 
 
 def choose_blur(
     method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool = False, few_taps: bool = False
 ) -> Choice[Blur]:
-    """The way a blur is computed.
+    """Method of computing a blur.
 
     Parameters
     ----------
     method : str
         "auto", one of MANY_RADII, or "convolve".
     sharp : bool
-        All light stays in its pixel (`is_sharp`).
+        True if all light stays in its pixel (`is_sharp`).
     constant : bool
-        All pixels have one radius, and `can_convolve`.
+        True if all pixels have one radius, and `can_convolve`.
     gpu : bool
-        The device is a GPU.
+        True if the device is a GPU.
     occluded : bool
-        Something may stand in the way of a source, or its blur is an ellipse.
+        True if sources may be occluded, or their blur is an ellipse.
     few_taps : bool
         `has_few_taps`.
 
@@ -153,7 +155,7 @@ def choose_blur(
     Raises
     ------
     SceneError
-        There is no such method, or it cannot do this blur.
+        The method does not exist, or does not support this blur.
     """
     check_method(method)
     if method == "gather" and gpu:

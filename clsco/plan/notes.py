@@ -1,4 +1,4 @@
-"""Notes on scenes whose images may not be what was meant, before they are rendered: by geometry alone."""
+"""Notes on scenes that may not look as intended, by geometry alone, before rendering."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def close_focus_note(camera: Camera) -> str | None:
-    """Line on sizes that are not those of textbooks, where the scene has not chosen."""
+    """Line on a close focus, at which sizes differ from the usual formulas, unless the scene has chosen."""
     share = 1.0 - camera.normalization_distance / camera.sensor_distance
     if "normalization_distance" in camera.model_fields_set or abs(share) <= CLOSE:
         return None
@@ -42,7 +42,7 @@ def close_focus_note(camera: Camera) -> str | None:
 
 @dataclass
 class _Sight:
-    """Record of the bodies of a scene, objects and boxes as a whole: whether each was seen, and how wide."""
+    """Visibility and width of a scene's bodies: objects, with each box as one."""
 
     seen: dict[Hashable, bool] = field(default_factory=dict)
     widest: dict[Hashable, float] = field(default_factory=dict)  # of their images, px
@@ -55,8 +55,8 @@ class _Sight:
 
 
 def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
-    """Lines on objects that no frame shows, or that are smaller than a pixel, on a light that falls on backs alone, and
-    on frames that are black; none on scenes with depth maps.
+    """Lines on objects that no frame shows or that are smaller than a pixel, on a light that shines only on hidden
+    sides, and on black frames; empty for scenes with depth maps.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
 
     Notes
     -----
-    FEW_FRAMES frames are looked at, at the begin, middle and end of their exposures, from the middle of the lens; where
-    an object is missing, up to MOST_FRAMES, and from near the rim of the lens.
+    FEW_FRAMES frames are examined, at the beginning, middle and end of their exposures, from the middle of the lens; if
+    an object is missing, up to MOST_FRAMES, also from near the edge of the lens.
     """
     scene = plans[0].scene
     if not scene.is_analytic:
@@ -110,7 +110,7 @@ def _listed(words: list[str] | list[int]) -> str:
 
 
 def _body(index: int, item: Object) -> tuple[Hashable, str]:
-    """An object, or of the face of a box the box, and its name."""
+    """An object and its name; for a face of a box, the box."""
     if isinstance(item, Rectangle) and item.offset:
         name = item.name.rpartition(" ")[0] or item.name
         return (item.center, name), name
@@ -120,7 +120,9 @@ def _body(index: int, item: Object) -> tuple[Hashable, str]:
 def _look(
     sight: _Sight, scene: Scene, plan: Plan, time: float, place: tuple[float, float] = (0.0, 0.0)
 ) -> bool:  # fmt: skip
-    """Look at a scene from a view, at a time, and from a place of the lens, in radii; True if anything is in sight."""
+    """Examine a scene from a view, at a time, and from a point of the lens, in lens radii; True if any object is
+    visible.
+    """
     camera, light = camera_at(scene, time), place_light(scene, time, plan.eye)
     eye, power = np.array([*place, 0.0]) * camera.aperture_diameter / 2, 1.0 / camera.focused_distance
     poses = (replace(pose, shift=pose.shift - eye) for pose in poses_at(scene, time, plan.eye))
@@ -151,7 +153,7 @@ def _look(
 
 
 def _ends(size: int, guard: int) -> Array:
-    """Places (LOOKS,) in px from one edge of frame and guard band to the other."""
+    """Positions (LOOKS,) in px across the frame and its guard band."""
     return np.linspace(-0.5, 0.5, LOOKS) * (size - 1 + 2 * guard)
 
 
@@ -162,7 +164,7 @@ def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Arra
 
 
 def _around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, Array] | None:
-    """Rays within the bounds of the image of an object; None where these are outside of the frame."""
+    """Rays within the image bounds of an object; None if these are outside of the frame."""
     ends = []
     for slopes, bounds in zip(frame, (surface.seen.x, surface.seen.y), strict=True):
         low, high = max(float(slopes.min()), bounds[0]), min(float(slopes.max()), bounds[1])
@@ -174,7 +176,7 @@ def _around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, 
 
 
 def _is_lit(surface: PlacedSurface, light: PlacedLight, x: Array, y: Array, w: Array) -> bool:
-    """True if a light falls on the side of a surface that is seen, anywhere along these rays."""
+    """True if the light reaches the visible side of a surface anywhere along these rays."""
     ray = np.stack([x, y, np.ones_like(x)])
     shape, turn = surface.canonical, surface.turn
     point = turn @ ray + surface.offset[:, None] * w  # times w

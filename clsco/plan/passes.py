@@ -1,4 +1,4 @@
-"""A pass: a step of a frame, as a value that is run, printed and summed."""
+"""A pass: a step of a frame, described by a value."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # all others: for e
 
 @dataclass(frozen=True)
 class Pass:
-    """A step of a frame: what the engine runs, `clsco plan` prints, and memory sums.
+    """A step of a frame: the engine runs it, `clsco plan` prints it, and the memory estimate adds it up.
 
     Attributes
     ----------
@@ -27,16 +27,16 @@ class Pass:
     parameters : tuple of (str, str)
         Parameters of the pass, for reports.
     buffers : dict
-        Bytes of its buffers on the device by their names; one name is one buffer in all passes.
+        Bytes of its buffers on the device by name; passes share buffers of equal name.
     takes, gives : tuple of str
-        Names of what it is handed by earlier passes, and of what it hands on: "moved" pixels, an "image" with its
-        radii, "sources", "layers", the blurred "plane" of a time sample, the
-        "colors" of it so far where each is blurred by itself, the "frame" so far, its "codes" when it is
-        complete; "counts" and "missing" of a filling, the number of "depth_layers".
+        Names of its inputs from earlier passes, and of its outputs: "moved" pixels, an "image" with its radii,
+        "sources", "layers", the blurred "plane" of a time sample, its "colors" so far if each is blurred separately,
+        the "frame" so far, its "codes" when it is complete; "counts" and "missing" of a filling, the number of
+        "depth_layers".
     group : OcclusionGroup
-        The occlusion group that it is for.
+        Its occlusion group.
     color : int, optional
-        The color that it is for, 0 to 2; by default all.
+        Its color, 0 to 2; by default all.
     """
 
     kind: Kind
@@ -55,12 +55,12 @@ def run_passes(passes: Iterable[Pass], run: Callable[..., Iterable[Any]]) -> Map
     ----------
     passes : iterable of Pass
     run : callable
-        Runs a pass: gets it, and what it takes; returns what it gives.
+        Runs a pass, given the pass and its inputs; returns its outputs.
 
     Returns
     -------
     dict
-        All that passes have handed on, by the names; of a name, the latest.
+        All outputs by name; for equal names, the latest.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""From a scene to the passes that it needs, with their sizes and cost; pure Python, without OpenCL.
+"""Planning: the passes that a scene needs, with their sizes and cost; independent of OpenCL.
 
-The engine runs `Plan.passes`, `clsco plan` prints them, and the memory of a frame is that of their buffers. A pass that
-a scene has no use for is neither compiled nor run nor stored: `Choices.left_out` says which and why.
+The engine runs `Plan.passes`, `clsco plan` prints them, and a frame's memory is that of their buffers. A pass that a
+scene does not need is not compiled, run or allocated: `Choices.left_out` lists these with reasons.
 """
 
 from __future__ import annotations
@@ -71,35 +71,35 @@ class Plan:
     psf : PointSpread
         Point spread of its lens.
     device : DeviceFacts
-        Device that it is to run on.
+        Device to run on.
     eye : {"left", "right"}
         View of a stereo pair.
     channels, rows, columns : int
         Size of the frame: channels 1 or 3, and one more for `alpha`; px, px.
     guard_px : int
-        Width of the apron around the frame whose surface lights it.
+        Width of the apron, whose surfaces contribute light to the frame.
     smallest_blur, largest_blur : float
         Predicted range of |R| in px over the whole sequence, with a margin.
     choices : Choices
         Decisions, with their reasons.
     groups : tuple of OcclusionGroup
-        Occlusion groups, which are spread one after the other.
+        Occlusion groups, which are blurred one after the other.
     taps : float
-        Predicted weights per frame.
+        Predicted number of weights per frame.
     spreads : tuple of PointSpread
-        Point spread of red, green and blue, where each color is blurred by itself (`apart`).
+        PSFs of red, green and blue, if each color is blurred separately (`apart`).
     only : int, optional
-        The color whose light this plan is for, 0 to 2; by default of all colors.
+        The color that this plan is for, 0 to 2; by default all colors.
     alpha : bool
-        The last channel is coverage.
+        True if the last channel is coverage.
     strip_rows : int
-        Rows of the frame that are worked on at a time, 0 for all.
+        Rows of the frame processed at a time, 0 for all.
     extents : tuple of Extent
-        Predicted extents of the objects that `groups` are for; empty where they are for any.
+        Predicted extents of objects that `groups` are valid for; empty if valid for any.
     merged : float
-        |R| in px from which on a tolerance merges sources that are hidden in part; 0 for none.
+        |R| in px from which a tolerance merges partly hidden sources; 0 for none.
     small : bool
-        True where an object may be narrow in the image, with sub-pixel sources of what it covers.
+        True if an object may be narrow in the image, which needs sub-pixel sources of its coverage.
     """
 
     scene: Scene
@@ -125,12 +125,12 @@ class Plan:
 
     @property
     def divided(self) -> bool:
-        """True if sources that all time samples share are blurred once."""
+        """True if sources shared by all time samples are blurred once."""
         return self.moves and self.averages and self.choices.still_sources.value
 
     @cached_property
     def apart(self) -> tuple[Plan, ...]:
-        """Plans for red, green and blue light by itself, where the lens does not blur all colors alike."""
+        """Plans for red, green and blue, if the lens blurs colors differently."""
         if not self.color:
             return ()
         channels = 1 + self.alpha
@@ -140,7 +140,7 @@ class Plan:
 
     @property
     def color(self) -> bool:
-        """True where the image is made, and not ground truth alone."""
+        """True if the image is made, not only ground truth."""
         return self.choices.image.value
 
     @cached_property
@@ -150,7 +150,7 @@ class Plan:
 
     @property
     def samples(self) -> int:
-        """Time samples while a line of a frame is exposed, which is all of it but with a rolling shutter."""
+        """Time samples while a line of the frame is exposed; without a rolling shutter, of the whole frame."""
         return max(self.choices.motion.value, 1)
 
     @property
@@ -160,7 +160,7 @@ class Plan:
 
     @cached_property
     def repeats(self) -> float:
-        """Time samples per frame, with those that are rendered in some of its rows as their share of it."""
+        """Time samples per frame, where samples rendered in only some rows count by that fraction."""
         if not self.narrows:
             return float(self.subframes)
         (whole,) = strips_of(self.spec, self.rows, 0, self.guard_px, self.reach_px)
@@ -169,12 +169,12 @@ class Plan:
 
     @property
     def forward(self) -> bool:
-        """True where pixels of the reference pose are moved."""
+        """True if pixels of the reference pose are moved."""
         return self.choices.reproject.value
 
     @property
     def static_map(self) -> bool:
-        """True where pixels are taken as a depth map has them."""
+        """True if pixels are used as in the depth map, without moving them."""
         return is_static_map(self.scene)
 
     @property
@@ -184,17 +184,17 @@ class Plan:
 
     @property
     def tilt(self) -> bool:
-        """True where weights depend on the gradient of R."""
+        """True if weights depend on the gradient of R."""
         return self.choices.tilt.value
 
     @property
     def blur(self) -> Blur:
-        """Method that spreads radiance."""
+        """Method of the blur."""
         return self.choices.blur.value
 
     @property
     def occlusion(self) -> Occlusion:
-        """Method by which nearer surfaces hide farther ones."""
+        """Method of occlusion."""
         return self.choices.occlusion.value
 
     @property
@@ -204,7 +204,7 @@ class Plan:
 
     @property
     def colors(self) -> int:
-        """Channels of color."""
+        """Number of color channels."""
         return self.channels - self.alpha
 
     @property
@@ -219,24 +219,25 @@ class Plan:
 
     @property
     def reach_px(self) -> int:
-        """Distance in px at which a source may matter to a pixel: the reach of the PSF, 2 px to find silhouettes in,
-        and the rest of a block whose sources are merged."""
+        """Distance in px within which a source may affect a pixel, including silhouette detection and merged blocks."""
         each = (table_reach(self.psf, self.largest_blur, subpixel) for subpixel in (False, True))
         return max(each) + 2 + (MERGED_SIDE - 1 if self.merged else 0)
 
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
-        """The strips that the frame is made in, one after the other; the first one is the tallest."""
+        """The strips in which the frame is rendered, in order; the first one is the tallest."""
         return strips_of(self.spec, self.rows, self.strip_rows, self.guard_px, self.reach_px)
 
     @property
     def narrows(self) -> bool:
-        """True if a time sample is rendered in the rows alone that it has a weight in: depth layers need all rows."""
+        """True if a time sample is rendered only in the rows where it has a weight; False with depth layers, which need
+        all rows.
+        """
         by_rows = self.scene.rolls and not self.scene.sequence.by_columns
         return by_rows and not self.spec.layered and "subframes" not in self.truth
 
     def part(self, strip: Strip, weights: NDArray[np.float64]) -> Strip | None:
-        """Part of a strip that a time sample with weights (rows,) is rendered in, None where it has none there."""
+        """Part of a strip in which a time sample with weights (rows,) is rendered, None if it has no weight there."""
         if not self.narrows:
             return strip
         lit = strip.top + np.flatnonzero(weights[strip.inside])
@@ -264,52 +265,52 @@ class Plan:
 
     @cached_property
     def sensor_model(self) -> SensorModel | None:
-        """The sensor of the scene, where its image is made."""
+        """The sensor of the scene, if its image is made."""
         return sensor_model(self.scene, self.colors) if self.scene.sensor is not None and self.color else None
 
     @property
     def needs_light(self) -> bool:
-        """True if the light of a frame is read back, and not only the codes of a sensor."""
+        """True if the irradiance of a frame is read back, not only the codes of a sensor."""
         return self.sensor_model is None or self.alpha or not {"electrons", "noise_sigma"}.isdisjoint(self.truth)
 
     @property
     def slots(self) -> int:
-        """Pixels near silhouettes that there is room for at first."""
+        """Initial number of slots for pixels near silhouettes."""
         return SILHOUETTE_SLOTS * (self.width + self.grid.height) if self.silhouettes else 0
 
     @property
     def eye_moved(self) -> bool:
-        """True if the frame is seen from elsewhere than the textures."""
+        """True if the camera is not in the pose of the textures."""
         return displaced(self.scene, self.eye)
 
     @cached_property
     def averages(self) -> bool:
-        """True if a frame is a weighted sum of time samples, and not the image of a single one."""
+        """True if a frame is a weighted sum of time samples, False if it is a single one."""
         return not frame_exposure(self.scene, 0, self.samples).is_one_image
 
     @property
     def device_truth(self) -> tuple[str, ...]:
-        """Outputs of ground truth that rays give; a forward warp makes its own focused image."""
+        """Outputs of ground truth by rays; a forward warp makes its own focused image."""
         return ray_truth(self.scene, self.truth, self.forward) if self.scene.is_analytic else ()
 
     @property
     def mapped(self) -> int:
-        """Textures that lie on surfaces: 0 none, 1 with coordinates that are linear in a point, 2 with any."""
+        """Textures on surfaces: 0 none, 1 with coordinates that are linear in a point, 2 with any coordinates."""
         kinds = {item.mapped for item in self.scene.objects} - {None}
         return int(bool(kinds)) + int(not kinds <= {"card", "plane", "triplanar"})
 
     @property
     def background(self) -> int | None:
-        """Number of the object that is the background, None where there is none."""
+        """Number of the background object, None without one."""
         return next((k for k, item in enumerate(self.scene.objects) if item.is_background), None)
 
     @cached_property
     def passes(self) -> tuple[Pass, ...]:
-        """Passes to run: each time sample runs them in this order, and "ground truth" runs once for a frame."""
+        """Passes to run: each time sample runs them in this order; "ground truth" runs once per frame."""
         return _passes(self)
 
     def features(self) -> dict[str, int]:
-        """Structure that the kernels that cast rays are compiled for."""
+        """Compile-time features of the kernels that cast rays."""
         scene, spec = self.scene, self.spec
         aimed = self.only is not None and scene.shifts_colors
         moved = (scene.is_displaced or self.eye_moved or aimed) and not self.forward
@@ -355,16 +356,16 @@ def make_plan(
     channels : int
         Channels of its textures.
     request : Request, optional
-        Outputs and the method of the blur; by default the color alone.
+        Outputs and the method of the blur; by default only color.
     eye : {"left", "right"}
         View of a stereo pair.
     maps : sequence of ndarray of float64 (rows, columns) or None, optional
-        Inverse depth in 1/mm of every object that is a depth map, 0 where nothing is; None for others
+        Inverse depth in 1/mm of every object that is a depth map, 0 without a surface; None for other objects
         (`clsco.inputs.depth_maps.load_scene_depths`).
     device : DeviceFacts, optional
-        Device that it is to run on; by default this machine's processor.
+        Device to run on; by default this machine's processor.
     psf : PointSpread, optional
-        Point spread of the lens, where it is known.
+        PSF of the lens, if known.
 
     Returns
     -------
@@ -373,7 +374,7 @@ def make_plan(
     Raises
     ------
     SceneError
-        The scene has no resolution, the blur radius passes LARGEST_BLUR, or the method cannot do the scene.
+        The scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the method does not support the scene.
     """
     columns, rows = scene.camera.frame_size
     wanted, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
@@ -402,12 +403,12 @@ def make_plan(
 
 
 def _is_apart(scene: Scene, channels: int) -> bool:
-    """True if colors are blurred apart: by another lens each, or an image in color by waves of other lengths."""
+    """True if colors are blurred separately: by different lenses, or by waves in a color image."""
     return scene.separates_colors or (channels > 1 and scene.psf.is_colored)
 
 
 def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
-    """Weights per frame, by inverse depths at some of its pixels."""
+    """Weights per frame, from inverse depths at some of its pixels."""
     w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
     hit = w > 0
     seen = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, predicted.slopes)))
@@ -418,7 +419,7 @@ def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
-    """See `Plan.passes`."""
+    """Value of `Plan.passes`."""
     found: list[Pass] = []
     if plan.apart:
         found += color_passes([(*_moving_passes(one), *_image_passes(one)) for one in plan.apart], plan.grid)
@@ -439,7 +440,7 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
 
 
 def _moving_passes(plan: Plan) -> Iterator[Pass]:
-    """The passes of a forward warp, where there is one; its filling counts the missing pixels of each time sample."""
+    """The passes of a forward warp, if there is one; its filling counts the missing pixels of each time sample."""
     scene, grid, shown = plan.scene, plan.grid, of_frame(plan.choices, plan.colors, plan.alpha)
     if not plan.forward:
         return
@@ -453,7 +454,7 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
 
 
 def _image_passes(plan: Plan) -> Iterator[Pass]:
-    """The passes of the image of a time sample up to its blurred plane, after those of a forward warp."""
+    """The passes of the image of a time sample up to its blurred plane, after a forward warp."""
     spec, grid, light, choices = plan.spec, plan.grid, light_of(plan.spec), plan.choices
     about = plan.scene, choices, plan.colors, plan.alpha
     if plan.static_map:
@@ -479,7 +480,7 @@ def _truth_pass(plan: Plan) -> Pass:
 
 
 def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pass]:
-    """The passes of one occlusion group; first: of the plane, which those of the others add to."""
+    """The passes of one occlusion group; first: True if it begins the plane, to which other groups add."""
     spec, grid, rays = plan.spec, plan.grid, of_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
     light = ("plane",) if plan.blur == "none" else ("sources",)
     sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | _of_scene(plan)

@@ -36,10 +36,10 @@ _DEPTHS = Cache(32 << 20)  # bytes
 
 
 def guard_band(psf: PointSpread, border: str, largest: float) -> int:
-    """Width in px of the band around the frame whose surface can light it, and 2 px to see silhouettes in.
+    """Width in px of the band around the frame whose surfaces can light it, plus 2 px to detect silhouettes.
 
-    A multiple of TAP_LANES, so that vectors of sources begin in the same columns of the frame with every lens: lenses
-    that share a band have the bits that each has by itself.
+    A multiple of TAP_LANES, so that vectors of sources begin in the same columns of the frame for every lens: each of
+    several lenses that share a band keeps its own bits.
     """
     if border == "renormalize":
         return 0
@@ -48,7 +48,7 @@ def guard_band(psf: PointSpread, border: str, largest: float) -> int:
 
 
 def check_keyframes(scene: Scene) -> None:
-    """Raise SceneError where keyframes that must cover all exposures do not."""
+    """Raise SceneError if keyframes do not cover all exposures that they must cover."""
     keyed: list[tuple[str, ObjectMotion | Lens]] = [("camera.motion", scene.camera.motion)]
     keyed += [(f"group[{k}].motion", group.motion) for k, group in enumerate(scene.groups)]
     keyed += [(f"object[{k}].motion", item.motion) for k, item in enumerate(scene.objects)]
@@ -84,27 +84,27 @@ def _slopes(cameras: Sequence[Camera], guard: int) -> list[Slopes]:
 
 
 def displaced(scene: Scene, eye: Eye) -> bool:
-    """True if a view of a stereo pair sees the scene from elsewhere than the textures."""
+    """True if a view of a stereo pair is not at the viewpoint of the textures."""
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
 
 def is_static_map(scene: Scene) -> bool:
-    """True if every pixel shows its own pixel of a depth map and its image: there is nothing else, and nothing
-    moves."""
+    """True if the scene is one depth map and static, so that every pixel shows its own pixel of the map."""
     alone = len(scene.objects) == 1 and not scene.is_analytic and scene.stereo is None
     return alone and not scene.moves and not scene.shifts_colors
 
 
 def is_forward(scene: Scene, eye: Eye) -> bool:
-    """True if pixels of the reference pose are moved: moving objects with the forward warp, and depth maps unless all
-    is static."""
+    """True if pixels of the reference pose are moved: for moving objects with the forward warp, and for depth maps
+    unless the scene is static.
+    """
     if not scene.is_analytic:
         return not is_static_map(scene)
     return scene.motion.warp == "forward" and (scene.is_displaced or displaced(scene, eye))
 
 
 def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: int) -> Array:
-    """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 where nothing is hit."""
+    """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 without a hit."""
     found, rays = np.empty((len(scene.objects), len(samples), GRID, GRID)), _slopes([one for one, _ in samples], guard)
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
         for time, (_, poses) in enumerate(samples):
@@ -119,7 +119,9 @@ def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: 
 
 
 def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
-    """Inverse depths (GRID, GRID) of a surface at rays beside it, as it is between them; 0 where it is not."""
+    """Inverse depths (GRID, GRID) of a surface at rays that miss it but have it between them and a neighbor; 0
+    elsewhere.
+    """
     inverse, (right, up, depth, radius) = np.zeros(x.shape), surface.ball.tolist()
     aside = np.maximum(*(np.abs(slope - place / depth) for slope, place in ((x, right), (y, up)))) if depth > 0 else x
     spacing = max(x[0, 1] - x[0, 0], abs(y[1, 0] - y[0, 0]))
@@ -134,7 +136,7 @@ def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
 
 
 def _kept_depths(scene: Scene, eye: Eye, guard: int) -> Array:
-    """`_inverse_depths` of a scene without a lens whose objects are all analytic, and whose rays stay."""
+    """`_inverse_depths` of a scene without a lens, with only analytic objects and fixed rays; cached."""
 
     def cast() -> Array:
         samples = [(reference_camera(scene), poses_at(scene, t, eye)) for t in sequence_times(scene)]
@@ -146,13 +148,13 @@ def _kept_depths(scene: Scene, eye: Eye, guard: int) -> Array:
 
 
 def without_lens(scene: Scene) -> Scene:
-    """The scene without its lens and sensor, on which rays do not depend."""
+    """The scene without its lens and sensor, which do not affect rays."""
     camera = scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))
     return scene.model_copy(update={"camera": camera, "sensor": None})
 
 
 def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
-    """Inverse depths (GRID, GRID) of some points of a depth map after a move, its nearest and farthest among them."""
+    """Inverse depths (GRID, GRID) of sampled points of a depth map after a move, including its nearest and farthest."""
     rows, columns = (np.linspace(0, n - 1, GRID).round().astype(np.intp) for n in depth.shape)
     i, j = (n.copy() for n in np.meshgrid(rows, columns, indexing="ij"))
     seen = np.where(depth > 0, depth, np.inf)
@@ -167,12 +169,12 @@ def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
 
 
 def middle_of(scene: Scene) -> float:
-    """Middle of the sequence, s: 0 where nothing moves."""
+    """Middle of the sequence, s; 0 for static scenes."""
     return middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
 
 
 def seen_depths(scene: Scene, maps: Maps, time: float | None = None) -> Array:
-    """Predicted inverse depths (objects, GRID, GRID) in 1/mm at a time, 0 where nothing is hit.
+    """Predicted inverse depths (objects, GRID, GRID) in 1/mm at a time, 0 without a hit.
 
     By default in the middle of the sequence.
     """
@@ -186,7 +188,7 @@ def seen_slopes(scene: Scene, time: float | None = None) -> Slopes:
 
 
 def fills_view(scene: Scene, w: Array) -> bool:
-    """True if no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
+    """True if no silhouette is visible: every ray hits the surface, which cannot have a hole between rays."""
     item = scene.objects[0]
     simple = len(scene.objects) == 1 and cutting_bounds(item) is None and item.shape != "quadric"
     return simple and bool((w > 0).all())
@@ -213,7 +215,7 @@ def constant_blur(scene: Scene) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Rays of a coarse grid at a scene over the whole sequence.
+    """Ray hits on a coarse grid over the whole sequence.
 
     Attributes
     ----------
@@ -222,15 +224,15 @@ class Prediction:
     poses : list of tuple of Pose
         Poses of the objects at each time.
     w : ndarray of float64, (objects, times, GRID, GRID)
-        Inverse depths in 1/mm over frame and guard band, 0 where nothing is hit.
+        Inverse depths in 1/mm over frame and guard band, 0 without a hit.
     slopes : tuple of ndarray of float64, (GRID, GRID)
         Slopes of the rays, right and up.
     smallest, largest : float
-        |R| with a margin, px.
+        Range of |R| with a margin, px.
     guard : int
-        Guard band that follows, px.
+        Width of the guard band for this range, px.
     side : int
-        Sign of R where it is the same for all rays, else 0.
+        Sign of R if all rays agree, else 0.
     """
 
     times: list[float]
@@ -249,7 +251,7 @@ class Prediction:
 
 
 def has_small_images(scene: Scene, seen: Prediction) -> bool:
-    """True if an object may be narrower in the image, at some time, than rays through pixels tell."""
+    """True if an object may at some time be so narrow in the image that rays through pixels can miss it."""
     for time, poses in zip(seen.times, seen.poses, strict=True):
         most = NARROW_IMAGE * ray_step(camera_at(scene, time))
         for item, pose in zip(scene.objects, poses, strict=True):
@@ -267,7 +269,7 @@ def has_small_images(scene: Scene, seen: Prediction) -> bool:
 
 
 def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:
-    """Raise SceneError where the image of a plane is curved so much that it would come to lie at the lens."""
+    """Raise SceneError if field curvature is so strong that the image of a plane would reach the lens."""
     squared = slopes[0] ** 2 + slopes[1] ** 2
     curvature = 0.0 if scene.lens is None else scene.lens.field_curvature
     if not (1.0 + lens.sag * squared > LEAST_DISTANCE).all():
@@ -277,7 +279,7 @@ def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:
 
 
 def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
-    """Raise SceneError where frame and guard band reach to where a distorted image would fold back."""
+    """Raise SceneError if frame and guard band reach to where a distorted image would fold back."""
     distortion, lens = distortion_of(cameras[0]), scene.lens
     if distortion is None or lens is None:
         return
@@ -290,7 +292,7 @@ def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
 
 
 def _widest(scene: Scene, time: float) -> Camera:
-    """The camera at a time for the color that sees most."""
+    """The camera at a time for the color with the widest field of view."""
     camera = camera_at(scene, time)
     if scene.lens is None or not scene.shifts_colors:
         return camera
@@ -298,7 +300,7 @@ def _widest(scene: Scene, time: float) -> Camera:
 
 
 def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[Array | float, Array | float]:
-    """Slopes (n,) of rays (..., GRID, GRID) that hit something, or 0 where a lens blurs alike all over the frame."""
+    """Slopes (n,) of rays (..., GRID, GRID) that hit a surface, or 0 if the blur does not depend on them."""
     if not scene.blurs_unevenly:
         return 0.0, 0.0
     x, y = (np.broadcast_to(slope, hit.shape)[hit] for slope in slopes)
@@ -306,7 +308,7 @@ def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[
 
 
 def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays: Sequence[Slopes]) -> Array:
-    """Blur radii (n,) in px of `Prediction.w` for the lenses of each time: of a lens that stays all times at once."""
+    """Blur radii (n,) in px of `Prediction.w` for the lenses at each time; for a constant lens, all times at once."""
     if scene.blurs_unevenly and is_static_map(scene):  # extreme depths may be anywhere
         ends = np.array([w[w > 0].min(initial=np.inf), w.max(initial=0.0)])
         w = np.broadcast_to(ends[np.isfinite(ends), None, None, None], (*ends.shape, 1, GRID, GRID))
@@ -321,11 +323,11 @@ def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays:
 
 
 def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
-    """Cast rays of a coarse grid at the scene. Raises SceneError where |R| is larger than LARGEST_BLUR, and for times
-    that keyframes must cover.
+    """Cast rays of a coarse grid at the scene. Raises SceneError if |R| exceeds LARGEST_BLUR, or if keyframes do not
+    cover the times.
 
-    What lies in the guard band may be blurred more than what lies in the frame, and so ask for a wider band: rays are
-    cast again until none of them meets a larger |R| than that for which the band was made.
+    Surfaces in the guard band may be blurred more than those in the frame, and so need a wider band: rays are cast
+    again until the band is wide enough for every |R| in it.
     """
     check_keyframes(scene)
     times = sequence_times(scene)
@@ -336,7 +338,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     seen = without_lens(scene) if keeps else None
 
     def cast(guard: int) -> tuple[float, Prediction]:
-        """Largest |R| within a guard band, and the prediction by it."""
+        """Largest |R| within a guard band, and the prediction for that band."""
         _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _kept_depths(seen, eye, guard)
         rays = _slopes(cameras, guard)

@@ -1,5 +1,6 @@
-"""Scenes and sweeps with their plans, and the files that they name read once: what `plan`, `render`, `check` and
-`batch` work with."""
+"""Scenes and sweeps with their plans, and with their input files read once; used by `plan`, `render`, `check` and
+`batch`.
+"""
 
 from __future__ import annotations
 
@@ -36,18 +37,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene that is ready to be rendered.
+    """A scene ready to render.
 
     Attributes
     ----------
     scene : Scene
-        With its resolution, which the first texture gives where the scene does not.
+        With its resolution, by default that of the first texture.
     plans : tuple of Plan
-        For its view, or for the left and the right one; with three channels where any texture has color.
+        Plans for its view, or for the left and the right one; with three channels if any texture has color.
     request : Request
     files : InputFiles
     approximation : ApproximationReport, optional
-        Approximation by fewer samples, where the request has a tolerance.
+        Approximation by fewer samples, if the request has a tolerance.
     """
 
     scene: Scene
@@ -58,7 +59,7 @@ class Prepared:
 
     @cached_property
     def textures(self) -> tuple[Texture, ...]:
-        """Textures of every object; with a channel more for `alpha`."""
+        """Textures of all objects; with an additional channel for `alpha`."""
         found = self.files.textures(self.scene)
         if self.plan.spreads:
             found = tuple(map(cache(to_color), found))
@@ -70,12 +71,14 @@ class Prepared:
 
     @cached_property
     def maps(self) -> Maps:
-        """Maps of every object, see `InputFiles.maps`."""
+        """Depth maps of all objects, see `InputFiles.maps`."""
         return self.files.maps(self.scene)
 
     @cached_property
     def color(self) -> Color:
-        """Color space of the frames: that of all image files where they have one for as many channels, else sRGB."""
+        """Color space of the frames: that of all image files if they share one with the right number of channels, else
+        sRGB.
+        """
         found = set(self.colors.values())
         color = found.pop() if len(found) == 1 else SRGB
         colored = self.plan.channels - self.plan.alpha == 3
@@ -98,17 +101,17 @@ PreparedFile = tuple[Path, tuple[str, ...], tuple[Prepared, ...]]  # with the la
 def prepare(
     scene: Scene, request: Request | None = None, device: DeviceFacts | None = None, files: InputFiles | None = None
 ) -> Prepared:
-    """Read the files of a scene and plan its rendering; computes nothing.
+    """Read the files of a scene and plan its rendering; nothing is rendered.
 
     Parameters
     ----------
     scene : Scene
     request : Request, optional
-        By default the color alone.
+        By default only color.
     device : DeviceFacts, optional
         As for `clsco.plan.plan.make_plan`.
     files : InputFiles, optional
-        By default those that all renderings share.
+        By default the files that all renderings share.
 
     Returns
     -------
@@ -117,7 +120,7 @@ def prepare(
     Raises
     ------
     SceneError
-        All textures' and depths' faults at once, and as `clsco.plan.plan.make_plan`.
+        Faults of all textures and depth maps together, and as `clsco.plan.plan.make_plan`.
     """
     (found,) = prepare_sweep(Sweep(("",), (scene,)), request, device, files)
     return found
@@ -128,8 +131,8 @@ def prepare_sweep(
 ) -> tuple[Prepared, ...]:
     """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them.
 
-    With a tolerance, scenes that differ in the lens or the sensor only have the samples of the one that needs most:
-    they share rays.
+    With a tolerance, scenes that differ only in the lens or the sensor use the samples of the most demanding one,
+    because they share rays.
     """
     wanted, known = request or Request(), files or shared_files()
     found, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
@@ -160,7 +163,7 @@ def prepare_sweep(
 
 
 def lens_groups(scenes: Sequence[Scene]) -> list[list[int]]:
-    """Numbers of scenes that follow each other and differ in the lens or the sensor only."""
+    """Groups of consecutive scenes, by number, that differ only in the lens or the sensor."""
     found: list[list[int]] = []
     for k, scene in enumerate(scenes):
         if k and without_lens(scenes[k - 1]) == without_lens(scene):
@@ -174,7 +177,9 @@ def prepare_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], request: Request | None = None,
     device: DeviceFacts | None = None,
 ) -> list[PreparedFile]:  # fmt: skip
-    """`prepare_sweep` for files that `clsco.scene.sweep.load_sweeps` gives. Raises SceneError for all of them."""
+    """`prepare_sweep` for files from `clsco.scene.sweep.load_sweeps`. Raises SceneError with the faults of all
+    files.
+    """
     found: list[PreparedFile] = []
     messages: list[str] = []
     for path, sweep in loaded:
@@ -202,7 +207,7 @@ def _planned(
     scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles,
     least: Samples = (1, 1),
 ) -> Prepared:  # fmt: skip
-    """Plan one scene; least: samples that it takes at least, where a tolerance lets it choose."""
+    """Plan one scene; least: lower bounds of its samples, if a tolerance selects them."""
     sized = with_resolution(scene)
     maps = _maps(sized, files)
 
@@ -222,7 +227,7 @@ def _planned(
 
 
 def _channels(scene: Scene, files: InputFiles) -> int:
-    """Channels of the image, from all files and arrays of a scene, whose faults are raised together."""
+    """Number of channels of the image, from all files and arrays of a scene; their faults are raised together."""
     faults, gray = dict[str, str](), True
     for index, item in enumerate(scene.objects):
         sources = item.inputs()
@@ -249,7 +254,9 @@ def _channels(scene: Scene, files: InputFiles) -> int:
 
 
 def _maps(scene: Scene, files: InputFiles) -> Maps:
-    """Inverse depth of the objects that are depth maps; refuses what does not fit the frame or the camera."""
+    """Inverse depth of the objects that are depth maps; raises an error for maps that do not fit the frame or the
+    camera.
+    """
     faults, found = dict[str, str](), list[NDArray[np.float64] | None]()
     for index, item in enumerate(scene.objects):
         with _collected(faults, f"object[{index}].depth"):
@@ -261,7 +268,9 @@ def _maps(scene: Scene, files: InputFiles) -> Maps:
 
 @contextmanager
 def _collected(faults: dict[str, str], where: str) -> Iterator[None]:
-    """Keep the place of a fault of a file by its message: once, whichever objects, or faces of a box, have the file."""
+    """Record the location of a file's fault by message: once, even if several objects or faces of a box use the
+    file.
+    """
     try:
         yield
     except (FileError, MissingDependencyError) as error:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Request:
-    """Outputs, and how they are computed.
+    """Requested outputs, and how to compute them.
 
     Attributes
     ----------
@@ -16,13 +16,13 @@ class Request:
     method : str
         Method of the blur: "auto", or a method by name (`clsco.plan.methods.check_method`).
     tolerance : float, optional
-        RMS error of white up to which fewer samples are taken; None for all samples.
+        Largest RMS error, 1 = white, from taking fewer samples; None for all samples.
     precision : {"single", "double"}, optional
-        Precision of the geometry; by default double where the device has it.
+        Precision of the geometry; by default double if the device has it.
     memory : int or str, optional
-        Most that buffers on the device take; by default half of what is free.
+        Limit of the buffers on the device; by default half of the free memory.
     color : bool
-        The image is wanted.
+        True if the image is requested.
     """
 
     truth: tuple[str, ...] = ()

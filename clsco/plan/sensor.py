@@ -1,4 +1,4 @@
-"""The pass of a sensor, which reads out a frame when all of its time samples are added up."""
+"""The pass of a sensor, which reads out a frame after all of its time samples are summed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from clsco.plan.passes import Parameters, Pass
 
 
 def sensor_pass(found: SensorModel, grid: Grid, takes: str) -> Pass:
-    """The pass; takes: what has the light of the frame, "frame" or "plane"."""
+    """The pass; takes: its input with the frame's irradiance, "frame" or "plane"."""
     sensor = found.sensor
     electrons = f"{found.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
     codes = f"{found.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"

@@ -1,20 +1,20 @@
-"""Losses of fine textures on surfaces with fewer sub-pixel sources (float64, pure).
+"""Errors of fine textures on surfaces with fewer sub-pixel sources (float64, pure).
 
-A pixel that shows finer texture than one source can stand for has N x N of them, with the means of its p x p parts
-(kernels/trace/detail.clh). Along one axis they make of a pattern cos(2 pi f x), in the middle of a pixel,
+A pixel whose texture is too fine for one source has N x N sources, with the means of its p x p parts
+(kernels/trace/detail.clh). Along one axis, they turn a pattern cos(2 pi f x), in the middle of a pixel, into
 
     V(f) = 1 / N sum_n S(x_n) cos(2 pi f c_n) sinc(f / p) (1 + 4 c sin(pi f / p)^2)
 
-x_n, c_n: places of sources, and of the middles of their parts, from the middle of the pixel; S: the share of the disc
-around a source that is within the width of the pixel; c: what parts exchange. Taken for products of both axes, and f
-for what a pixel's footprint on the surface makes of cycles per texel,
+x_n, c_n: positions of sources, and of the middles of their parts, relative to the middle of the pixel; S: fraction of
+the disc around a source within the width of the pixel; c: coefficient of the exchange between parts. With the product
+over both axes, and f converted from cycles per texel by the pixel's footprint on the surface,
 
     e^2 = sum_f P(f) (V_exact(f_x) V_exact(f_y) - V(f_x) V(f_y))^2
 
-P: power of the texture. Where R changes by G px from pixel to pixel and discs begin to reach over the border of a
-pixel, their lattice does not add up to a plane: e = STEEP G L of a radiance L, as measured on tilted planes through the
-focus. One source a pixel is N = p = 1. What is hidden, shaded, or not bright between texels counts as
-if it were seen as it is in the image. Validated against frames: tests/plan/test_approximation.py.
+P: power of the texture. If R changes by G px from pixel to pixel, and discs begin to reach over the border of a pixel,
+their lattice is not constant: e = STEEP G L for a radiance L, as measured on tilted planes through the focus. One
+source per pixel is N = p = 1. Hidden, shaded and dark parts count as if visible with the texture's radiance. Validated
+against frames: tests/plan/test_approximation.py.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ def lost_squares(
     exact : int
         Sub-pixel sources along an axis.
     counts : sequence of int
-        Fewer, 1 for one source a pixel.
+        Smaller numbers, 1 for one source per pixel.
 
     Returns
     -------
     dict
-        For each of `counts`, white^2: the largest of the times at which the scene is looked at.
+        For each of `counts`, white^2: the largest value over the examined times.
     """
     spectra: dict[int, tuple[Spectrum, float]] = {}
     alike = [next(j for j, one in enumerate(textures) if one.radiance is each.radiance) for each in textures]
@@ -118,16 +118,17 @@ def lost_squares(
 
 
 def _between(radius: Array, change: Array) -> Array:
-    """|R| (BETWEEN, rows, columns) between rays of a grid, from one to the next of which it changes so much: what goes
-    through the focus is seldom met by one."""
+    """|R| (BETWEEN, rows, columns) interpolated between rays of a grid, from its change per ray: rays rarely meet the
+    focus exactly.
+    """
     steps = np.linspace(-0.5, 0.5, BETWEEN + 1)
     return np.abs(radius + change * (0.5 * (steps[1:] + steps[:-1]))[:, None, None])
 
 
 def footprints(item: Object, pose: Pose, image: TextureMap, camera: Camera, x: Array, y: Array) -> Array:
-    """Changes of column and row from pixel to pixel, to the right and down, texels (right or down, 2, n).
+    """Changes of texture column and row per pixel to the right and down, texels (right or down, 2, n).
 
-    image: map of the texture; x, y: slopes (n,) of rays that hit the object; where those beside them do not, NaN.
+    image: mapping of the texture; x, y: slopes (n,) of rays that hit the object; NaN if neighboring rays miss it.
     """
     surface, (right, up) = place(item, pose), places_of(camera, x, y)
     points = np.empty((3, x.size, 3))
@@ -148,7 +149,8 @@ def footprints(item: Object, pose: Pose, image: TextureMap, camera: Camera, x: A
 
 def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> Array:
     """The two coordinates (2, ..., n) of points (..., n, 3) in the frame of a texture (`clsco.optics.texture_mapping`);
-    side: axis (n,) along which they are seen."""
+    side: axis (n,) along which they are projected.
+    """
     x, y, z = np.moveaxis(q, -1, 0)
     if side is not None:
         x, y = (np.choose(side, [q[..., ALONG[axis][k]] for axis in range(3)]) for k in range(2))
@@ -170,8 +172,9 @@ Spectrum = tuple[Array, Array, Array]
 
 
 def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[Kind, float]]:
-    """Kinds of pixels with fine texture, and their shares of all; spread: of the discs of rays and between them
-    (BETWEEN, n)."""
+    """Kinds of pixels with fine texture, with the fraction of each; spread: radius of the discs at and between rays
+    (BETWEEN, n).
+    """
     discs = np.abs(np.log(RADII[:, None] / np.maximum(spread[fine], RADII[0]))).argmin(axis=0)
     ray, found = np.nonzero(fine)[1], []
     for disc in np.flatnonzero(np.bincount(discs)).tolist():
@@ -182,7 +185,8 @@ def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[
 
 
 def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Array, Array]:
-    """Power of a texture in the frame by cycles per px, from one step on, along x and y, as pixels leave it.
+    """Power of a texture in the frame by cycles per px along x and y, without the constant, after averaging over
+    pixels.
 
     across: footprints (right or down, 2, n).
     """
@@ -201,7 +205,7 @@ def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Ar
 
 
 def _lost(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int]) -> dict[int, float]:
-    """Squared error of one kind, by counts."""
+    """Squared error of one kind of pixels, by number of sources."""
     (changes, disc), (powers, columns, rows) = kind, power
     texels = (changes**2).sum(axis=1).max(keepdims=True)
 
@@ -221,14 +225,14 @@ def _lost(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int]) -> dic
 
 
 def _level(changes: Array) -> int:
-    """Level of the mipmap that a footprint (right or down, 2) is read from: LEAST_TEXELS or more across it."""
+    """Mipmap level for a footprint (right or down, 2), so that it is at least LEAST_TEXELS wide."""
     across = sqrt(2.0 / float((changes**2).sum())) * abs(float(np.linalg.det(changes)))
     return max(int(log2(max(across / LEAST_TEXELS, 1.0))), 0)
 
 
 @lru_cache(maxsize=32)
 def _transfer(count: int, parts: int) -> Array:
-    """V (RADII, FREQUENCIES) of count x count sources with the means of parts x parts."""
+    """V (RADII, FREQUENCIES) for count x count sources with the means of parts x parts."""
     reach = int(count * (RADII[-1] + 1.0))
     source = np.arange(-reach, reach + count)
     place, middle = (source + 0.5) / count - 0.5, (source * parts // count + 0.5) / parts - 0.5
@@ -243,13 +247,13 @@ def _transfer(count: int, parts: int) -> Array:
 
 
 def _left_of(place: Array) -> Array:
-    """Share of a disc of radius 1 on one side of a line at a place."""
+    """Fraction of a disc of radius 1 on one side of a line at a position."""
     t = np.clip(place, -1.0, 1.0)
     return np.asarray(0.5 + (t * np.sqrt(1.0 - t * t) + np.arcsin(t)) / pi)
 
 
 def spectrum_of(image: NDArray[np.float32]) -> Spectrum:
-    """Mean spectrum of patches of a texture under a Hann window, of its channels in turn."""
+    """Mean spectrum of patches of a texture under a Hann window; patches use its channels in turn."""
     channels = image.reshape(*image.shape[:2], -1)
     sides = tuple(min(SIDE, size) for size in channels.shape[:2])
     starts = (

@@ -1,4 +1,4 @@
-"""Keys that a scene gives although nothing depends on them."""
+"""Keys that a scene gives without any effect."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ SECTIONS = ("aperture", "psf", "sequence", "motion", "fill")
 
 
 def unused_keys(plan: Plan) -> list[tuple[str, str]]:
-    """Keys that the scene gives although nothing depends on them, and why: (key, reason)."""
+    """Keys that the scene gives without effect, and why: (key, reason)."""
     scene, reasons = plan.scene, plan.choices.unused | _idle(plan.scene)
     tables = [(name, getattr(scene, name)) for name in SECTIONS]
     tables += [(f"object[{k}]", item) for k, item in enumerate(scene.objects)]
@@ -19,7 +19,7 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
 
 
 def _idle(scene: Scene) -> dict[str, str]:
-    """Reasons of keys that no rendering of the scene depends on."""
+    """Keys that affect no rendering of the scene, with reasons."""
     found = {}
     motions = [scene.camera.motion, *(motion for item in scene.objects for motion in scene.motions(item))]
     if scene.moves and all(sum(motion.turns) < 2 for motion in motions):

@@ -1,4 +1,4 @@
-"""Words of the passes of a plan, for reports."""
+"""Descriptions of a plan's passes, for reports."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from clsco.scene.model import Scene
 
 
 def shapes_of(scene: Scene) -> str:
-    """Shapes of a scene, each once."""
+    """Names of a scene's shapes, without duplicates."""
     return ", ".join(dict.fromkeys(item.shape for item in scene.objects))
 
 
 def of_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
-    """Words of rays and what they meet; colors: channels of color."""
+    """Description of rays and the surfaces that they meet; colors: number of color channels."""
     sampled = choices.texture_sampling.value
     moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
     if scene.has_mapped_textures:
@@ -25,20 +25,20 @@ def of_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Paramet
 
 
 def of_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
-    """Words of a depth map and its image that are taken as they are; arguments as for `of_rays`."""
+    """Description of a depth map and its image that are used unmoved; arguments as for `of_rays`."""
     first = ("pixels", "as the depth map and its image have them")
     return (first, *of_distortion(scene), *of_frame(choices, colors, alpha))
 
 
 def of_distortion(scene: Scene) -> Parameters:
-    """Words of a distorted image, none without one: how far ellipses are from discs."""
+    """Description of a distorted image: how far ellipses differ from discs; empty without distortion."""
     off = 100.0 * ellipticity_of(scene)
     words = f"blur of ellipses, whose rims are up to {off:.2g} % of R off those of discs of the same area"
     return (("distortion", words),) if scene.lens is not None and scene.lens.distorts else ()
 
 
 def of_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
-    """Words of the grid and the channels of an image."""
+    """Description of the grid and the channels of an image."""
     band = choices.guard_band
     apron = (("guard band", band.reason),) if band.value else ()
     color = (("color", f"{colors} channels"),) if colors > 1 else ()
@@ -47,7 +47,7 @@ def of_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
 
 
 def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
-    """Words of the blur of so many occlusion groups."""
+    """Description of the blur with `groups` occlusion groups."""
     found = [
         ("PSF", f"{spec.psf.name}, R up to {spec.largest:.3g} px"),
         ("method", f"{spec.method}: {choices.blur.reason}"),

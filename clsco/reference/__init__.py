@@ -1,4 +1,4 @@
-"""The whole renderer once more in NumPy float64, without OpenCL: same files and names as the kernels."""
+"""Reference renderer in NumPy float64, without OpenCL; it has the file and function names of the kernels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["render"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import `render` when it is first used: predictions of time take some modules from here, and not all."""
+    """Import `render` lazily, because time predictions use only some modules of this package."""
     if name != "render":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from clsco.reference.sequence import render

@@ -1,8 +1,8 @@
-"""Time samples of a frame, and what each adds to it: checked, and where they leave something out made anew.
+"""Time samples of a frame and their weights: the device's samples are checked, and replaced if they are not sufficient.
 
-How many time samples a moving picture has is part of it. Those of the device are taken where their shares cover the
-exposure of each line, and are as many as the scene asks for; of "auto", as the displacement measured here needs. Their
-weights follow from the shutter curve alone.
+The number of time samples affects a frame with motion. The device's samples are used if their intervals cover the
+exposure of each line, and if they are as many as the scene asks for or, for "auto", as the displacement measured here
+needs. Their weights depend only on the shutter curve.
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ MOST = 4095  # time samples while a line is exposed
 
 
 def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[Array, Array]:
-    """Times (samples,) of a frame in s, and weights (samples, lines) of each in its rows or columns, or in all (1).
+    """Times (samples,) of a frame in s, and weights (samples, lines) for its rows or columns, or (samples, 1) for the
+    whole frame.
 
-    claimed, least: time samples while a line is exposed, of the device and the fewest that will do.
+    claimed, least: time samples while a line is exposed: of the device, and the sufficient number.
     """
     if not scene.moves:
         return np.zeros(1), np.ones((1, 1))
@@ -63,7 +64,9 @@ def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[A
 
 
 def light_passed(curve: ArrayLike, time: Array) -> Array:
-    """Share of the light of an exposure that has passed at times from 0 to 1, by trapezoids; curve: at equal times."""
+    """Fraction of an exposure's light that has passed at times from 0 to 1, by trapezoids; curve: at equal time
+    steps.
+    """
     heights = np.asarray(curve, np.float64) / np.max(curve)
     nodes, inside = np.linspace(0.0, 1.0, len(heights)), np.clip(time, 0.0, 1.0)
     passed = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(nodes) * (heights[1:] + heights[:-1]))])
@@ -73,8 +76,9 @@ def light_passed(curve: ArrayLike, time: Array) -> Array:
 
 
 def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: int, guard: int) -> float:
-    """Fewest time samples while a line of a frame is exposed: those that a scene has, or as many as the points that are
-    seen of its objects need, guard px around the frame included."""
+    """Sufficient number of time samples while a line of a frame is exposed: given by the scene, or needed by the
+    visible points of its objects, including guard px around the frame.
+    """
     sequence = scene.sequence
     if sequence.samples != "auto" or not scene.moves:
         return 1.0 if sequence.samples == "auto" else float(sequence.samples)
@@ -112,7 +116,7 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
 
 
 def _seen_points(camera: Camera, item: Object, pose: Pose, depth: Array | None, guard: int) -> tuple[Array, Array]:
-    """Rays (n, 3) and inverse depths (n,) of what is seen of an object, at every second pixel."""
+    """Rays (n, 3) and inverse depths (n,) of an object's visible points, at every second pixel."""
     row, column = (place[:: 1 + (depth is None), :: 1 + (depth is None)] for place in padded_grid(camera, guard))
     rays = pixel_ray(camera, row, column)
     if depth is None:
@@ -124,5 +128,5 @@ def _seen_points(camera: Camera, item: Object, pose: Pose, depth: Array | None, 
 
 
 def _radii(lenses: tuple[Lens, ...], rays: Array, w: Array) -> Array:
-    """Smallest |R| (n,) of points for the colors of a lens, px."""
+    """Smallest |R| (n,) of points over the colors of a lens, px."""
     return np.asarray(np.min([np.abs(blur_radius(lens, rays, w)) for lens in lenses], axis=0))

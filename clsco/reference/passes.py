@@ -1,4 +1,4 @@
-"""The blurred image of a view at a time in NumPy float64, and the forward warp."""
+"""The blurred image of a view at a time, and the forward warp, in NumPy float64."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ from clsco.scene.model import Scene
 
 
 def run(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Mapping[str, Any]:
-    """The blurred "plane" (m, n, C) of a view at a time, s; besides, of depth maps and moved pixels "counts" of the
-    filling and the pixels that are "missing", and the number of "depth_layers"."""
+    """The blurred "plane" (m, n, C) of a view at a time in s; for depth maps and moved pixels also "counts" of the
+    filling and a mask of "missing" pixels; and the number of "depth_layers".
+    """
     outputs: dict[str, Any] = {}
     planes: list[Array] = []
     for one in plan.apart:
@@ -64,7 +65,7 @@ def _view(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Vi
 
 
 def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Array:
-    """Blurred image of sources that rays give, one occlusion group after the other."""
+    """Blurred image of traced sources, one occlusion group after the other."""
     view, psf = _view(plan, textures, time), plan.scene.psf
     guard, total = band_of(plan, view), np.zeros((*plan.shape, plan.channels))
     for group in plan.groups:
@@ -84,7 +85,7 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
 
 
 def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> dict[str, Any]:
-    """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers, as `run` has it."""
+    """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers; result as of `run`."""
     guard, needed = 0, plan.claimed[1]
     outputs: dict[str, Any] = {}
     while guard < needed or not outputs:
@@ -110,7 +111,7 @@ def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: fl
 
 
 def _behind_rims(plan: ReferencePlan, time: float, guard: int, known: Sources) -> Sources:
-    """Sources of an image whose light rims cut."""
+    """Sources of an image with their light cut by rims."""
     scene, lit = plan.scene, known.lit.copy()
     camera = colored(camera_at(scene, time), scene.lens, plan.only)
     rays = pixel_ray(camera, *padded_grid(scene.camera, guard))[lit]
@@ -127,7 +128,7 @@ def _behind_rims(plan: ReferencePlan, time: float, guard: int, known: Sources) -
 
 
 def _open_share(plan: ReferencePlan, time: float) -> Array:
-    """Share (m, n) of the light of the lens that rims let through to each pixel: that of its own point in focus."""
+    """Fraction (m, n) of the lens's light that passes the rims to each pixel: that of its own point in focus."""
     scene = plan.scene
     camera, lens = colored(camera_at(scene, time), scene.lens, plan.only), lens_at(scene, time, plan.only)
     rays = pixel_ray(camera, *padded_grid(scene.camera, 0)).reshape(-1, 3)
@@ -155,7 +156,7 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
 
 
 def _of_color(texture: Texture, color: int | None) -> Texture:
-    """A texture of one channel."""
+    """A texture reduced to one channel."""
     if color is None:
         return texture
     if isinstance(texture, MappedTexture):
@@ -165,7 +166,7 @@ def _of_color(texture: Texture, color: int | None) -> Texture:
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """Result of a forward warp: sources, the object of each (H, W), status of the filling (H, W), its report."""
+    """Result of a forward warp: sources, the object of each (H, W), status of the filling (H, W), and its report."""
 
     sources: Sources
     objects: NDArray[np.uint8]
@@ -177,8 +178,7 @@ def warped_image(
     scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye,
     color: int | None = None,
 ) -> Warped:  # fmt: skip
-    """The pixels of the reference pose at a time: the forward warp, with its holes filled, and radii for light of a
-    color."""
+    """The pixels of the reference pose at a time: the forward warp with holes filled, and radii for a color."""
     images = tuple(texture for texture in textures if not isinstance(texture, MappedTexture))  # all of them
     pairs = zip(scene.objects, rest_poses(scene), strict=True)
     reference_pose = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)

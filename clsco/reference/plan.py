@@ -1,9 +1,9 @@
-"""The reference's own plan, which leaves nothing out: what the device decides, it does not.
+"""The reference's own plan, which omits no feature and makes none of the device's optimizations.
 
-Each object is blurred by itself, and any other may hide it wherever visibility tests are the physics; sub-pixel sources
-are at all pixels that an outline can touch; the guard band is twice as wide as what lights the frame. There is no
-merging, no clipped radius, no part that stands still. Shared with the device are the formulas of `clsco.optics`, and
-what is an approximation by design: cells of the lens, edges of occluders, taps, depth layers.
+Each object is blurred separately, and with visibility tests every other object may hide it; all pixels that an outline
+can touch have sub-pixel sources; the guard band is twice as wide as needed. There is no merging, no clamped radius, no
+special treatment of still sources. The formulas of `clsco.optics`, and approximations by design, are shared with the
+device: cells of the lens, edges of occluders, taps, depth layers.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ WIDEST_BAND = 1024  # px
 
 @dataclass(frozen=True, eq=False)
 class ReferencePlan:
-    """Plan of a view of a scene, as the reference sees it.
+    """The reference's plan for a view of a scene.
 
-    scene: with its resolution; psf: of its lens; spreads: of red, green and blue, where each is blurred by itself;
-    only: the color that it is for, None for all; channels: of the frame; claimed: time samples, guard band and largest
-    |R| of the device. Moving pictures depend on the first, depth layers and moved pixels on the others: they are taken
-    where they are enough.
+    scene: with its resolution; psf: of its lens; spreads: of red, green and blue, if each is blurred separately; only:
+    the color that it is for, None for all; channels: of the frame; claimed: time samples, guard band and largest |R| of
+    the device. Frames with motion depend on the first, depth layers and moved pixels on the others: they are used if
+    they are sufficient.
     """
 
     scene: Scene
@@ -56,7 +56,7 @@ class ReferencePlan:
 
     @classmethod
     def of(cls, scene: Scene, channels: int, eye: Eye, maps: Maps, psf: PointSpread) -> ReferencePlan:
-        """Plan of a view. Raises SceneError as the device's does."""
+        """Plan of a view. Raises SceneError as the device's plan does."""
         device = make_plan(scene, channels, Request(), eye, maps, psf=psf)
         plan = cls(scene, psf, (), eye, channels, maps, (device.samples, device.guard_px, device.largest_blur))
         distortion = lens_at(scene, 0.0).distortion
@@ -71,7 +71,7 @@ class ReferencePlan:
 
     @cached_property
     def apart(self) -> tuple[ReferencePlan, ...]:
-        """Plans of the light that is blurred by itself: of each color, or of all."""
+        """Plans for separately blurred light: one per color, or one for all."""
         colors = (replace(self, channels=1, psf=psf, spreads=(), only=k) for k, psf in enumerate(self.spreads))
         return tuple(colors) or (self,)
 
@@ -82,31 +82,31 @@ class ReferencePlan:
 
     @property
     def static_map(self) -> bool:
-        """True if each pixel of a depth map is at its own place."""
+        """True if each pixel of a depth map is at its original position."""
         scene = self.scene
         stays = not (scene.moves or scene.shifts_colors) and scene.stereo is None
         return not scene.is_analytic and len(scene.objects) == 1 and stays
 
     @property
     def forward(self) -> bool:
-        """True if pixels of the reference pose are moved to their places."""
+        """True if pixels of the reference pose are moved."""
         scene = self.scene
         moved = scene.is_displaced or self.is_displaced_view
         return not self.static_map if not scene.is_analytic else scene.motion.warp == "forward" and moved
 
     @property
     def is_displaced_view(self) -> bool:
-        """True if a view of a stereo pair sees the scene from elsewhere than the textures."""
+        """True if a view of a stereo pair is not at the viewpoint of the textures."""
         return self.scene.stereo is not None and (self.eye == "right" or self.scene.stereo.toe_in > 0.0)
 
     @property
     def by_rays(self) -> bool:
-        """True if sources come from rays, and are not pixels of an image in depth layers."""
+        """True if sources are traced by rays, False if they are pixels of an image in depth layers."""
         return not (self.static_map or self.forward or self.occlusion == "layered")
 
     @property
     def occlusion(self) -> Occlusion:
-        """Method by which nearer surfaces hide farther ones: that of the scene, wherever anything can hide at all."""
+        """Method of occlusion: the scene's, if any surface can hide another."""
         scene = self.scene
         if scene.psf.occlusion == "none" or (
             len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
@@ -116,7 +116,7 @@ class ReferencePlan:
 
     @cached_property
     def groups(self) -> tuple[OcclusionGroup, ...]:
-        """Occlusion groups: each object, of hollow ones each root, with all others before it."""
+        """Occlusion groups: each object, or each root of a hollow object, with all others as occluders."""
         items = self.scene.objects
         if self.occlusion != "visibility":
             return (everything(self.scene),)
@@ -131,7 +131,7 @@ class ReferencePlan:
 
     @property
     def spec(self) -> BlurSpec:
-        """The blur, as far as the reference has a use for it."""
+        """The blur specification, as far as the reference uses it."""
         scene, psf = self.scene, self.psf
         return BlurSpec(psf, "scatter", 0.0, self.claimed[2], tilt=scene.psf.tilt, border=scene.psf.border)
 
@@ -142,8 +142,9 @@ def _hollow(item: Object) -> bool:
 
 
 def band_of(plan: ReferencePlan, view: View) -> int:
-    """Width in px of the guard band of a view: twice what lights the frame by |R| of all surfaces that rays meet there,
-    whatever is before them."""
+    """Width in px of the guard band of a view: twice the width needed for |R| of all surfaces that rays meet there,
+    occluded or not.
+    """
     if plan.scene.psf.border == "renormalize":
         return 0
     bounds = [cutting_bounds(item) for item in view.scene.objects]
@@ -166,8 +167,9 @@ def band_of(plan: ReferencePlan, view: View) -> int:
 
 
 def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels (H, W) that get sub-pixel sources: those near a change of the labels (H, W), and those near an object that
-    the rays through all pixel centers within SILHOUETTE_RANGE px miss."""
+    """Mask (H, W) of pixels that get sub-pixel sources: near a change of the labels (H, W), or near an object that the
+    rays through all pixel centers within SILHOUETTE_RANGE px miss.
+    """
     row, column = padded_grid(view.scene.camera, guard)
     bounds, center = [cutting_bounds(item) for item in view.scene.objects], label & 127
     missed = np.zeros(label.shape, dtype=bool)
@@ -184,6 +186,6 @@ def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray
 
 
 def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) within SILHOUETTE_RANGE px of some, rows and columns counted separately."""
+    """Mask (H, W) of pixels within SILHOUETTE_RANGE px of the given ones, in rows and in columns."""
     padded, size = np.pad(mask, SILHOUETTE_RANGE), 2 * SILHOUETTE_RANGE + 1
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(-1, -2)))

@@ -1,4 +1,4 @@
-"""Reference renderer: a whole scene in NumPy float64, which the device is checked against."""
+"""Reference renderer: renders scenes in NumPy float64, to check the device against."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from clsco.scene.model import Object, Scene
 
 
 def _without_channel(image: Array) -> Any:
-    """Gray images have no channel axis."""
+    """An image without its channel axis if it is gray."""
     return image[..., 0] if image.shape[-1] == 1 else image
 
 
@@ -88,7 +88,7 @@ def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | Non
 
 
 def _texture(scene: Scene, psf: PointSpread, item: Object, texture: TextureImage, channels: int) -> Texture:
-    """The texture of an object in so many channels."""
+    """The texture of an object, with `channels` channels."""
     if item.mapped is None:
         return _with_channels(texture.radiance, channels)
     images = [_with_channels(image, channels).astype(np.float32) for image in texture.images]
@@ -97,7 +97,7 @@ def _texture(scene: Scene, psf: PointSpread, item: Object, texture: TextureImage
 
 
 def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
-    """A texture (rows, columns, channels); gray ones serve color scenes as well."""
+    """A texture (rows, columns, channels); gray ones are repeated in color scenes."""
     image = radiance.astype(np.float64).reshape(*radiance.shape[:2], -1)
     return np.broadcast_to(image, (*image.shape[:2], channels))
 
@@ -139,7 +139,7 @@ def _frame(plan: ReferencePlan, textures: tuple[Texture, ...], index: int, subfr
 
 
 def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> dict[str, Any]:
-    """Ground truth from rays; empty where the scene has depth maps, which are not ray-castable."""
+    """Ground truth from rays; empty if the scene has depth maps, which are not ray-castable."""
     scene = plan.scene
     if not scene.is_analytic:
         return {}
@@ -150,12 +150,12 @@ def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> di
 
 
 def _depth(sources: Sources) -> Array:
-    """Depth in mm of sources, +inf where there are none."""
+    """Depth in mm of sources, +inf without one."""
     return np.where(sources.lit, 1.0 / np.where(sources.lit, sources.inverse_depth, 1.0), np.inf)
 
 
 def _map_truth(plan: ReferencePlan, textures: tuple[Texture, ...], middle: Warped, index: int) -> dict[str, Any]:
-    """Ground truth of a scene with depth maps: of the pixels in their new places."""
+    """Ground truth of a scene with depth maps, from the moved pixels."""
     scene, guard, maps = plan.scene, plan.claimed[1], plan.maps
     valid = crop(middle.sources.lit, guard)
     w = crop(middle.sources.inverse_depth, guard)

@@ -1,4 +1,4 @@
-"""Weights of the point spread function of a scene, over depth, field and channel."""
+"""Point spread functions of a scene's lens, over depth, position and channel."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PsfStack:
     Attributes
     ----------
     weights : ndarray of float32, (channels, places, depths, rows, columns)
-        Share of a source's light that each pixel gets, from that above and left of the source to that below and right.
+        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns).
     depth : ndarray of float64, (depths,)
         Depth Z of the source, mm, from near to far.
     radius : ndarray of float64, (channels, places, depths)
@@ -90,7 +90,7 @@ def psf(
         Depths Z of sources, mm; may be infinite. By default nine on each side of the focus, from near to far at equal
         steps of 1/Z, up to the largest |R| of the scene.
     index : int
-        Number of the frame, whose lens is that of its middle time.
+        Number of the frame; its lens at the middle of the shutter is used.
     wavelengths : sequence of float, optional
         Wavelengths of light, nm, instead of colors; only with psf.model = "wave" and without `axial` or `lateral`.
 
@@ -125,7 +125,7 @@ def psf_of(
     prepared: Prepared, at: Sequence[tuple[float, float]] | None = None, depths: Sequence[float] | None = None,
     index: int = 0, wavelengths: Sequence[float] | None = None,
 ) -> PsfStack:  # fmt: skip
-    """`psf` of a scene that is prepared."""
+    """`psf` of a prepared scene."""
     scene, plan = prepared.scene, prepared.plan
     if not 0 <= index < scene.sequence.frames:
         raise SceneError(f"psf: frame must be between 0 and {scene.sequence.frames - 1}; got {index}")
@@ -165,7 +165,7 @@ def psf_of(
 def behind_rims(
     lens: Lens, spread: PointSpread, slopes: Array, inverse: Array, radius: Array, weights: NDArray[np.float32]
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Weights (places, depths, n, n) of what rims let through, from those of the whole lens.
+    """Weights (places, depths, n, n) of the light that passes rims, from those of the whole lens.
 
     slopes: (places, 2), X / Z and Y / Z; inverse: (depths,), 1 / Z; radius: (places, depths), px.
     """
@@ -194,7 +194,7 @@ def _middle(camera: Camera) -> Array:
 
 
 def _field(camera: Camera) -> Array:
-    """Places (FIELD, 2) from the middle of the frame to its corner below on the right."""
+    """Positions (FIELD, 2) from the middle of the frame to its lower right corner."""
     return np.linspace(1.0, 2.0, FIELD)[:, None] * _middle(camera)
 
 
@@ -225,8 +225,7 @@ def _inverse_depths(lens: Lens, largest: float) -> Array:
 
 
 def _stacked(spreads: Sequence[PointSpread], radius: Array, places: Array) -> NDArray[np.float32]:
-    """Weights (channels, places, depths, n, n) at blur radii (channels, places, depths), by the point spread of each
-    channel."""
+    """Weights (channels, places, depths, n, n) at blur radii (channels, places, depths), by the PSF of each channel."""
     wanted = [
         (spread, r, (x, y) if spread.varying else None)
         for spread, of_places in zip(spreads, radius, strict=True)
@@ -250,8 +249,9 @@ def _stacked(spreads: Sequence[PointSpread], radius: Array, places: Array) -> ND
 def spread_weights(
     spread: PointSpread, radius: float, place: tuple[float, float] | None = None
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Weights (n, n) of a source of a signed blur radius, px, from the tables that a device reads; place: its column
-    and row in the frame, where they vary over the field."""
+    """Weights (n, n) of a source with a signed blur radius, px, from the tables that a device reads; place: its column
+    and row in the frame, if weights vary over it.
+    """
     if spread.varying is None or place is None:
         table = psf_table(spread, abs(radius), abs(radius), blocks=_block)
         return table_weights(table, spread, radius)

@@ -35,21 +35,21 @@ class Seidel(Strict):
 
     @property
     def varying_waves(self) -> float:
-        """Size of what varies over the field: waves of coma that change a point spread as much."""
+        """Size of the terms that vary over the frame, as equivalent waves of coma."""
         return abs(self.W131) + 1.3 * abs(self.W222) + 1.8 * abs(self.W220)
 
     @property
     def varies(self) -> bool:
-        """True where the wavefront is not the same all over the field."""
+        """True if the wavefront varies over the frame."""
         return self.varying_waves > 0.0
 
     def radial_distortion(self, wavelength: float, diameter: float, corner: float) -> float:
-        """Coefficient k1 of radial distortion that W311 is.
+        """Coefficient k1 of the radial distortion that W311 causes.
 
         Parameters
         ----------
         wavelength : float
-            Green light's, nm.
+            Wavelength of green light, nm.
         diameter : float
             Diameter of the lens, mm.
         corner : float
@@ -57,8 +57,7 @@ class Seidel(Strict):
 
         Notes
         -----
-        A wavefront that leans by W at the rim of the lens turns rays by 2 W / D, and k1 corner^3 is the change of the
-        slope.
+        A wavefront tilted by W at the edge of the lens turns rays by 2 W / D, and k1 corner^3 is that change of slope.
 
         Examples
         --------
@@ -76,7 +75,7 @@ def _polynomials() -> Iterator[tuple[int, int]]:
 
 
 def _described(name: str) -> Any:
-    """Type and default of the key of a polynomial."""
+    """Type and default of a polynomial's key."""
     about = f"{NAMES.get(name, 'Zernike polynomial')}, rms over the whole lens, waves."
     return Waves, Field(default=0.0, description=about)
 
@@ -94,7 +93,7 @@ else:
 
 
 def zernike_terms(table: Strict) -> tuple[tuple[int, int, float], ...]:
-    """n, m and waves of each polynomial of [psf.zernike] that is not 0."""
+    """n, m and waves of each nonzero polynomial of [psf.zernike]."""
     if not table.model_fields_set:  # a frame asks several times
         return ()
     terms = ((n, m, float(getattr(table, f"{n},{m}"))) for n, m in _polynomials())

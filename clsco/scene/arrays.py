@@ -1,4 +1,4 @@
-"""Textures and depths of scenes: names of files, layers of these, and arrays in their place."""
+"""Textures and depths of scenes: file names, layers of files, and arrays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Kind = Literal["texture", "depth"]
 
 
 class ArrayInput:
-    """An array that a scene has in place of a file: a read-only copy, equal to others by its content.
+    """An array that a scene has in place of a file: a read-only copy, compared by content.
 
     Attributes
     ----------
@@ -89,12 +89,12 @@ Input = str | LayerInput | ArrayInput
 
 @dataclass(frozen=True)
 class _InputOf:
-    """Constraint on a texture or depth: a name or path, which becomes text, or an array, which becomes `ArrayInput`."""
+    """Constraint on a texture or depth: a name or path, converted to text, or an array, converted to `ArrayInput`."""
 
     kind: Kind
 
     def check(self, value: Any, text: Callable[[Any], str]) -> str | ArrayInput:
-        """The input as the model keeps it; raises the fault of an array that cannot be, and those of `text`."""
+        """The input in the form stored in the model; raises the fault of an invalid array, and those of `text`."""
         if isinstance(value, ArrayInput):
             return value if value.kind == self.kind else self.check(value.array, text)
         if isinstance(value, np.ndarray):
@@ -111,7 +111,7 @@ class _InputOf:
 
 
 def _texture(array: NDArray[Any]) -> NDArray[Any]:
-    """Codes as they are, floats as float32, as `clsco.files.images.read_image` gives them."""
+    """Codes unchanged, floats as float32, as `clsco.files.images.read_image` returns them."""
     _check_shape(array, array.ndim == 2 or array.shape[2:] == (3,), "(rows, columns) or (rows, columns, 3)")
     if array.dtype.str[1:] not in TEXTURE_TYPES:
         raise fault("an array must hold uint8, uint16, float16, float32 or float64", str(array.dtype))
@@ -128,7 +128,7 @@ def _texture(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _depth(array: NDArray[Any]) -> NDArray[Any]:
-    """Integers, or float64, as `clsco.inputs.depth_files.read_depth` gives them; any value may stand for no depth."""
+    """Integers, or float64, as `clsco.inputs.depth_files.read_depth` returns them; any value may mark missing depth."""
     _check_shape(array, array.ndim == 2, "(rows, columns)")
     if array.dtype.kind not in "iuf":
         raise fault("an array must hold integers or floats", str(array.dtype))
@@ -136,7 +136,7 @@ def _depth(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_shape(array: NDArray[Any], right: bool, shape: str) -> None:
-    """Refuse arrays of another shape, those over the limits of files, and masked values, which have no meaning here."""
+    """Reject arrays with a wrong shape or beyond the limits of files, and masked values."""
     if array.ndim < 2 or not right:
         raise fault(f"an array must have the shape {shape}", str(array.shape))
     rows, columns = array.shape[:2]

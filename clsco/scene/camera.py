@@ -41,24 +41,24 @@ def _sensor_distance_mm(data: dict[str, Any]) -> float:
 
 
 def image_distance(f: float, u: float) -> float:
-    """Distance behind a lens of focal length f of the image of what is u before it, mm; 1/s = 1/f - 1/u."""
+    """Image distance behind a lens of focal length f for an object at distance u, all in mm; 1/s = 1/f - 1/u."""
     return f if math.isinf(u) else f * u / (u - f)
 
 
 class FollowedDistance(float):
-    """A normalization distance that is the sensor distance, whatever that is: "sensor" in scene files."""
+    """A normalization distance that always equals the sensor distance: "sensor" in scene files."""
 
     __hash__ = float.__hash__
 
     def __eq__(self, other: object) -> bool:
-        """Equal to others that follow alone: those that are numbers stay when the lens changes."""
+        """True only for another following distance; numbers stay unchanged when the lens changes."""
         return isinstance(other, FollowedDistance) and float(self) == float(other)
 
     __ne__ = object.__ne__  # its inverse, which that of float is not
 
 
 def _followed(value: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float:
-    """The sensor distance where a value says so."""
+    """The sensor distance if a value is "sensor"."""
     if isinstance(value, FollowedDistance) or (type(value) is str and value == "sensor"):
         return FollowedDistance(info.data.get("sensor_distance", 1.0))  # that is missing where it is refused
     return float(check(value))

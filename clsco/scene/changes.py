@@ -71,7 +71,7 @@ def override(data: dict[str, Any], overrides: Sequence[str], where: str) -> None
 
 
 def _value(text: str) -> Any:
-    """The TOML value of a text, or the text itself where it is not one."""
+    """The TOML value of a text, or the text itself if it is not valid TOML."""
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -80,7 +80,7 @@ def _value(text: str) -> Any:
 
 
 def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
-    """Set the entry at `parts`, making tables on the way; returns the reason where that is impossible."""
+    """Set the entry at `parts`, creating tables as needed; returns the reason if that is impossible."""
     node: Any = data
     for position, part in enumerate(parts):
         last = position == len(parts) - 1
@@ -116,8 +116,8 @@ def displace(data: dict[str, Any], key: str, value: Any) -> None:
 def dump(scene: Any) -> dict[str, Any]:
     """Content of the scene file that describes a scene, with all keys that apply to it written out.
 
-    Plain dicts, lists, strings, numbers and booleans, and the arrays of the scene as they are; `parse_scene` makes an
-    equal scene of them.
+    Plain dicts, lists, strings, numbers and booleans, and unchanged arrays of the scene; `parse_scene` makes an equal
+    scene of them.
     """
     data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
     if scene.camera.f_number is not None:
@@ -140,7 +140,7 @@ def dump(scene: Any) -> dict[str, Any]:
 
 
 def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]:
-    """Table of a scene's mapping at a place of `Scene.inputs`."""
+    """Table of a scene's mapping at a location from `Scene.inputs`."""
     table: Any = data
     for part in place:
         table = table[part]
@@ -148,9 +148,9 @@ def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]
 
 
 def given_keys(value: Any) -> Any:
-    """Content of a scene file of the keys that were given, so that defaults follow from these again.
+    """Content of a scene file with only the keys that were given explicitly, so that defaults are derived again.
 
-    value: a scene or a table of it, a list or mapping of them, or the value of a key, which stays as it is.
+    value: a scene or a table of it, a list or mapping of them, or the value of a key, which stays unchanged.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
@@ -164,7 +164,7 @@ def given_keys(value: Any) -> Any:
 
 
 def replaced(scene: Root, path: str, value: Any) -> Root:
-    """A scene with another value of one key. Raises SceneError where that cannot be."""
+    """A scene with another value of one key. Raises SceneError if the key or the value is invalid."""
     try:
         data, parts, new = given_keys(scene), key_parts(path), given_keys(value)
     except RecursionError:
@@ -182,7 +182,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
 
 
 def _at(node: Any, parts: Sequence[str]) -> Any:
-    """The entry at `parts`, None where there is none."""
+    """The entry at `parts`, None if there is none."""
     for part in parts:
         if isinstance(node, list):
             node = node[int(part)] if part.isdecimal() and len(part) < 10 and int(part) < len(node) else None

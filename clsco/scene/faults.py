@@ -48,7 +48,7 @@ def sections(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
 
 @lru_cache(maxsize=1)
 def _places(root: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
-    """All tables by where they are."""
+    """All tables with their locations."""
     known = {name: model for name, model in sections(root).items() if model is not Group}
     shapes = (("object[0]", shape) for shape in SHAPES.values())
     moving: Any = known["camera"].model_fields["motion"].annotation
@@ -81,7 +81,7 @@ def messages(error: ValidationError, root: type[BaseModel], place: tuple[str | i
 
 
 def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationError) -> SceneError:
-    """Error of a part of a scene that is made by itself, `Sphere: radius: rule; got value`; root: the scene's model."""
+    """Error for a part of a scene created by itself, `Sphere: radius: rule; got value`; root: the scene's model."""
     motion = ("object", 0, "sphere", "motion")
     known: dict[Any, tuple[str | int, ...]] = {ObjectMotion: motion, Keyframe: (*motion, "keyframe", 0)}
     known |= {LensKeyframe: ("lens", "keyframe", 0)}
@@ -96,7 +96,7 @@ def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationErro
 
 
 def at_most(where: str, messages: Iterable[str]) -> list[str]:
-    """Messages as `where: message`; of more than MAX_MESSAGES the first ones, and the number of the others."""
+    """Messages as `where: message`; beyond MAX_MESSAGES only the first ones, and the number of the others."""
     listed = list(messages)
     if len(listed) > MAX_MESSAGES:
         listed[MAX_MESSAGES:] = [f"and {len(listed) - MAX_MESSAGES} more faults"]
@@ -104,18 +104,18 @@ def at_most(where: str, messages: Iterable[str]) -> list[str]:
 
 
 def _texts(tables: Iterable[Mapping[str, Any]], key: str) -> list[str | None]:
-    """Texts that tables have under a key, None where a value is no text."""
+    """Texts under a key of each table, None if a value is not text."""
     return [text if isinstance(text := table.get(key), str) else None for table in tables]
 
 
 def items(data: Mapping[str, Any], key: str = "object") -> list[Mapping[str, Any]]:
-    """Tables of objects, or of the array `key`, with an empty one in place of any other value."""
+    """Tables of objects, or of the array `key`; any other value is replaced by an empty table."""
     items = data.get(key)
     return [item if isinstance(item, Mapping) else {} for item in items] if isinstance(items, list) else []
 
 
 def _faults(error: ValidationError) -> list[Mapping[str, Any]]:
-    """Faults that pydantic found, except defaults that could not be formed because another key is at fault."""
+    """Faults found by pydantic, except defaults that depend on another faulty key."""
     return [fault for fault in error.errors(include_url=False) if fault["type"] != "default_factory_not_called"]
 
 

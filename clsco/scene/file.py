@@ -132,12 +132,12 @@ def absolute(scene: Scene, folder: Path) -> Scene:
 
 
 def names_file(key: str, name: str) -> bool:
-    """True if a value under one of FILE_KEYS names a file, and no pattern or color."""
+    """True if a value under one of FILE_KEYS names a file, False for a pattern or a color."""
     return key in FILES_ONLY or not is_drawn(name)
 
 
 def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
-    """Place and name of each file in the content of a scene file: of objects, and of the aperture."""
+    """Location and name of each file in the content of a scene file: of objects, and of the aperture."""
     tables: list[tuple[Location, Any]] = [(("object", index), item) for index, item in enumerate(items(data))]
     for place, table in (*tables, (("aperture",), data.get("aperture"))):
         for key in FILE_KEYS if isinstance(table, Mapping) else ():
@@ -146,8 +146,7 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
-    """A copy of the content of a scene file whose files have other names; `name` takes the place of a file and its
-    name."""
+    """A copy of the content of a scene file with renamed files; `name` takes the location and the name of a file."""
     copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
         copy["aperture"] = dict(aperture)
@@ -160,7 +159,9 @@ def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> 
 
 
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
-    """Messages on files that do not exist, for a scene with other faults: files of a valid scene are read anyway."""
+    """Messages on files that do not exist, for a scene with other faults: for a valid scene, reading its files reports
+    them.
+    """
     aperture = data.get("aperture")
     tables: list[tuple[str, Mapping[str, Any], tuple[str, ...]]] = []
     tables += [("aperture", aperture, ("image",))] if isinstance(aperture, Mapping) else []
@@ -177,7 +178,7 @@ def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str
 
 
 def missing_input(key: str, name: str) -> str:
-    """Rule for a file that there is not, which a scene names under a key."""
+    """Rule for a missing file that a scene names under a key."""
     return "must be an existing file" if key in FILES_ONLY else missing_texture(name)
 
 
@@ -224,7 +225,7 @@ def parse_scene(mapping: Mapping[str, Any] | str, where: str = "scene") -> Scene
 
 
 def table_of(content: Any, where: str) -> Any:
-    """Content of a scene file from its text in TOML; other content stays as it is. Raises SceneError."""
+    """Content of a scene file from its TOML text; other content stays unchanged. Raises SceneError."""
     if not isinstance(content, str):
         return content
     if len(content) > MAX_FILE_BYTES:
@@ -249,7 +250,7 @@ def psf_of(psf: PsfLike) -> Psf:
 
 
 def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
-    """Aperture, of any form that users may pass, that a PSF can have. Raises SceneError.
+    """Aperture of any form that users may pass, checked against a PSF. Raises SceneError.
 
     aperture: Aperture, a mapping with the keys of [aperture], or the name of a shape; None: a circle.
     """
@@ -263,7 +264,7 @@ def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
 
 
 def camera_of(camera: CameraLike) -> Camera | None:
-    """Camera of any form that users may pass; None where there is none. Raises SceneError as `psf_of` does."""
+    """Camera of any form that users may pass; None for None. Raises SceneError as `psf_of` does."""
     return None if camera is None else _section(Camera, camera, "camera")
 
 
@@ -292,7 +293,7 @@ def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def _read(where: str) -> dict[str, Any]:
-    """Content of a scene file, unchecked but for its size, form and repeated keys."""
+    """Content of a scene file; only its size, syntax and repeated keys are checked."""
     kind = Path(where).suffix.lower()
     if kind not in (".toml", ".json"):
         raise SceneError(f"{where}: a scene file must end in .toml or .json")
@@ -310,7 +311,7 @@ def _read(where: str) -> dict[str, Any]:
 
 
 def _table(text: str, kind: str, where: str) -> dict[str, Any]:
-    """The table that a text in TOML or JSON holds, unchecked but for its form and repeated keys."""
+    """The table in a TOML or JSON text; only syntax and repeated keys are checked."""
 
     def unique(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
         table: dict[str, Any] = {}

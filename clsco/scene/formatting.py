@@ -1,4 +1,4 @@
-"""Amounts as people read them; it imports nothing, as `--help` loads it."""
+"""Formatting of amounts for people; it has no imports, because `--help` loads it."""
 
 from __future__ import annotations
 

@@ -48,12 +48,12 @@ def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
 def unknown_groups(
     members: Iterable[str | None], names: Iterable[str | None]
 ) -> list[tuple[int, PydanticCustomError, str]]:
-    """Find objects of groups that there are not.
+    """Find objects whose groups do not exist.
 
     Parameters
     ----------
     members : iterable of str or None
-        Group of each object; None where none was given.
+        Group of each object; None without one.
     names : iterable of str or None
         Names of the groups.
 
@@ -69,7 +69,7 @@ def unknown_groups(
 
 
 def _groups(value: Any) -> Any:
-    """Turn the array of tables into a tuple; refuse too many groups."""
+    """Convert the array of tables to a tuple; reject too many groups."""
     if not isinstance(value, list | tuple):
         raise fault("must be an array of tables, [[group]]")
     if len(value) > MAX_OBJECTS:
@@ -78,7 +78,7 @@ def _groups(value: Any) -> Any:
 
 
 def _distinct(groups: tuple[Group, ...]) -> tuple[Group, ...]:
-    """Refuse groups of the same name."""
+    """Reject groups with equal names."""
     if faults := repeated_names((group.name for group in groups), "group"):
         raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
     return groups

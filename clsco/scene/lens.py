@@ -1,4 +1,4 @@
-"""A real lens: section [lens] of a scene file, with what changes over time and where it differs from a thin lens."""
+"""A real lens: section [lens] of a scene file, with its changes over time and its differences from a thin lens."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Shift = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 
 
 def _vignetting(value: Any) -> Any:
-    """Refuse all but a name, and coefficients of a share that is nowhere negative."""
+    """Reject anything but a name, and coefficients of a function that is nowhere negative."""
     value = as_python(value)
     if type(value) is str and value in ("none", "natural"):
         return value
@@ -45,7 +45,7 @@ def _vignetting(value: Any) -> Any:
 
 
 def _roots(a: float, b: float, c: float) -> list[float]:
-    """Real x with a x^2 + b x + c = 0; none where all are."""
+    """Real x with a x^2 + b x + c = 0; empty if all x are."""
     if a == 0.0:
         return [] if b == 0.0 else [-c / b]
     inside = b * b - 4.0 * a * c
@@ -141,7 +141,7 @@ class Lens(Strict):
 
 
 class LensOfWavefront(Lens):
-    """A lens whose wavefront distorts; made by `with_distortion_of_wavefront`."""
+    """A lens with distortion from the wavefront; created by `with_distortion_of_wavefront`."""
 
     of_wavefront: float = Field(exclude=True)
     """Part of k1 that psf.seidel.W311 is."""
@@ -153,7 +153,9 @@ class LensOfWavefront(Lens):
 
 
 def check_opening(lens: Lens | None, psf: Psf) -> None:
-    """Raise the fault of a lens whose opening changes, as that of psf.model = "wave" and of aberrations cannot."""
+    """Raise the fault of a lens whose aperture changes over time, which psf.model = "wave" and aberrations do not
+    support.
+    """
     rule = fault('cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening')
     if lens is None or not (psf.model == "wave" or psf.aberrated or psf.seidel.W311):
         return
@@ -164,7 +166,9 @@ def check_opening(lens: Lens | None, psf: Psf) -> None:
 
 
 def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Lens | None:
-    """The lens of a scene with the distortion that is a term of Seidel's; raises the fault of an unknown frame."""
+    """The lens of a scene with the distortion term of Seidel's aberrations; raises a fault if the resolution is
+    unknown.
+    """
     seidel, k1 = psf.seidel, 0.0
     if seidel.W311:
         if camera.resolution is None:

@@ -384,7 +384,9 @@ class Scene(Strict):
 
     @property
     def zooms(self) -> bool:
-        """True if the magnification changes over time: the focal length does, or the sensor distance that sets it."""
+        """True if the magnification changes over time, because the focal length changes, or the sensor distance that
+        sets it.
+        """
         keys = () if self.lens is None else self.lens.keyframe or ()
         follows = isinstance(self.camera.normalization_distance, FollowedDistance)
         return any(key.focal_length is not None or (follows and key.focus_distance is not None) for key in keys)

@@ -47,7 +47,7 @@ class Keyframe(Strict):
 
 
 def listed_keyframes(value: Any) -> Any:
-    """Turn the array of tables into a tuple; refuse none, and too many. Raises the fault that says so."""
+    """Convert the array of tables to a tuple; reject none, and too many. Raises the fault that says so."""
     value = as_python(value)
     if not isinstance(value, list | tuple):
         raise fault("must be an array of tables, [[...keyframe]]")
@@ -57,7 +57,7 @@ def listed_keyframes(value: Any) -> Any:
 
 
 def in_order(value: Any) -> Any:
-    """Refuse keyframes that are not later than the one before."""
+    """Reject keyframes that are not later than the one before."""
     late = [k for k, (one, next_one) in enumerate(pairwise(value), 1) if not next_one.time > one.time]
     if late:
         rule = fault("must be later than that of the keyframe before")
@@ -71,7 +71,7 @@ def default_of_keyframes(data: dict[str, Any], key: str, value: Any) -> Any:
 
 
 def check_interpolation(value: Any, keyframes: Any) -> Any:
-    """Refuse an interpolation without keyframes, and one that their times do not allow; "refused": not known."""
+    """Reject an interpolation without keyframes, or one that their times do not allow; "refused": not known."""
     if value is None or keyframes == "refused":
         return value
     if keyframes is None:

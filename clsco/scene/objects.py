@@ -1,4 +1,4 @@
-"""Objects of a scene: what each of them, and all together, have to be."""
+"""Objects of a scene: rules for each object, and for all together."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_OBJECTS = 64
 
 
 def _bounds_in_front(shape: AnyShape) -> AnyShape:
-    """Refuse bounds that end at or behind the lens."""
+    """Reject bounds that end at or behind the lens."""
     if shape.bounds is None:
         return shape
     corners = zip(depth_row(shape.rotation), shape.bounds, strict=True)
@@ -39,14 +39,14 @@ def _bounds_in_front(shape: AnyShape) -> AnyShape:
 
 
 def _texture_keys_fit(shape: AnyShape) -> AnyShape:
-    """Refuse keys of a texture that its mapping or the shape has no use for."""
+    """Reject texture keys that the mapping or the shape does not use."""
     if faults := texture_faults(shape):
         raise at_keys(faults)
     return shape
 
 
 def _known_shape(value: Any) -> Any:
-    """Refuse a table whose `shape` is unknown, before its other keys are checked."""
+    """Reject a table with an unknown `shape` before its other keys are checked."""
     if isinstance(value, dict):
         shape = value.get("shape")
         if not isinstance(shape, str) or shape not in SHAPES:
@@ -57,7 +57,7 @@ def _known_shape(value: Any) -> Any:
 
 
 def _objects(value: Any) -> Any:
-    """Turn the array of tables into a tuple; refuse too few and too many objects."""
+    """Convert the array of tables to a tuple; reject too few and too many objects."""
     if not isinstance(value, list | tuple):
         raise fault("must be an array of tables, [[object]]")
     if not 1 <= len(value) <= MAX_OBJECTS:
@@ -66,12 +66,12 @@ def _objects(value: Any) -> Any:
 
 
 def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
-    """Find names that an earlier object has already.
+    """Find names that an earlier object already has.
 
     Parameters
     ----------
     names : iterable of str or None
-        Name of each object; None where none was given.
+        Name of each object; None without one.
     table : str
         Name of the objects' array in a file.
 
@@ -89,7 +89,7 @@ def repeated_names(names: Iterable[str | None], table: str = "object") -> list[t
 
 
 def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Refuse a second background, which the first would hide."""
+    """Reject a second background, which the first would hide."""
     backgrounds = [index for index, item in enumerate(objects) if item.is_background]
     if len(backgrounds) > 1:
         rule = f"one background is enough; object[{backgrounds[0]}] is one already"
@@ -98,7 +98,9 @@ def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 
 def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with distinct names: unnamed ones get that of their shape, numbered from the second on, "sphere 2"."""
+    """Objects with distinct names: unnamed ones get the name of their shape, numbered from the second on, "sphere
+    2".
+    """
     names = [item.name if "name" in item.model_fields_set else None for item in objects]
     if faults := repeated_names(names):
         raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
@@ -117,7 +119,7 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 
 def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with the faces of each box in place of it."""
+    """Objects with each box replaced by its faces."""
     shapes: list[AnyShape] = []
     for item in objects:
         shapes += item.faces() if isinstance(item, Box) else (item,)
@@ -138,7 +140,7 @@ def _any_shape() -> TypeAdapter[Any]:
 
 
 class _OfItsShape:
-    """Constraint on an object: what its shape demands. A process builds the models of the shapes that it meets."""
+    """Constraint on an object: the rules of its shape. Models of shapes are built at their first use."""
 
     @staticmethod
     def check(value: Any) -> AnyShape:

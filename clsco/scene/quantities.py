@@ -31,7 +31,7 @@ Vector = tuple[float, float, float]
 
 
 def as_python(value: Any) -> Any:
-    """NumPy's numbers and small arrays as Python's; all else, also images, as it is."""
+    """NumPy numbers and small arrays converted to Python's; all else, including images, unchanged."""
     if isinstance(value, np.longdouble):
         return float(value)
     return value.tolist() if isinstance(value, np.generic | np.ndarray) and value.size <= MAX_LISTED else value
@@ -45,7 +45,7 @@ def fault(rule: str, got: str | None = None) -> PydanticCustomError:
     rule : str
         "must be ...".
     got : str, optional
-        Replaces the input in the message, where the input is too long to be shown.
+        Replaces an input that is too long to show in the message.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]
     Parameters
     ----------
     faults : list of (location, fault, value)
-        Location of the key, fault from `fault`, and the value given there.
+        Location of the key, fault from `fault`, and the invalid value.
 
     Returns
     -------
@@ -82,7 +82,7 @@ class Within:
     unit : str
         Unit for messages; empty for a pure number.
     ends : {"[]", "[)", "()"}
-        Brackets that say which ends belong to the interval.
+        Brackets that say which limits belong to the interval.
     """
 
     low: float
@@ -91,7 +91,7 @@ class Within:
     ends: Literal["[]", "[)", "()"] = "[]"
 
     def check(self, value: float) -> float:
-        """The value itself where it satisfies the constraint; raises the fault that states the constraint otherwise."""
+        """Return the value if it satisfies the constraint; otherwise raise the fault that states the constraint."""
         unit = f" {self.unit}" if self.unit else ""
         if isinstance(value, float) and not math.isfinite(value):
             raise fault("must be a finite number")
@@ -115,10 +115,10 @@ class Within:
 
 @dataclass(frozen=True)
 class WithinOrInfinite(Within):
-    """The same on a number that may also be infinite: inf, or "inf" where a file format has no such number."""
+    """Constraint on a number that may also be infinite: inf, or "inf" if a file format has no such number."""
 
     def check(self, value: float) -> float:
-        """As that of `Within`."""
+        """Return a valid value or raise the fault, as `Within` does."""
         return value if value == math.inf else super().check(value)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -135,7 +135,7 @@ class WithinOrInfinite(Within):
 
 
 def _list_of(count: int, what: str) -> Callable[[Any], Any]:
-    """Turn a list or array of `count` entries into a tuple; the file formats know only lists."""
+    """Function that converts a list or array of `count` entries to a tuple, because file formats have only lists."""
 
     def convert(value: Any) -> Any:
         listed = as_python(value)
@@ -147,35 +147,35 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
 
 
 def _single_line(value: str) -> str:
-    """Refuse text with line breaks or control characters."""
+    """Reject text with line breaks or control characters."""
     if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):
         raise fault("must be one line of text without control characters")
     return value
 
 
 def _increasing(value: tuple[float, float]) -> tuple[float, float]:
-    """Refuse an empty interval."""
+    """Reject an empty interval."""
     if value[0] >= value[1]:
         raise fault("lower bound must be less than the upper bound")
     return value
 
 
 def _not_zero(value: Vector) -> Vector:
-    """Refuse a vector without a direction."""
+    """Reject a vector without a direction."""
     if max(abs(component) for component in value) < MIN_LENGTH_MM:
         raise fault(f"must not be the zero vector (one component of {MIN_LENGTH_MM:g} at least)")
     return value
 
 
 def _surface(value: tuple[float, ...]) -> tuple[float, ...]:
-    """Refuse coefficients of a constant, which have no surface."""
+    """Reject coefficients of a constant, which have no surface."""
     if not any(value[:9]):
         raise fault("must not all be 0, or all but a000")
     return value
 
 
 def _count_or_auto(value: Any) -> Any:
-    """Refuse all but a number of samples and "auto"."""
+    """Reject anything but a number of samples and "auto"."""
     value = as_python(value)
     if (type(value) is int and 1 <= value <= 4096) or (type(value) is str and value == "auto"):
         return value
@@ -183,7 +183,7 @@ def _count_or_auto(value: Any) -> Any:
 
 
 def _few_enough(value: tuple[int, int]) -> tuple[int, int]:
-    """Refuse resolutions above MAX_PIXELS."""
+    """Reject resolutions above MAX_PIXELS."""
     if value[0] * value[1] > MAX_PIXELS:
         raise fault(f"must have at most {MAX_PIXELS} pixels in all")
     return value
@@ -234,7 +234,7 @@ _BUILDING = threading.RLock()
 
 
 class Deferred:
-    """Constraint on an optional section: what its model demands. A process builds the models of those that it meets."""
+    """Constraint on an optional section: the rules of its model, which is built at its first use."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         model, _ = get_args(source)
@@ -266,7 +266,7 @@ class Strict(BaseModel):
     if not TYPE_CHECKING:  # which knows the arguments from the fields
 
         def __init__(self, /, **values: Any) -> None:
-            """Raises SceneError, one message per fault."""
+            """Raise SceneError, with one message per fault, for invalid values."""
             try:
                 super().__init__(**values)
             except ValidationError as error:
@@ -280,6 +280,6 @@ class Strict(BaseModel):
 
     @classmethod
     def model_rebuild(cls, **options: Any) -> bool | None:
-        """As pydantic's, but by one thread at a time: before 2.14 two of them disturb each other."""
+        """As pydantic's, but locked: before 2.14, concurrent calls in threads interfere."""
         with _BUILDING:
             return super().model_rebuild(**options)

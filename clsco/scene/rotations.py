@@ -17,7 +17,7 @@ EulerAngles = Annotated[tuple[Angle, Angle, Angle], Triple]
 
 
 def _not_small(value: tuple[float, ...]) -> tuple[float, ...]:
-    """Refuse a quaternion that cannot be normalized."""
+    """Reject a quaternion that cannot be normalized."""
     if math.hypot(*value) < SMALLEST_QUATERNION:
         raise fault(f"must not be zero (length of {SMALLEST_QUATERNION:g} at least)")
     return value
@@ -45,7 +45,7 @@ def _euler_angles() -> TypeAdapter[Any]:
 
 
 def _one_form(value: Any) -> Any:
-    """Validate the form that a rotation is given in, so that a fault of it is reported alone."""
+    """Validate only the form in which a rotation is given, so that its fault is reported alone."""
     value = as_python(value)
     if isinstance(value, AxisAngle | UnitQuaternion):
         return value
@@ -77,7 +77,7 @@ def rotation_rows(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> 
 
     Notes
     -----
-    Order and sense are those of a motion (2.14 to 2.23): first about x, then y, then z, which is towards the camera; a
+    Order and sense are those of a motion (2.14 to 2.23): first about x, then y, then z, which points to the camera; a
     positive angle about x turns the top away, about y it brings the right side nearer, about z it turns clockwise.
     Validated against `clsco.optics.motion.rotation_matrix`.
     """
@@ -101,7 +101,7 @@ def depth_row(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> Vect
 
 
 def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion | None) -> Any:
-    """The rotation that Euler angles `first` in deg and then `then` make together, None for none of both."""
+    """Rotation by Euler angles `first` in deg, followed by `then`; None without either."""
     if first is None or then is None:
         return then if first is None else first
     (a, b, c), (d, e, f), (g, h, i) = _product(rotation_rows(then), rotation_rows(first))
@@ -118,7 +118,9 @@ def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion |
 
 
 def _about(axis: Vector, degrees: float) -> Rows:
-    """Rodrigues' formula; axis: right, up, towards the camera, of any length. Exact along x, y and z."""
+    """Rotation matrix by Rodrigues' formula; axis: right, up, towards the camera, of any length. Exact along x, y and
+    z.
+    """
     size = math.hypot(*axis)
     x, y, z = axis[0] / size, axis[1] / size, -axis[2] / size
     sine, cosine = _sine_cosine(math.fmod(degrees, 360.0))
@@ -131,7 +133,7 @@ def _about(axis: Vector, degrees: float) -> Rows:
 
 
 def _sine_cosine(degrees: float) -> tuple[float, float]:
-    """Exact for quarter turns: pi/2 in float64 is slightly off and would tilt a plane."""
+    """Sine and cosine, exact for quarter turns: pi/2 in float64 is slightly off and would tilt a plane."""
     quarter = {0.0: (0.0, 1.0), 90.0: (1.0, 0.0), 180.0: (0.0, -1.0), 270.0: (-1.0, 0.0)}
     angle = math.radians(degrees)
     return quarter.get(math.fmod(degrees + 360.0, 360.0), (math.sin(angle), math.cos(angle)))

@@ -16,7 +16,7 @@ OF_MIDPOINTS = 'belongs to sequence.sampling = "midpoint", not "endpoint"'
 
 
 def _curve(value: Any) -> Any:
-    """Refuse all but the name of a shutter curve, and a list of weights, one of them above 0."""
+    """Reject anything but the name of a shutter curve, and a list of weights, one of them above 0."""
     value = as_python(value)
     if type(value) is str and value in CURVES:
         return value

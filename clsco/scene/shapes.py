@@ -35,7 +35,7 @@ IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
 def _reaching(center: Vector, reach: float | None) -> Vector:
-    """Refuse a body that ends at or behind the lens; `reach`: extent from its center along z, mm, None if unknown."""
+    """Reject a body that ends at or behind the lens; `reach`: extent from its center along z, mm, None if unknown."""
     if reach is not None and center[2] + reach <= 0.0:
         raise fault(IN_FRONT)
     return center
@@ -101,7 +101,7 @@ class Rectangle(_Object):
 
     @property
     def bounds(self) -> Bounds:
-        """Box that cuts the plane of the card, as deep as it is wide: its sides along z touch nothing."""
+        """Box that cuts the card's plane to size; its depth equals its width, so that its sides along z do not cut."""
         width, height = (0.5 * side for side in self.size)
         deep = max(width, height)
         return (-width, width), (-height, height), (self.offset - deep, self.offset + deep)
@@ -172,7 +172,7 @@ class Box(SixSided, _Object):
         return True
 
     def faces(self) -> tuple[Rectangle, ...]:
-        """Rectangles named "box front" and so on, which turn about the center of the box and move with it.
+        """Rectangles named "box front" and so on, which rotate about the center of the box and move with it.
 
         Faces that are completely behind the lens are omitted, as a scene refuses objects there.
         """

@@ -40,7 +40,7 @@ class Rim(Strict):
 
 
 def listed_rims(value: Any) -> Any:
-    """Turn the array of tables into a tuple; refuse too many. Raises the fault that says so."""
+    """Convert the array of tables to a tuple; reject too many. Raises the fault that says so."""
     value = as_python(value)
     if not isinstance(value, list | tuple):
         raise fault("must be an array of tables, [[aperture.rim]]")
@@ -91,8 +91,9 @@ class Aperture(HasInputs, Strict):
     @field_validator("blade_curvature")
     @classmethod
     def _blades_meet_at_corners(cls, value: float, info: ValidationInfo) -> float:
-        """Refuse three blades so concave that they cross one another: at a corner an arc turns by 2 atan(c tan 30 deg)
-        off its chord, which is 30 deg off the middle."""
+        """Reject three blades so concave that they cross: at a corner an arc turns by 2 atan(c tan 30 deg) from its
+        chord, which is 30 deg from the line to the center.
+        """
         if info.data.get("blades") == 3 and value < MOST_CONCAVE_TRIANGLE:
             raise fault(f"must be at least {MOST_CONCAVE_TRIANGLE:.3f} with 3 blades, which would cross one another")
         return value
@@ -212,7 +213,7 @@ class Psf(Strict):
 
 
 def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
-    """Key of [aperture], the rule that it and a PSF break together, and its value; None if they go together."""
+    """Key of [aperture], the rule that it breaks together with the PSF, and its value; None if both are compatible."""
     faults: list[tuple[str, str, Any]] = []
     if aperture.shape != "circle":
         faults.append(("shape", f'"{aperture.shape}"', aperture.shape))

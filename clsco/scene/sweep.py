@@ -33,8 +33,9 @@ DEEPEST = 8  # tables and lists in each other: of a range of velocities of an ob
 
 @dataclass(frozen=True)
 class Sweep:
-    """Scenes of one file, with a label for each: its keys with their values, in a form that can name a folder; "" for
-    the only scene of a file."""
+    """Scenes of one file, each with a label: its keys and values, in a form valid as a folder name; "" for the only
+    scene of a file.
+    """
 
     labels: tuple[str, ...]
     scenes: tuple[Scene, ...]
@@ -42,7 +43,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class _Axis:
-    """A swept key with its values, each as a scene file would give it alone."""
+    """A swept key with its values, each in the form of a single value in a scene file."""
 
     location: Location
     values: tuple[Any, ...]
@@ -53,12 +54,12 @@ class _Axis:
         return key_name(self.location)
 
     def words(self) -> list[str]:
-        """A word for each value, as short as distinguishes them."""
+        """A word for each value, the shortest that distinguishes them."""
         short = [_word(value, exact=False) for value in self.values]
         return short if len(set(short)) == len(short) else [_word(value, exact=True) for value in self.values]
 
     def label(self) -> str:
-        """The key as written in labels: short, and different for every key that may be swept."""
+        """The key in labels: short, and different for every key that can be swept."""
         section, *inner, key = (str(part) for part in self.location)
         return "_".join([section, *inner[:-1], key] if inner else [key])  # without "motion"
 
@@ -76,8 +77,8 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     Returns
     -------
     Sweep
-        At most 4096 scenes with labels like "focus_distance_200__f_number_4"; one scene with the label "" where no key
-        has several values. Paths are absolute, as from `clsco.load_scene`.
+        At most 4096 scenes with labels like "focus_distance_200__f_number_4"; one scene with the label "" if no key has
+        several values. Paths are absolute, as from `clsco.load_scene`.
 
     Raises
     ------
@@ -111,7 +112,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tuple[Path, Sweep | SceneError]]:
-    """Read the sweeps of several files, as `load_sweep`; in place of that of a file that is not valid is its error."""
+    """Read the sweeps of several files, as `load_sweep`; an invalid file gives its error instead."""
     loaded: list[tuple[Path, Sweep | SceneError]] = []
     for path in paths:
         try:
@@ -122,7 +123,7 @@ def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tu
 
 
 def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep:
-    """Validate all scenes of nested mappings and lists with the keys of a scene file, or of its text.
+    """Validate all scenes in nested mappings and lists with the keys of a scene file, or in its text.
 
     Parameters
     ----------
@@ -173,7 +174,7 @@ def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep
 
 
 def exposed_again(scene: Scene, number: int) -> Scene:
-    """The scene with the noise of another exposure of its sensor, so many after its own."""
+    """The scene with the sensor noise of another exposure, `number` exposures later."""
     if scene.sensor is None:
         return scene
     seed = (scene.sensor.noise_seed + number) % NOISE_SEEDS
@@ -181,7 +182,7 @@ def exposed_again(scene: Scene, number: int) -> Scene:
 
 
 def _listed(value: Any, depth: int = 0) -> Any:
-    """A mapping with lists and numbers of Python in place of NumPy's, but for textures and depths."""
+    """A mapping with NumPy values converted to lists and numbers, except textures and depths."""
     if isinstance(value, Mapping | list) and depth == DEEPEST:  # deeper ones are refused later
         return value
     if isinstance(value, Mapping):
@@ -232,7 +233,7 @@ def _at_value(message: str, axes: Sequence[_Axis], choice: tuple[int, ...]) -> s
 
 
 def _with(node: Any, location: Location, value: tuple[Any, ...]) -> Any:
-    """A copy of `node` with the one value at `location`, or without that key for no value; the rest is shared."""
+    """A copy of `node` with the value at `location`, or without that key for an empty tuple; the rest is shared."""
     copy = list(node) if isinstance(node, list) else dict(node)
     first: Any = location[0]
     if len(location) > 1:
@@ -245,7 +246,7 @@ def _with(node: Any, location: Location, value: tuple[Any, ...]) -> Any:
 
 
 def _values(name: str, values: Any, faults: list[str]) -> tuple[Any, ...]:
-    """Values of a list or a range; none, and messages in `faults`, where it is not valid."""
+    """Values of a list or a range; empty, with messages in `faults`, if invalid."""
     if isinstance(values, Mapping):
         return _range(name, values, faults)
     if not 1 <= len(values) <= MAX_OUTPUTS:
@@ -264,7 +265,7 @@ def _values(name: str, values: Any, faults: list[str]) -> tuple[Any, ...]:
 
 
 def _range(name: str, table: Mapping[str, Any], faults: list[str]) -> tuple[Any, ...]:
-    """Values of a range; none, and messages in `faults`, where it is not valid."""
+    """Values of a range; empty, with messages in `faults`, if invalid."""
     before = len(faults)
     for key in table:
         if key not in RANGE:
@@ -307,7 +308,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def _between(low: float, high: float, step: int, last: int) -> float:
-    """The number after `step` of `last` equal steps, both ends exact; an integer between integers where it is one."""
+    """The number after `step` of `last` equal steps, with exact ends; exact integers stay integers."""
     if step == last:
         return high
     if isinstance(low, int) and isinstance(high, int) and (high - low) * step % last == 0:
@@ -316,7 +317,7 @@ def _between(low: float, high: float, step: int, last: int) -> float:
 
 
 def _word(value: Any, *, exact: bool) -> str:
-    """A value as written in a label: six digits of a float, or all."""
+    """A value in a label: six digits of a float, or all digits."""
     if isinstance(value, list):
         return "_".join(_word(entry, exact=exact) for entry in value)
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""Keys and values of a scene as messages show them."""
+"""Formatting of scene keys and values for messages."""
 
 from __future__ import annotations
 

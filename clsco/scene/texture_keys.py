@@ -1,4 +1,4 @@
-"""Keys of an object's texture: its image, and how this lies on the surface."""
+"""Keys of an object's texture: its image, and its mapping to the surface."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Wrap = Literal["repeat", "mirror", "clamp", "none"]
 
 
 def is_drawn(texture: object) -> bool:
-    """True if a texture is built in, or a color, and neither a file nor an array."""
+    """True if a texture is a built-in pattern or a color, False for a file or an array."""
     return isinstance(texture, str) and (texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None)
 
 
 def in_layer(source: Any, layer: str | None) -> Input:
-    """An input in the layer that a scene names for it: a file is read there, and others have none."""
+    """An input with the layer that a scene names for it, if it is a file that can have layers."""
     is_file = isinstance(source, str) and not is_drawn(source)
     return LayerInput(source, layer) if layer is not None and is_file else cast("Input", source)
 
 
 def missing_texture(name: str) -> str:
-    """Rule for the name of a texture that there is not: an image that is not found, or a pattern of another name."""
+    """Rule for a missing texture: an image that is not found, or an unknown pattern."""
     base = PurePath(name).name
     if PurePath(base).suffix:
         return "must be an existing file, a built-in pattern or a color #rrggbb"
@@ -54,8 +54,9 @@ def _one_or_two(value: Any) -> Any:
 
 
 class _Rule(NamedTuple):
-    """Keys that a mapping takes: texture_size ("", "may", "must"), how many numbers of texture_repeats, and those that
-    turn or move the image."""
+    """Keys that a mapping takes: texture_size ("", "may", "must"), number of texture_repeats, and keys that rotate or
+    shift the image.
+    """
 
     size: Literal["", "may", "must"]
     repeats: int
@@ -131,13 +132,13 @@ class Textured(HasInputs, Strict):
         return (self.inputs()["texture"],)
 
     def texture_keys(self) -> dict[str, Any]:
-        """Given values of the keys on how the texture lies."""
+        """Explicitly given values of the keys of the texture's mapping."""
         names = [name for name in Textured.model_fields if name in self.model_fields_set]
         return {name: getattr(self, name) for name in names}
 
 
 class SixSided(Textured):
-    """Keys of what may have an image on each of six sides."""
+    """Keys of shapes that can have an image on each of six sides."""
 
     texture_back: TextureInput | None = None
     """Image on the side away from the camera; `texture` is on the front, and on all sides that none is given for."""
@@ -175,12 +176,12 @@ Fault = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 
 
 def texture_faults(item: Textured) -> list[Fault]:
-    """Keys that the mapping of a texture, or the shape, has no use for, and those that it needs."""
+    """Keys that the texture's mapping or the shape does not use, and required keys that are missing."""
     return [((key,), fault(rule, "nothing" if got is None else None), got) for key, rule, got in _misplaced(item)]
 
 
 def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
-    """Key, rule and value."""
+    """Key, rule and value of each misplaced texture key."""
     shape, mapping = type(item).model_fields["shape"].default, item.texture_mapping
     lying = ("texture_size", "texture_repeats", "texture_offset", "texture_angle", "texture_wrap")
     keys = {key: getattr(item, key) for key in lying if getattr(item, key) is not None}
@@ -205,7 +206,7 @@ def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
 
 
 def _unfit(item: Textured, takes: _Rule, where: str) -> Iterator[tuple[str, str, Any]]:
-    """Keys of a mapping that it does not take, or needs: key, rule and value."""
+    """Key, rule and value of each key that a mapping does not take, or requires."""
     if takes.size == "must" and item.texture_size is None:
         yield "texture_size", f"must be given with texture_mapping = {where}", None
     if not takes.size and item.texture_size is not None:

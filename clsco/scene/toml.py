@@ -1,4 +1,4 @@
-"""Scenes as text in TOML, which is read back to equal scenes."""
+"""Writer of scenes as TOML text, which is read back to equal scenes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _key(key: str) -> str:
 
 
 def _text(text: str) -> str:
-    """A text in quotes, with escapes for invisible characters; those of JSON are among those of TOML."""
+    """A quoted text with escapes for invisible characters; JSON's escapes are valid in TOML."""
     quoted = json.dumps(text, ensure_ascii=False)
     escaped = (c if c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
     return quoted if quoted.isprintable() else "".join(escaped)

@@ -1,4 +1,4 @@
-"""A scene that is changed key by key, the faults in its boxes, and the way back."""
+"""Editing of a scene key by key, with messages for invalid values, undo and redo."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ class State:
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Labels of all scenes of a valid table, as `clsco render` calls their folders; "" for the only one."""
+        """Labels of all scenes of a valid table, named as the folders of `clsco render`; "" for the only one."""
         return parse_sweep(self.table).labels if swept_keys(self.table) else ("",)
 
     @property
     def shown(self) -> int:
-        """Position of the scene that is shown; the first where the labels have changed."""
+        """Position of the displayed scene; the first if the labels have changed."""
         return self.labels.index(self.label) if self.label in self.labels else 0
 
 
@@ -74,45 +74,45 @@ class _History:
     future: list[_Step] = field(default_factory=list)
 
     def push(self, before: _Step) -> None:
-        """Remember a state; those that one drag goes through are one step."""
+        """Push a state; the states of one drag are one step."""
         self.future.clear()
         if before.drag is None or not self.past or self.past[-1].drag != before.drag:
             self.past.append(before)
             del self.past[:-STEPS]
 
     def came_back(self, state: State, drag: int | None) -> None:
-        """Forget a drag that is taken back: it ends where it began."""
+        """Remove the step of a drag that ends where it began."""
         if drag is not None and self.past[-1].drag == drag and self.past[-1].state == state:
             self.past.pop()
 
 
 class Editor:
-    """A scene that is changed key by key.
+    """A scene that is edited key by key.
 
-    A value that is not valid stays in its box with its message, and the last valid scene stays what it is. It is tried
-    again together with each later change, so that keys that depend on each other may be changed one after the other.
+    An invalid value stays in its box with its message, and the last valid scene stays in force. The value is tried
+    again with each later change, so that dependent keys can be changed one after the other.
 
     Parameters
     ----------
     root : Path
-        Folder with all files that may be read and written.
+        Folder of all files that may be read and written.
 
     Attributes
     ----------
     scene : Scene
-        The last valid one, with absolute paths; of a table with several values for a key one of its scenes.
+        The last valid scene, with absolute paths; of a table with several values for a key, the displayed scene.
     revision : int
-        Grows with each change of the scene.
+        Incremented by each change of the scene.
     faults : dict
-        Messages by paths of keys, of values that are not valid.
+        Messages on invalid values, by path of the key.
     refused : dict
-        Values that are not valid, by paths.
+        Invalid values, by path.
     is_linked : bool
-        The semi-axes b and c of ellipsoids are changed together, as the thesis has them alike.
+        True to change the semi-axes b and c of ellipsoids together, as they are equal in the thesis.
 
     Notes
     -----
-    Validated: random walks of changes with their way back, and the messages of `clsco validate`
+    Validated: random sequences of changes with undo, and the messages of `clsco validate`
     (tests/studio/test_session.py).
     """
 
@@ -136,7 +136,7 @@ class Editor:
 
     @property
     def table(self) -> Table:
-        """Content of the scene file: the keys that are given. It is never changed in place."""
+        """Content of the scene file: the explicitly given keys. It is never modified in place."""
         return self._state.table
 
     @property
@@ -146,12 +146,12 @@ class Editor:
 
     @property
     def folder(self) -> Path:
-        """Folder that relative paths of the scene start from."""
+        """Base folder of the scene's relative paths."""
         return self._state.path.parent if self._state.path is not None else self.root
 
     @property
     def object_entries(self) -> list[int]:
-        """Position in the file of each object of the scene, in which the faces of a box are objects."""
+        """Position in the file of each object of the scene, which has the faces of a box as separate objects."""
         models = [self._object(index) for index in range(len(self._state.objects))]
         return [index for index, item in enumerate(models) for _ in (item.faces() if item.shape == "box" else (item,))]
 
@@ -164,7 +164,7 @@ class Editor:
         return bool(self._history.future)
 
     def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have a function called after each change of the scene or of faults; returns what ends it."""
+        """Call a function after each change of the scene or of faults; returns a function that unsubscribes it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
@@ -176,14 +176,14 @@ class Editor:
         path : str
             "object.0.radius"; a component of a vector is "object.0.center.2".
         value
-            As in a scene file; None or "": none, so that the key has its default.
+            As in a scene file; None or "" removes the key, so that it has its default.
         drag : int, optional
             Changes of one drag are one step of undo.
 
         Returns
         -------
         bool
-            The scene changed. Where the value is not valid, `faults` says why.
+            True if the scene changed. `faults` has the message on an invalid value.
         """
         waiting = {other: old for other, old in self.refused.items() if not _overlaps(other, path)}
         if path.endswith(".shape"):  # what was typed for another shape goes
@@ -207,7 +207,7 @@ class Editor:
         return False
 
     def undo(self) -> bool:
-        """Go one step back: values that are not valid are the last one."""
+        """Go one step back; invalid values are the last step."""
         if not self.refused:
             return self._go(self._history.past, self._history.future)
         self.refused, self.faults = {}, {}
@@ -215,11 +215,11 @@ class Editor:
         return True
 
     def redo(self) -> bool:
-        """Go forth what `undo` went back."""
+        """Redo the last undone step."""
         return self._go(self._history.future, self._history.past)
 
     def reset(self, index: int = 0) -> None:
-        """Give an object, its motion, the sequence and the camera the thesis' defaults; the images stay.
+        """Reset an object, its motion, the sequence and the camera to the thesis' defaults, except images.
 
         index: index of the object.
         """
@@ -243,22 +243,22 @@ class Editor:
         return self._insert(index + 1, item, self._state.apart[index])
 
     def delete_object(self, index: int) -> None:
-        """Delete an object, and groups that are empty then. Raises SceneError for the last one."""
+        """Delete an object, and groups that become empty. Raises SceneError for the last object."""
         objects, apart = self._state.objects.copy(), list(self._state.apart)
         del objects[index], apart[index]
         self._arrange(objects, apart)
 
     def move_object(self, index: int, to: int) -> None:
-        """Give an object another place in the list. Raises SceneError where that cannot be."""
+        """Move an object to another position in the list. Raises SceneError for an invalid position."""
         objects, apart = self._state.objects.copy(), list(self._state.apart)
         objects.insert(to, objects.pop(index))
         apart.insert(to, apart.pop(index))
         self._arrange(objects, apart)
 
     def known(self, path: str) -> Any:
-        """The value of a key that is in force: what is given, else the default; None where there is none.
+        """The effective value of a key: given, else the default; None without either.
 
-        Of the pairs of keys of the camera both have one: what the other amounts to.
+        Of a pair of camera keys, the one that is not given has the equivalent value.
         """
         parts = path_parts(path)
         value = at(self.table, parts)
@@ -269,7 +269,7 @@ class Editor:
         return value
 
     def shown(self, path: str) -> Any:
-        """Value to show in a box: the one that is not valid, else the one in force."""
+        """Value to show in a box: the invalid one, else the effective one."""
         if path in self.refused:
             return self.refused[path]
         value = self.known(path)
@@ -280,26 +280,26 @@ class Editor:
         return value
 
     def fault(self, path: str) -> str:
-        """The message on a key, or on a component of it; "" where it is valid."""
+        """The message on a key, or on a component of it; "" if valid."""
         of_parts = (message for key, message in self.faults.items() if key.startswith(f"{path}."))
         return self.faults.get(path) or next(of_parts, "")
 
     def show_scene(self, label: str) -> None:
-        """Show another scene of a table with several values for a key, as a step of undo. Raises SceneError."""
+        """Show another scene of a sweep, given by its label, as an undo step. Raises SceneError."""
         if label not in self._state.labels:
             raise SceneError(f"scene: must be one of the {len(self._state.labels)} of the file; got {shown(label)}")
         self.take(replace(self._state, label=label))
 
     def forget_past(self) -> None:
-        """Let the way back begin here."""
+        """Clear the undo history."""
         self._history = _History()
         self._tell()
 
     def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
-        """Go to another state, as one step of undo.
+        """Go to another state, as one undo step.
 
-        refused: values that cannot be, with their messages, by paths. Raises SceneError: its table is not valid; then
-        all stays as it is.
+        refused: invalid values with their messages, by path. Raises SceneError if the table is invalid; then the state
+        is unchanged.
         """
         scene = self._valid(state)
         self.refused = {path: value for path, (value, _) in (refused or {}).items()}
@@ -307,7 +307,7 @@ class Editor:
         self._accept(state, scene, None)
 
     def _accept(self, state: State, scene: Scene, drag: int | None) -> bool:
-        """Make a valid state the current one; whether it differs."""
+        """Make a valid state the current one; returns True if it differs."""
         before = self._state
         changed = (state.table, state.path, state.label) != (before.table, before.path, before.label)
         if changed:
@@ -323,7 +323,7 @@ class Editor:
         self.revision += 1
 
     def _go(self, steps: list[_Step], others: list[_Step]) -> bool:
-        """Go to the last of some steps, and drop values that are not valid."""
+        """Go to the last of some steps, and drop invalid values."""
         self.refused, self.faults = {}, {}
         if moved := bool(steps):
             others.append(_Step(self._state, self.scene))
@@ -337,7 +337,7 @@ class Editor:
             listener()
 
     def _changed(self, chosen: Mapping[str, Any]) -> tuple[State, Scene]:
-        """The state with these keys changed, without what a choice among them has no use for. Raises SceneError."""
+        """The state with these keys changed, without keys that the new values make unused. Raises SceneError."""
         state = self._state
         for path, value in chosen.items():
             state = self._with(state, path, value)
@@ -406,7 +406,7 @@ class Editor:
         return absolute(scene, start)
 
     def _file_rule(self, start: Path, key: str, name: str) -> str:
-        """Rule that the name of a file breaks; "" for none."""
+        """Rule broken by a file name; "" for none."""
         try:
             path = (start / name).resolve()
             if not any(path.is_relative_to(place) for place in self.readable):
@@ -416,7 +416,7 @@ class Editor:
             return missing_input(key, name)
 
     def _derived(self, parts: list[str]) -> Any:
-        """A default that is in force."""
+        """Effective default of a key."""
         camera = self.scene.camera
         if parts == ["camera", "f_number"]:
             return camera.focal_length / camera.aperture_diameter
@@ -436,7 +436,7 @@ class Editor:
         return node
 
     def _object(self, index: int) -> Any:
-        """The model of an object alone: in a scene boxes are taken apart."""
+        """The model of an object by itself; a box is not split into faces."""
         if index not in self._models:
             item = at(self.table, ["object", str(index)])
             if item is None:
@@ -453,7 +453,7 @@ class Editor:
         return index
 
     def _arrange(self, objects: list[Table], apart: list[Mapping[str, Table]]) -> None:
-        """Take another list of objects, as one step; groups without objects go."""
+        """Replace the list of objects, as one step; groups without objects are removed."""
         table = self.table | {"object": objects}
         used = {item.get("group") for item in objects}
         if "group" in table:

@@ -1,4 +1,4 @@
-"""Files in a studio's folder: scenes, images and depth maps, nothing else, and nothing outside of it."""
+"""Files in a studio's folder: only scenes, images and depth maps, and only within the folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DEEPEST = 4  # folders in each other
 
 
 def below(root: Path, path: str | Path) -> Path:
-    """A path below a folder, with all links followed. Raises SceneError for any other."""
+    """A path below a folder, after following all links. Raises SceneError for any other path."""
     try:
         target = (root / path).resolve()
     except (OSError, ValueError, RuntimeError):  # no name of a file, or a link to itself
@@ -34,8 +34,8 @@ def below(root: Path, path: str | Path) -> Path:
 def listed(root: Path, endings: tuple[str, ...]) -> list[str]:
     """Names of files with these endings below a folder, relative to it.
 
-    endings: `SCENES` or `IMAGES`. Returns: at most 500, in the order of the alphabet; no hidden ones, and none that a
-    link leads to outside.
+    endings: `SCENES` or `IMAGES`. Returns at most 500 names, sorted; without hidden files, and without files that links
+    place outside of the folder.
     """
     return sorted(_found(root.resolve(), endings))
 
@@ -64,10 +64,11 @@ KINDS = ("png", "jpg", "jpeg", "tif", "tiff", "exr", "pfm", "npy")
 
 
 def keep_image(root: Path, content: bytes, kind: str) -> str:
-    """Write an image that came from the browser below the root, decoded once, under a name made of its content.
+    """Write an image received from the browser below the root, after decoding it once, under a name derived from its
+    content.
 
-    Returns: its path relative to the root. Raises FileError for everything that `clsco.files.images.read_image`
-    refuses, and where it cannot be written; SceneError: a link would have it written outside of the root.
+    Returns its path relative to the root. Raises FileError for any image that `clsco.files.images.read_image` rejects,
+    and if it cannot be written; SceneError if a link leads out of the root.
     """
     if kind not in KINDS:
         raise FileError(f"image: must be one of {', '.join(KINDS)}; got {kind[:20]!r}")
@@ -85,7 +86,7 @@ def keep_image(root: Path, content: bytes, kind: str) -> str:
 
 
 def holds(path: Path, content: bytes) -> bool:
-    """Test whether a regular file has this content."""
+    """True if a regular file has this content."""
     try:
         return read_regular(path, len(content)) == content
     except OSError:

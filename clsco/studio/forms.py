@@ -1,6 +1,6 @@
-"""Panels and fields of the studio, made from the schema of scene files, so that every key has its place.
+"""Panels and fields of the studio, generated from the schema of scene files, so that every key has a control.
 
-The first five panels have the words, the order and the symbols of the thesis (appendix A, section 3.3.2 and 4.3.2).
+The first five panels have the labels, the order and the symbols of the thesis (appendix A, section 3.3.2 and 4.3.2).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ PLACES: Mapping[str, Callable[[float], float]] = {
 
 @dataclass(frozen=True)
 class Field:
-    """A key of a scene as a control."""
+    """Control of a scene key."""
 
     path: str  # "object.0.radius", as `Document.patch` takes it
     label: str
@@ -71,13 +71,13 @@ class Field:
 
     @property
     def scale(self) -> str:
-        """Scale of the slider: "inverse", "stops" or "log", "" for an even one."""
+        """Scale of the slider: "inverse", "stops" or "log", "" for linear."""
         if self.slider is None or self.slider[0] <= 0.0 or self.is_integer:
             return ""
         return SCALES.get(self.key, "log" if self.slider[1] >= WIDE * self.slider[0] else "")
 
     def place(self, value: float) -> float:
-        """Place of a value on the scale of the slider."""
+        """Position of a value on the slider's scale."""
         return PLACES[self.scale](value)
 
     @property
@@ -87,12 +87,12 @@ class Field:
 
     @property
     def name(self) -> str:
-        """Label with symbol and unit, as who hears the control is told."""
+        """Label with symbol and unit, as a screen reader announces it."""
         symbol = f" {self.symbol}" if self.symbol else ""
         return f"{self.label}{symbol}" + (f" ({self.unit})" if self.unit else "")
 
     def component(self, index: int) -> Field:
-        """A component of a vector as a number."""
+        """A component of a vector as a number field."""
         label = self.components[index]
         part = f"{index // 2}.{index % 2}" if self.is_paired else str(index)
         default = flat(self.default)[index] if isinstance(self.default, list) else None
@@ -112,7 +112,9 @@ class Field:
 
 @dataclass(frozen=True)
 class Panel:
-    """Fields under a title; `is_open`: those of the thesis, and of keys that the scene has, are seen at once."""
+    """Fields under a title; `is_open`: True to show the fields at first, for panels of the thesis and panels with keys
+    that the scene has.
+    """
 
     title: str
     fields: tuple[Field, ...]
@@ -120,7 +122,7 @@ class Panel:
 
 
 def flat(value: Any) -> list[Any]:
-    """Components of a vector, those of pairs one after the other."""
+    """Components of a vector; pairs are concatenated."""
     if not isinstance(value, list | tuple):
         return [value]
     return [entry for part in value for entry in (part if isinstance(part, list | tuple) else [part])]
@@ -129,7 +131,7 @@ def flat(value: Any) -> list[Any]:
 def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     """Panels with a field for every key that a scene may have.
 
-    index: index of the object whose keys are shown. Returns: the five of the thesis first.
+    index: index of the object whose keys are shown. Returns the five panels of the thesis first.
     """
     shape = session.shown(f"object.{index}.shape")
     shape = shape if isinstance(shape, str) and shape in SHAPES else session.known(f"object.{index}.shape")
@@ -190,13 +192,13 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
 
 
 def _is_used(session: Document, panel: Panel) -> bool:
-    """True if the scene says something about a key of a panel that every scene does not have."""
+    """True if the scene gives an optional key of a panel."""
     paths = [field.path for field in panel.fields if field.path != "title" and not field.path.endswith(".name")]
     return any(at(session.table, path.split(".")) is not None for path in paths)
 
 
 def field_at(session: Document, path: str) -> Field | None:
-    """The field of a path, or of the vector that it is a component of; None where there is none."""
+    """The field of a path, or of the vector that it is a component of; None if there is none."""
     index = int(path.split(".")[1]) if path.startswith("object.") else 0
     listed = [field for panel in panels(session, index) for field in panel.fields]
     return next((field for field in listed if path == field.path or path.startswith(f"{field.path}.")), None)
@@ -212,7 +214,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _of_scene(session: Document) -> Iterator[Field]:
-    """Fields of all that is not of an object or a group."""
+    """Fields of all keys outside of objects and groups."""
     for key, entry in _schema()["properties"].items():
         if key in ("object", "group"):
             continue
@@ -223,7 +225,7 @@ def _of_scene(session: Document) -> Iterator[Field]:
 
 
 def _fields(session: Document, model: Any, start: str) -> Iterator[Field]:
-    """Fields of the keys of a model, which is at `start` in the scene."""
+    """Fields of the keys of a model at the path `start` of the scene."""
     definition = _schema()["$defs"][model.__name__]
     for key, entry in definition["properties"].items():
         path = f"{start}.{key}" if start else key
@@ -242,7 +244,7 @@ def _fields(session: Document, model: Any, start: str) -> Iterator[Field]:
 
 
 def _inner_model(annotation: Any, name: str) -> Any:
-    """The model of a name in an annotation."""
+    """The model named `name` in an annotation."""
     waiting = [annotation]
     while getattr(waiting[0], "__name__", "") != name:
         waiting += get_args(waiting.pop(0))
@@ -250,7 +252,7 @@ def _inner_model(annotation: Any, name: str) -> Any:
 
 
 def _kinds(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The forms that one value of a key may have, but for none."""
+    """The forms that a key's value may have, except none."""
     several = entry.get("anyOf")
     if several is None:
         return [entry]
@@ -309,7 +311,7 @@ def _field(
 
 
 def _only(path: str, help_text: str) -> str:
-    """Condition without which a key does nothing, as the schema's description says it."""
+    """Condition under which a key has an effect, from the schema's description."""
     section = path.rpartition(".")[0]
     if section == "sequence" and path not in ("sequence.frames", "sequence.interval"):
         return "moves"
@@ -320,7 +322,7 @@ def _only(path: str, help_text: str) -> str:
 
 
 def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tuple[Any, str], ...], tuple[str, ...]]:
-    """Kind of a field, what it chooses from, and names of its components, by the schema of its key."""
+    """Kind of a field, its options, and names of its components, from the schema of its key."""
     if key == "shape" and path.startswith("object."):
         order = [*SHAPE_LABELS, *(name for name in SHAPES if name not in SHAPE_LABELS)]
         return "choice", tuple((name, SHAPE_LABELS.get(name, words(name))) for name in order), ()
@@ -339,7 +341,7 @@ def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tup
 
 
 def _symbol(session: Document, path: str, key: str) -> str:
-    """Symbol of a key in formulas; of an object by its shape."""
+    """Symbol of a key in formulas; for an object it depends on the shape."""
     where = path.split(".")
     if where[0] != "object" or len(where) < 3:
         return SYMBOLS.get(path, "")
@@ -348,7 +350,7 @@ def _symbol(session: Document, path: str, key: str) -> str:
 
 
 def _slider(session: Document, key: str, limits: Within | None) -> tuple[float, float] | None:
-    """Ends of a slider: where useful values are, within what is valid."""
+    """Ends of a slider: a useful range within the valid one."""
     if key in BY_FOCAL_LENGTH and isinstance(f := session.known("camera.focal_length"), int | float):
         return BY_FOCAL_LENGTH[key][0] * f, BY_FOCAL_LENGTH[key][1] * f
     if limits is None or key in ("coefficients", "bounds", "quaternion"):
@@ -367,7 +369,7 @@ def _step(slider: tuple[float, float] | None, is_integer: bool) -> float:
 
 
 def _default(session: Document, model: Any, path: str, key: str) -> Any:
-    """The value that a key has if it is not given, where it follows from the keys beside it."""
+    """Default of a key that depends on the keys beside it."""
     field = model.model_fields[key]
     if field.default_factory is None:
         return None if field.is_required() else _plain(field.default)

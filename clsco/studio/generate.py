@@ -1,4 +1,6 @@
-"""Generate and its kin: scenes are stored beside their frames, with the command lines that make these."""
+"""Rendering and data sets from the studio: stores scenes beside their frames, with the command lines that render
+them.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,7 @@ _SETS = "sets"  # folder of the distributions that are shipped, and of their cop
 
 
 def free_folder(session: Document, kind: str = "frames") -> str:
-    """A name for an output folder, of the scene's file or title, that nothing has below the root."""
+    """An unused name below the root for an output folder, from the scene's file or title."""
     stem = session.path.stem if session.path is not None else str(session.table.get("title", ""))
     stem = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:40] or "scene"
     names = (f"{kind}/{stem}" if k == 1 else f"{kind}/{stem}_{k}" for k in range(1, 10**6))
@@ -48,8 +50,8 @@ def render_frames(
 ) -> CommandJob:
     """Write a scene into a folder below the root, and render it there by `clsco render` with these options.
 
-    table: of another scene than that of the session. Raises ClscoError as `Jobs.add`, as `clsco.render`, or where
-    invalid values wait in their boxes.
+    table: of another scene than the session's. Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there are
+    invalid values in boxes.
     """
     if session.refused:
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
@@ -73,10 +75,10 @@ def stack_table(session: Document, nearest: float, farthest: float, steps: int) 
 
 
 def stack_scenes(session: Document, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
-    """The scenes of a focal stack to look at.
+    """The scenes of a focal stack for viewing.
 
-    Raises SceneError: the distances are invalid, there are more than MOST_LOOKED_AT, or the scene has several values of
-    another key.
+    Raises SceneError: the distances are invalid, there are more than MOST_LOOKED_AT, or another key of the scene has
+    several values.
     """
     if not 2 <= steps <= MOST_LOOKED_AT:
         raise SceneError(f"focal stack: must have 2 to {MOST_LOOKED_AT} steps to be looked at; got {steps}")
@@ -110,28 +112,28 @@ def make_data_set(
 
 
 def _name(session: Document, path: str) -> str:
-    """A path below the root, relative to it, that is no option of a command. Raises SceneError."""
+    """A path relative to the root that a command cannot mistake for an option. Raises SceneError."""
     name = session.inside(Path(path)).relative_to(session.root).as_posix()
     return f"./{name}" if name.startswith("-") else name
 
 
 def truth_formats() -> dict[str, str]:
-    """Formats of `clsco render --format`, each with the extra that it lacks; "" for none."""
+    """Formats of `clsco render --format`, each with the missing extra; "" for none."""
     return {name: _missing(form.needs) for name, form in TRUTH_FORMATS.items()}
 
 
 def clip_presets() -> dict[str, str]:
-    """Presets of `clsco render --video`, likewise."""
+    """Presets of `clsco render --video`, each with the missing extra; "" for none."""
     return dict.fromkeys(PRESETS, _missing(("av", "video")))
 
 
 def set_formats() -> dict[str, str]:
-    """Formats of `clsco dataset make --format`, likewise."""
+    """Formats of `clsco dataset make --format`, each with the missing extra; "" for none."""
     return {name: _missing(container.needs) for name, container in CONTAINERS.items()}
 
 
 def first_format() -> str:
-    """The format that a form shows at first: the default, or where its extra is not installed the first that is."""
+    """Initial format of a form: the default, or, if its extra is not installed, the first usable one."""
     forms = set_formats()
     return next(name for name in (DEFAULT, *forms) if not forms[name])
 
@@ -143,13 +145,13 @@ def _missing(needs: tuple[str, str] | None) -> str:
 
 
 def distributions(root: Path) -> list[str]:
-    """Distribution files below a folder, and those that are shipped, by the names that their copies would have."""
+    """Distribution files below a folder, and shipped ones under the names that their copies would have."""
     own = [name for name in listed(root, (".toml",)) if _is_distribution(root / name)]
     return own + [name for name in shipped_distributions() if name not in own]
 
 
 def shipped_distributions() -> dict[str, Path]:
-    """Distribution files of the package, by the names of their copies in a studio's folder."""
+    """Distribution files of the package, by the name of their copy in a studio's folder."""
     paths = Path(str(folder("examples"))) / _SETS
     return {f"{_SETS}/{path.name}": path for path in sorted(paths.glob("*.toml"))}
 
@@ -163,9 +165,9 @@ def _is_distribution(path: Path) -> bool:
 
 
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:
-    """A small PNG of the color of the first sample of the part-th of equal parts of a data set.
+    """A small PNG of the first sample's color in one of `parts` equal parts of a data set.
 
-    Raises ClscoError, OSError, IndexError or StopIteration where there is no such sample.
+    Raises ClscoError, OSError, IndexError or StopIteration if there is no such sample.
     """
     from clsco.data import dataset
 

@@ -1,9 +1,9 @@
-"""Guard before every request to the studio: checks who asks, from where, and how much is sent.
+"""Guard of the studio: checks the sender, origin and size of every request.
 
-The studio listens on the loopback interface, which all users of the machine and all pages in the user's browser reach.
-So a request must name this server as its host (a foreign name that points here is DNS rebinding), come from the
-studio's own page, and bring a cookie that only who has the address printed at the start is given. Browsers send cookies
-to all ports of a host, so it is one of a path that no other server knows.
+The studio listens on the loopback interface, which all users of the machine and all pages in the user's browser can
+reach. So a request must name this server as its host (a foreign name that resolves to it is DNS rebinding), come from
+the studio's own page, and have a cookie that is only given to a browser with the address printed at the start. Browsers
+send cookies to all ports of a host, so the cookie is limited to a path that no other server knows.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _ADMITTED = """<!DOCTYPE html>
 
 
 class Guard:
-    """The outermost layer of the studio's server, for HTTP and WebSockets alike.
+    """The outermost layer of the studio's server, for HTTP and WebSockets.
 
     Parameters
     ----------
@@ -51,16 +51,16 @@ class Guard:
     hosts : collection of str
         Allowed values of the header Host, with the port.
     token : str
-        The secret of the first address, `/?t=`, which gives a cookie for this server alone.
+        The secret of the first address, `/?t=`, which is exchanged for a cookie of this server.
     key : bytes
-        Another secret, which is the same for the next server at the same port, so that pages find it.
+        Another secret, kept for the next server at the same port, so that open pages reconnect.
 
     Attributes
     ----------
     place : str
-        Path of all that there is, but for the first address; nobody can guess it.
+        Unguessable path of everything except the first address.
     cookie : str
-        Name of the cookie, which nobody can guess, either.
+        Unguessable name of the cookie.
     """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str], token: str, key: bytes) -> None:
@@ -105,13 +105,13 @@ class Guard:
             await self.app(inside, limited, send_with_headers)
 
     def new_code(self) -> str:
-        """A secret for the first address, `/?c=`, that works once, and soon."""
+        """A secret for the first address, `/?c=`, that works once, within a short time."""
         code = secrets.token_urlsafe(32)
         self._code, self._code_ends = code.encode(), time.monotonic() + CODE_SECONDS
         return code
 
     def _forgery(self, scope: Scope, headers: Headers) -> str | None:
-        """The rule that a request of another page breaks, whatever it asks for."""
+        """The rule broken by a request from another page, whatever it asks for; None if there is none."""
         hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or hosts[0] not in self._hosts:
             return "Host must be this server"
@@ -122,7 +122,7 @@ class Guard:
         return None
 
     def _unknown(self, scope: Scope, headers: Headers) -> str | None:
-        """Why it is not known who asks."""
+        """Reason why the sender is not authenticated, or None."""
         if any(site not in ("same-origin", "none") for site in headers.getlist("sec-fetch-site")):
             return "must come from the studio's own page"
         if not scope["path"].startswith(f"{self.place}/") or not self._has_cookie(headers):
@@ -130,13 +130,15 @@ class Guard:
         return None
 
     def _has_cookie(self, headers: Headers) -> bool:
-        """Test whether the cookie came along, in constant time, among those of other servers of the machine."""
+        """True if the request has the cookie; tested in constant time, among cookies of other servers of the
+        machine.
+        """
         parts = [part.strip().partition("=") for line in headers.getlist("cookie") for part in line.split(";")]
         values = [value for name, _, value in parts if name == self.cookie]
         return any(hmac.compare_digest(value.encode("latin-1"), self._session.encode()) for value in values)
 
     def _is_first(self, scope: Scope) -> bool:
-        """Test whether this is the printed address, or the one that the browser was opened with."""
+        """True if this is the printed address, or the one that the browser was opened with."""
         if scope["type"] != "http" or scope["method"] != "GET" or scope["path"] != "/":
             return False
         kind, _, secret = scope["query_string"].partition(b"=")
@@ -146,9 +148,9 @@ class Guard:
         return bool(kind == b"t" and hmac.compare_digest(secret, self._token))
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Turn the secret of the address into a cookie, and go to an address without it.
+        """Exchange the secret in the address for a cookie, and redirect to an address without it.
 
-        By a page, as a redirection would count as of the page that led here, which gets no such cookie.
+        By a page, because an HTTP redirect would count as coming from the linking page, which gets no such cookie.
         """
         cookie = f"{self.cookie}={self._session}; HttpOnly; SameSite=Strict; Path={self.place}/"
         headers = {"set-cookie": cookie, "cache-control": "no-store"}
@@ -160,7 +162,7 @@ def _derived(key: bytes, what: str) -> str:
 
 
 def _limited(receive: Receive) -> Receive:
-    """Messages of a request, until its body is too large, which the application answers."""
+    """Messages of a request, until its body is too large; the application sends the error."""
     count = 0
 
     async def counted() -> Message:
@@ -175,10 +177,10 @@ def _limited(receive: Receive) -> Receive:
 
 
 async def close_half_open(connections: Collection[Any]) -> None:
-    """Close connections of uvicorn whose request header does not come in time, until canceled.
+    """Close connections of uvicorn whose request header is late, until canceled.
 
-    uvicorn waits for a header without limit. Where too many wait for theirs, those that have waited longest are closed:
-    whoever sends a header at once comes in.
+    uvicorn waits for a header without limit. If too many connections wait, the oldest are closed: clients that send a
+    header at once are served.
     """
     since: dict[Any, tuple[Any, float]] = {}  # the request before, and from when on the next header is waited for
     while True:
@@ -196,6 +198,6 @@ async def close_half_open(connections: Collection[Any]) -> None:
 
 
 def _waits_for_header(connection: Any) -> bool:
-    """Test whether a connection of uvicorn is between two requests; those of WebSockets are not."""
+    """True if a connection of uvicorn is between two requests; False for WebSockets."""
     cycle = getattr(connection, "cycle", connection)
     return cycle is None or getattr(cycle, "response_complete", False)

@@ -1,4 +1,4 @@
-"""Inpainting in the studio: a mask that is painted, methods side by side, and what they have taken."""
+"""Inpainting in the studio: painting a mask, comparing methods, and their figures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them
 
 @dataclass(frozen=True, eq=False)
 class FilledImage:
-    """Image that a method has filled.
+    """An image filled by a method.
 
     method : str
     image : (rows, columns[, 3]) of the image's type
@@ -62,7 +62,7 @@ class Inpainting:
     ----------
     root : Path
         Folder with all files that may be read and written.
-    device : str, optional
+    Folder of all files that may be read and written.
         As for `clsco.inpaint`.
 
     Attributes
@@ -81,7 +81,7 @@ class Inpainting:
         self.results: dict[str, FilledImage] = {}
 
     def open(self, name: str) -> None:
-        """Take another image, without a mask.
+        """Open another image, without a mask.
 
         name: relative to the root. Raises FileError: it is not below the root, cannot be read, or has more than 2^24
         pixels.
@@ -95,7 +95,7 @@ class Inpainting:
         self.results = {}
 
     def open_removal(self, name: str) -> None:
-        """Take one of `REMOVALS`, with its mask. Raises SceneError."""
+        """Open one of `REMOVALS`, with its mask. Raises SceneError."""
         if name not in REMOVALS:
             raise SceneError(f"preset: must be one of {', '.join(REMOVALS)}; got {name!r}")
         self.name = f"{name}.png"
@@ -104,9 +104,9 @@ class Inpainting:
         self.results = {}
 
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
-        """Take a mask as runs, row after row: known pixels, missing ones, known ones, and so on.
+        """Set the mask from runs, row after row: known pixels, missing ones, known ones, and so on.
 
-        Raises FileError: it is not of the size of the image, or the runs do not make it up.
+        Raises FileError if its size is not the image's, or the runs do not fill it.
         """
         if (rows, columns) != self.mask.shape:
             got = f"{columns} x {rows}"
@@ -121,17 +121,17 @@ class Inpainting:
         self.results = {}
 
     def runs(self) -> list[int]:
-        """The mask as runs, as `paint` takes them."""
+        """The mask as runs, in the form of `paint`."""
         flat = self.mask.ravel()
         ends = np.flatnonzero(flat[1:] != flat[:-1]) + 1
         edges = [0, *([0] if flat[0] else []), *ends.tolist(), flat.size]
         return [end - start for start, end in pairwise(edges)]
 
     def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
-        """Add all pixels that look like one of them to the mask, as the letters of figure 5.16.
+        """Add all pixels that look like a given one to the mask, as for the letters of figure 5.16.
 
-        column, row: place of the pixel; tolerance: largest difference of a channel, as a share of white; erase: take
-        them off the mask instead. Raises FileError: there is no such pixel.
+        column, row: position of the pixel; tolerance: largest difference per channel, as a fraction of white; erase:
+        remove them from the mask instead. Raises FileError if there is no such pixel.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
             raise FileError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
@@ -144,7 +144,7 @@ class Inpainting:
         self.results = {}
 
     def load_mask(self, name: str) -> None:
-        """Take the mask of a file: white is missing. Raises FileError."""
+        """Read the mask from a file; white is missing. Raises FileError."""
         values = self._read(name).data
         values = values if values.ndim == 2 else values[..., 0]
         if values.shape != self.mask.shape:
@@ -164,10 +164,10 @@ class Inpainting:
         write_png(make_writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> FilledImage | None:
-        """Fill the missing pixels, and keep the result beside those of other methods.
+        """Fill the missing pixels, and store the result beside those of other methods.
 
-        Returns: none where it was canceled. Raises ClscoError: as `clsco.inpaint`; nothing is missing; the process of
-        the method ended.
+        Returns None if canceled. Raises ClscoError: as `clsco.inpaint`; no pixel is missing; the process of the method
+        ended.
         """
         self._require(method)
         mask = self.mask
@@ -180,25 +180,25 @@ class Inpainting:
         return found
 
     def table(self) -> list[tuple[str, list[str]]]:
-        """Figures of the methods that were run, as in figure 5.21: rows with a value for each, "" for none."""
+        """Figures of the methods that were run, as in figure 5.21: rows with a value per method, "" for none."""
         return [
             (label, [_figure(filled.figures.get(key)) for filled in self.results.values()])
             for key, label in ROWS.items()
         ]
 
     def command(self, method: str, folder: str) -> str:
-        """The command line that makes the same of the image and mask that `save` writes."""
+        """The command line that gives the same result from the image and mask that `save` writes."""
         name = self._target(folder).relative_to(self.root).as_posix()
         start = f"./{name}" if name.startswith("-") else name
         image, mask, out = (f"{start}/{end}" for end in ("image.png", "mask.png", f"{method}/filled.png"))
         return shlex.join(["clsco", "inpaint", image, mask, "-o", out, "--method", method])
 
     def save(self, folder: str) -> list[str]:
-        """Write image, mask and results as PNG, all or none; returns their names. Raises FileError."""
+        """Write image, mask and results as PNG, atomically; returns their names. Raises FileError."""
         return self._write(folder, tuple(self.results.values()))
 
     def picture(self, which: str) -> bytes:
-        """PNG of 8 bits of "image", or of what a method made; nothing where there is none."""
+        """8-bit PNG of "image", or of the result of a method; b"" if there is none."""
         if which == "image":
             return b"".join(png_parts(self.shown(self.image)))
         filled = self.results.get(which)
@@ -206,7 +206,7 @@ class Inpainting:
 
     @staticmethod
     def shown(image: NDArray[Any]) -> NDArray[np.uint8]:
-        """An image in 8 bits, as it is seen."""
+        """8-bit codes of an image for display."""
         if image.dtype.kind == "f":
             return encode(np.clip(image.astype(np.float32), 0.0, 1.0), 8, "srgb").astype(np.uint8)
         return np.ascontiguousarray(image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8))
@@ -225,7 +225,7 @@ class Inpainting:
         return np.where(self.mask, 255, 0).astype(np.uint8)
 
     def _write(self, folder: str, results: Sequence[FilledImage]) -> list[str]:
-        """Write image, mask and results, all or none."""
+        """Write image, mask and results, atomically."""
         target = self._target(folder)
         if self.image.dtype.kind == "f":
             raise FileError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
@@ -269,16 +269,16 @@ _OPENED: WeakKeyDictionary[Document, Inpainting] = WeakKeyDictionary()
 
 
 def inpainting_of(session: Document, device: str | None = None) -> Inpainting:
-    """The inpainting of a tab, by its session."""
+    """The inpainting of a tab, given its session."""
     if session not in _OPENED:
         _OPENED[session] = Inpainting(session.root, device)
     return _OPENED[session]
 
 
 class FillingProcess:
-    """Fills images one after the other; its process is begun with the first, and stays.
+    """Fills images one after the other in a process, which starts with the first image.
 
-    device: as for `clsco.inpaint`; share: share of the image that is filled, from 0 to 1.
+    device: as for `clsco.inpaint`; share: fraction of the image that is filled, from 0 to 1.
     """
 
     def __init__(self, device: str | None = None) -> None:
@@ -290,9 +290,9 @@ class FillingProcess:
     def fill(
         self, image: NDArray[Any], mask: NDArray[np.bool_], method: str
     ) -> tuple[NDArray[Any], dict[str, Any]] | None:
-        """Fill an image; returns it with the figures of its report, or None where `cancel` ended it.
+        """Fill an image; returns it with the figures of its report, or None if `cancel` was called.
 
-        Raises ClscoError: as `clsco.inpaint`; the process ended by itself; another image is being filled.
+        Raises ClscoError: as `clsco.inpaint`; the process ended; another image is being filled.
         """
         if not self._working.acquire(blocking=False):
             raise FileError(f"{method}: must wait for what is being filled")
@@ -321,7 +321,7 @@ class FillingProcess:
             self._working.release()
 
     def cancel(self) -> None:
-        """Cancel the filling that runs, if any."""
+        """Cancel the running filling, if any."""
         if self._working.locked():
             self._is_canceled = True
             self.close()
@@ -333,7 +333,7 @@ class FillingProcess:
 
 
 def _work(pipe: Connection) -> None:
-    """Fill images that the studio sends, in a process, until the studio is gone."""
+    """Fill images that the studio sends through the pipe, until the studio ends."""
     from clsco.engine.inpaint import inpaint
 
     while True:

@@ -1,4 +1,4 @@
-"""Figures of one pixel of a frame, of its point spread function, and of the lens."""
+"""Figures of a pixel of a frame, of its PSF, and of the lens."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PLOTTED = 32  # px from the center of the plot to its border
 
 
 def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = False) -> dict[str, Any]:
-    """All that a frame holds of a pixel, and what follows from it.
+    """All outputs of a frame at a pixel, and derived figures.
 
     Parameters
     ----------
@@ -38,14 +38,14 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     x, y : int
         Column and row.
     is_tilted : bool
-        Weights depend on the gradient of R in this scene.
+        True if weights depend on the gradient of R in this scene.
 
     Returns
     -------
     dict
-        `index` and `eye` of the frame; `values` by name, as JSON can hold them, None for what is infinite; `psf` and
-        `lens` as `point_spread` and `lens_figures` give them, of the pixel's depth; `unmeasured`: why there is no
-        response of the pixel's source.
+        `index` and `eye` of the frame; `values` by name, as JSON types, None for infinity; `psf` and `lens` as from
+        `point_spread` and `lens_figures`, at the pixel's depth; `unmeasured`: reason why the response of the pixel's
+        source is not available.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
@@ -84,9 +84,9 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
 
 
 def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:
-    """Find the source, in the reference pose, of the point that a pixel shows in the middle of the exposure.
+    """Find the source, in the reference pose, of the point visible in a pixel at the middle of the exposure.
 
-    Returns: column, row and object, as `clsco.response` takes them; or why there is no such source.
+    Returns column, row and object, as arguments for `clsco.response`; or the reason why there is no such source.
     """
     if scene.stereo is not None:
         return "not of a stereo pair"
@@ -122,7 +122,7 @@ def _ray(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
 
 
 def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
-    """Gradient of R at a pixel in px per px, right and down, from depth and normal; 0 where there is no surface."""
+    """Gradient of R at a pixel in px per px, right and down, from depth and normal; 0 without a surface."""
     assert frame.depth is not None
     assert frame.normal is not None
     normal, depth = frame.normal[y, x].astype(np.float64), float(frame.depth[y, x])
@@ -139,7 +139,7 @@ def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.fl
 def point_spread(
     scene: Scene, radius: float, gradient: NDArray[np.float64], slopes: tuple[float, float], inverse: float
 ) -> dict[str, Any]:  # fmt: skip
-    """The point spread function of the scene's lens at a signed blur radius, by the weights of `clsco.psf`.
+    """The PSF of the scene's lens at a signed blur radius, by the weights of `clsco.psf`.
 
     Parameters
     ----------
@@ -147,9 +147,9 @@ def point_spread(
     radius : float
         px.
     gradient : ndarray of float64, (2,)
-        Gradient of R, px per px, right and down, by which weights are tilted.
+        Gradient of R, px per px, right and down, which tilts the weights.
     slopes : tuple of float
-        X / Z and Y / Z of the source, by which rims of the lens cut light, and aberrations vary.
+        X / Z and Y / Z of the source, for rims and for aberrations that vary over the frame.
     inverse : float
         Its 1 / Z, 1/mm.
 
@@ -173,21 +173,22 @@ def point_spread(
 
 
 def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str, Any]:
-    """Measure how the light of a source spreads.
+    """Measure the spread of a source's light.
 
     Parameters
     ----------
     spread : ndarray of float, (rows, columns)
         Weights.
     column, row : int
-        Place of the source.
+        Position of the source.
 
     Returns
     -------
     dict
-        `plot`: base64 of (2 PLOTTED + 1)^2 weights about the source in 8 bits, the largest 255; `largest`; `sum`; and
-        but for a sum of 0 `centroid`, px right and down of the source, and `rms`, px along both axes about it, which is
-        |R| / 2 for a large disc; `reach`, px: how far from the source weights are that the plot can show.
+        `plot`: base64 of (2 PLOTTED + 1)^2 weights around the source in 8 bits, scaled to a maximum of 255; `largest`;
+        `sum`; and unless the sum is 0 `centroid`, px right and down of the source, and `rms`, px along each axis about
+        it, which is |R| / 2 for a large disc; `reach`, px: distance from the source of the farthest weights that the
+        plot can show.
     """
     rows, columns = spread.shape
     found: dict[str, Any] = {"largest": float(spread.max()), "sum": float(spread.sum(dtype=np.float64))}

@@ -1,4 +1,4 @@
-"""Work of the studio that takes long: command lines of `clsco` in processes of their own, one at a time."""
+"""Long tasks of the studio: command lines of `clsco` in child processes, one at a time."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ Status = Literal["waiting", "running", "done", "failed", "canceled"]
 
 @dataclass(eq=False)
 class CommandJob:
-    """One command.
+    """A command line of the studio.
 
-    arguments: of `clsco`; `output`: folder or file that it makes; paths are relative to the root of the studio. `done`,
-    `total`: frames or samples, 0 before they are known. `began`: s since 1970. `message`: what went wrong.
+    arguments: of `clsco`; `output`: folder or file that it writes; paths are relative to the studio's root. `done`,
+    `total`: frames or samples, 0 while unknown. `began`: s since 1970. `message`: error.
     """
 
     number: int
@@ -51,7 +51,7 @@ class CommandJob:
 
     @property
     def line(self) -> str:
-        """The command line, to be run in the root."""
+        """The command line, to run in the root."""
         return shlex.join(["clsco", *self.arguments])
 
     @property
@@ -64,7 +64,7 @@ class CommandJob:
         return self.status in ("waiting", "running")
 
     def seconds_left(self, now: float) -> float | None:
-        """Estimate of the time left, by the share that is done; None where there is none yet."""
+        """Estimated time left in s, from the fraction done; None while unknown."""
         if self.status != "running" or not 0 < self.done < self.total:
             return None
         return (now - self.began) / self.done * (self.total - self.done)
@@ -73,7 +73,7 @@ class CommandJob:
 class Jobs:
     """The commands of a studio, which end with it.
 
-    root: folder that all of them work in; listed: the last one first.
+    root: working folder of all; listed: latest first.
     """
 
     def __init__(self, root: Path) -> None:
@@ -85,12 +85,12 @@ class Jobs:
         self._listeners: list[Callable[[], None]] = []
 
     def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have a function called after each change; returns what ends it."""
+        """Call a function after each change; returns a function that unsubscribes it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
     def add(self, title: str, arguments: Sequence[str], output: str) -> CommandJob:
-        """Begin a command, or have it wait for those before. Raises ClscoError as `require_free`."""
+        """Start a command, or enqueue it behind others. Raises ClscoError as `require_free`."""
         self.require_free(output)
         job = CommandJob(next(self._numbers), title[:200], tuple(arguments), output)
         self.listed.insert(0, job)
@@ -100,7 +100,7 @@ class Jobs:
         return job
 
     def require_free(self, output: str) -> None:
-        """Raise ClscoError where an output is not below the root, or an unfinished job writes to it."""
+        """Raise ClscoError if an output is not below the root, or an unfinished job writes to it."""
         target = (self.root / output).resolve()
         if not target.is_relative_to(self.root) or target == self.root:
             raise ClscoError(f"output folder: must be below the folder of the studio; got {output!r}")
@@ -113,13 +113,13 @@ class Jobs:
         return {job.number: job for job in self.listed}[number]
 
     def cancel(self, job: CommandJob) -> None:
-        """End a job. Files that are whole stay, others go."""
+        """Cancel a job. Finished files stay, others are removed."""
         task = self._tasks.get(job.number)
         if task is not None and not task.cancelling():  # the first request has the command end in peace
             task.cancel()
 
     def run_again(self, job: CommandJob) -> None:
-        """Run a finished job once more; frames and samples that are whole are left out. Raises ClscoError."""
+        """Run a finished job again, skipping existing frames and samples. Raises ClscoError."""
         if not job.is_unfinished:
             self.require_free(job.output)
             job.status, job.done, job.total, job.message = "waiting", 0, 0, ""
@@ -127,13 +127,13 @@ class Jobs:
             self._start(job)
 
     def forget(self, job: CommandJob) -> None:
-        """Take a finished job off the list; its files stay."""
+        """Remove a finished job from the list; its files stay."""
         if not job.is_unfinished and job in self.listed:
             self.listed.remove(job)
             self._tell()
 
     def results(self, job: CommandJob) -> list[Path]:
-        """List the pictures and clips that a job has made, by name."""
+        """Names of the pictures and clips that a job has written, sorted."""
         paths: list[Path] = []
         for place, folders, names in os.walk(self.root / job.output):  # unfinished work is hidden, and may go meanwhile
             folders[:] = [name for name in folders if not name.startswith(".")]
@@ -141,7 +141,7 @@ class Jobs:
         return sorted(path for path in paths if path.suffix in RESULTS)
 
     async def close(self) -> None:
-        """Cancel all jobs, and wait for their ends."""
+        """Cancel all jobs, and wait until they end."""
         for job in self.listed:
             self.cancel(job)
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
@@ -168,7 +168,7 @@ class Jobs:
             job.status = "failed" if job.message else "done"
 
     async def _work(self, job: CommandJob) -> str:
-        """Run the command of a job; returns what it said where it failed, else ""."""
+        """Run the command of a job; returns its error output if it failed, else ""."""
         process = await asyncio.create_subprocess_exec(
             *_COMMAND, *job.arguments, *_PROGRESS, cwd=self.root, start_new_session=True, limit=_LONGEST_LINE,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
@@ -186,7 +186,7 @@ class Jobs:
         return "" if status == 0 else "\n".join(last) or f"clsco: must not fail; got {how_ended(status)}"
 
     def _follow(self, job: CommandJob, text: str) -> bool:
-        """Learn from a line of progress, as `clsco.cli.progress` prints it; False for others."""
+        """Update the job from a line of progress, as `clsco.cli.progress` prints it; False for other lines."""
         if not text.startswith('{"progress"'):
             return False
         with suppress(ValueError, KeyError, TypeError):
@@ -201,9 +201,9 @@ class Jobs:
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """End a command that runs as Ctrl-C does, and kill what is left of it and its processes after GRACE.
+    """End a running command as Ctrl-C does, and kill its remaining processes after GRACE.
 
-    SIGTERM, since a studio that a script starts in the background ignores SIGINT, and so do its commands.
+    It sends SIGTERM, because a studio started in the background by a script ignores SIGINT, and so do its commands.
     """
     if process.returncode is not None:
         return

@@ -1,4 +1,4 @@
-"""Keyframes of the time line: which things have some, and how one is added or removed."""
+"""Keyframes in the time line: lists, adds and removes them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TURN = 90.0  # deg from key to key at most, where velocities that turn about se
 
 @dataclass(frozen=True)
 class Track:
-    """A thing that can have keyframes."""
+    """An object, group, camera or lens that can have keyframes."""
 
     path: str  # path of its keyframes: "object.0.motion.keyframe"
     name: str  # its name for users
@@ -34,17 +34,17 @@ class Track:
 
 
 def tracks(session: Document) -> tuple[Track, ...]:
-    """The camera, its lens, groups and objects of a scene, but for backgrounds, which cannot move."""
+    """The camera, its lens, groups and objects of a scene, except backgrounds, which cannot move."""
     return tuple(Track(path, name, _times(session, path)) for path, name in _named(session))
 
 
 def add_keyframe(session: Document, path: str, time: float) -> None:
-    """Add a keyframe with the pose, or the lens, that there is at a time, as one step of undo.
+    """Add a keyframe with the pose, or the lens, at a time, as one undo step.
 
-    path: path of a `Track`; time: s. Raises SceneError: there is no such track; the time cannot be, or has a keyframe.
+    path: path of a `Track`; time: s. Raises SceneError: there is no such track; the time is invalid, or has a keyframe.
 
-    Where the thing moves by velocities, these become keyframes at t = 0, at this time, and at the end of the sequence,
-    and closer ones where it turns about several axes, with the same pose at each.
+    A motion with velocities is converted to keyframes at t = 0, at this time, and at the end of the sequence, closer if
+    it rotates about several axes, with the same pose at each.
     """
     _known(session, path)
     if not abs(time) <= LATEST:
@@ -72,9 +72,9 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 
 
 def remove_keyframe(session: Document, path: str, index: int) -> None:
-    """Remove a keyframe, as one step of undo. With the last one all keys that only keyframes have are gone.
+    """Remove a keyframe, as one undo step. Removing the last one also removes all keys that only keyframes have.
 
-    Raises SceneError: there is no such keyframe, or the others cannot be without it.
+    Raises SceneError: there is no such keyframe, or the others are invalid without it.
     """
     _known(session, path)
     keys = list(at(session.table, path.split(".")) or [])
@@ -108,7 +108,7 @@ def _known(session: Document, path: str) -> None:
 
 
 def _times(session: Document, path: str) -> tuple[float | None, ...]:
-    """Times of keyframes as they are in the boxes, if numbers are."""
+    """Times of keyframes as entered in the boxes, None if not numbers."""
     keys = at(session.table, path.split("."))
     if not isinstance(keys, list):
         return ()
@@ -117,7 +117,7 @@ def _times(session: Document, path: str) -> tuple[float | None, ...]:
 
 
 def _time(key: Any) -> float | None:
-    """Time of the table of a keyframe, None where it has several values."""
+    """Time in a keyframe's table, None if it has several values."""
     return _number(key.get("time")) if isinstance(key, dict) else None
 
 
@@ -127,7 +127,7 @@ def _number(value: Any) -> float | None:
 
 
 def _motion(session: Document, path: str) -> ObjectMotion:
-    """The motion in the scene that is shown."""
+    """The motion in the displayed scene."""
     scene, parts = session.scene, path.split(".")
     if parts[0] == "camera":
         return scene.camera.motion
@@ -137,7 +137,7 @@ def _motion(session: Document, path: str) -> ObjectMotion:
 
 
 def _moving_times(scene: Scene, motion: ObjectMotion, time: float) -> list[float]:
-    """Times of the keyframes that velocities and accelerations become."""
+    """Times of the keyframes that replace velocities and accelerations."""
     end = scene.sequence.frames * scene.sequence.interval
     times = {0.0, time, end}
     if sum(motion.turns) > 1:
@@ -153,7 +153,7 @@ def _without_velocities(motion: Table) -> Table:
 
 
 def _lens_keyframe(scene: Scene, time: float) -> Table:
-    """Table of a keyframe of the lens, with the quantities that its keyframes have; of the first one, with all."""
+    """Table of a lens keyframe, with the quantities that the other keyframes have; all quantities for the first one."""
     camera = camera_at(scene, time)
     keys = () if scene.lens is None else scene.lens.keyframe or ()
     names: Iterable[str] = {name for key in keys for name in key.model_fields_set} or _FIRST_OF_LENS

@@ -1,4 +1,4 @@
-"""Coarser renderings while something is dragged: how small they have to be to come in time, and what they leave out."""
+"""Coarser previews during a drag: chooses their size and omitted features to meet a time budget."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _STALLS = 2  # in a row that are left out
 class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
-    The time has a part that every picture takes, and one for each pixel and time sample: the line through what was
-    measured last. Where all of that was of one size, what changed is due to the pixels.
+    The time has a constant part, and one proportional to pixels times time samples: a line through the latest
+    measurements. If all of these had one size, changes are attributed to the pixels.
 
-    fixed: time of a picture without pixels, s; ns: time per pixel and time sample.
+    fixed: constant time of a picture, s; ns: time per pixel and time sample.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Ladder:
         self._latest: deque[tuple[float, float]] = deque(maxlen=len(_WEIGHTS))  # pixels, s
 
     def eighths(self, work: float) -> int:
-        """Side of the picture in eighths of the full one, whose number of pixels times time samples is `work`."""
+        """Side of the picture in eighths of the full one; work: pixels times time samples of the full one."""
         most = max(BUDGET, WORTH * self.predicted(work, 1))
         largest = EIGHTHS * (max((pixels for pixels, _ in self._latest), default=work) / work) ** 0.5 + CLIMB
         known = (size for size in range(EIGHTHS, 1, -1) if size <= largest)
@@ -55,7 +55,7 @@ class Ladder:
         return self.fixed + 1e-9 * self.ns * _pixels(work, eighths)
 
     def measured(self, work: float, eighths: int, seconds: float) -> None:
-        """Learn how long a picture took; a time that is far too long is believed the third time."""
+        """Learn from the time of a picture; a time that is far too long counts only the third time."""
         if seconds > _STALL * max(self.predicted(work, eighths), 0.25 * BUDGET) and self._stalls < _STALLS:
             self._stalls += 1
             return
@@ -75,7 +75,7 @@ class Ladder:
         self.fixed, self.ns = float(mean - slope * middle), float(1e9 * slope)
 
     def bounded(self, work: float, seconds: float) -> None:
-        """Learn from an exact frame, which takes longer than a preview of full size."""
+        """Learn an upper bound from an exact frame, which takes longer than a preview of full size."""
         if not self._latest or self.predicted(work, EIGHTHS) > seconds:
             self._latest.clear()
             self.fixed = min(self.fixed, 0.5 * seconds)
@@ -87,16 +87,18 @@ def _pixels(work: float, eighths: int) -> float:
 
 
 class Ladders:
-    """Previews of a kind of scenes: those of each of WAYS.
+    """Previews of similar scenes: a `Ladder` for each of WAYS.
 
-    of: by what is left out.
+    of: by omitted features.
     """
 
     def __init__(self) -> None:
         self.of = {way: Ladder() for way in WAYS}
 
     def choose(self, scene: Scene, size: tuple[int, int]) -> tuple[tuple[str, ...], int]:
-        """The way to take, with what is left out only where the budget needs it, and the eighths of its picture."""
+        """The member of WAYS to use, which omits features only if the budget requires it, and the eighths of its
+        picture.
+        """
         eighths = EIGHTHS
         for way in ways_of(scene):
             if scene.is_analytic:
@@ -115,7 +117,7 @@ def ways_of(scene: Scene) -> list[tuple[str, ...]]:
 
 
 def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> float:
-    """Pixels times time samples of a preview of full size, each in the rows that are exposed then."""
+    """Pixels times time samples of a preview of full size, each sample counted for the rows exposed at its time."""
     known = _preview_sequence(scene, way)
     if not scene.rolls:
         return size[0] * size[1] * (int(known.samples) if scene.moves else 1)
@@ -126,7 +128,7 @@ def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> f
 
 
 def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[str] = ()) -> Scene:
-    """The scene with the same field of view in fewer pixels, and with what takes the most time left out.
+    """The scene with the same field of view in fewer pixels, without its most expensive features.
 
     Parameters
     ----------
@@ -134,15 +136,15 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
     size : (int, int)
         Its columns and rows.
     eighths : int
-        Columns and rows that are left, in eighths. A scene with depth maps keeps all, as they have one value per pixel.
+        Columns and rows to keep, in eighths. A scene with depth maps keeps all, as these have one value per pixel.
     way : collection of str
-        One of WAYS: what is left out besides.
+        One of WAYS: features to omit in addition.
 
     Returns
     -------
     Scene
         With one source per pixel at silhouettes, and few time samples: with a rolling shutter one while a row is open,
-        each for a part of the readout at least.
+        but each for at least a certain part of the readout.
     """
     left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if OCCLUSION in way else {})
     changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
@@ -156,7 +158,7 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
 
 
 def unblurred(scene: Scene) -> Scene:
-    """The scene with the same depth, normals and objects, and no blur: one time sample and hardly any aperture.
+    """The scene with the same depth, normals and objects, without blur: one time sample and almost no aperture.
 
     Validated: the same bits as with it (tests/studio/test_renderer.py).
     """
@@ -179,12 +181,12 @@ def _preview_sequence(scene: Scene, way: Collection[str] = ()) -> Sequence:
 
 
 def plan_line(prepared: Prepared, seconds: float) -> str:
-    """Kinds of passes, time, and memory on the device: "3 passes, 41 ms, 15 MiB".
+    """Number of passes, time, and memory on the device: "3 passes, 41 ms, 15 MiB".
 
     Parameters
     ----------
     prepared : Prepared
-        As `clsco plan` has it; of a stereo pair both views count.
+        As for `clsco plan`; for a stereo pair both views count.
     seconds : float
         Time that the frame took.
     """

@@ -1,4 +1,4 @@
-"""Figures of the lens in front of the picture: what is in focus, and how large that is."""
+"""Figures of the lens above the picture: the range in focus, and its depth."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from clsco.studio.tables import BY_FOCAL_LENGTH
 
 
 def lens_line(scene: Scene) -> dict[str, Any]:
-    """Figures of the strip above the picture.
+    """Figures for the strip above the picture.
 
-    Returns: as `lens_figures` of an infinite distance, and `pitch` of the pixels, mm; `scale`: distance behind the lens
-    at which the image has its size, mm; `ends`: of the slider of the focus distance, mm.
+    Returns `lens_figures` for an infinite distance, and `pitch` of the pixels, mm; `scale`: image distance that sets
+    the scale, mm; `ends`: of the slider of the focus distance, mm.
     """
     camera = reference_camera(scene)
     ends = [factor * camera.focal_length for factor in BY_FOCAL_LENGTH["focus_distance"]]
@@ -27,10 +27,10 @@ def lens_line(scene: Scene) -> dict[str, Any]:
 
 
 def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
-    """Distances in mm that the diagram of the lens shows, on its axis; slopes: of the ray to the point.
+    """Distances in mm for the diagram of the lens, along its axis; slopes: of the ray to the point.
 
-    Returns: `focus`, `near` and `far`: in focus, and where |R| is SHARP; `focal_length`, `sensor`, `aperture`; `depth`
-    and `image` of the point, and its `radius`, px. None: infinite.
+    Returns `focus`, `near` and `far`: distance in focus, and those where |R| is SHARP; `focal_length`, `sensor`,
+    `aperture`; `depth` and `image` of the point, and its `radius`, px. None: infinite.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)

@@ -1,4 +1,4 @@
-"""Objects that are dragged in the picture: from pixels to the key that says where an object is."""
+"""Dragging of objects in the picture: converts pixels to the key of an object's position."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DIGITS = 4  # of mm that are kept: less than a thousandth of a pixel
 
 @dataclass(frozen=True)
 class Grip:
-    """An object that the pointer holds."""
+    """An object held by the pointer."""
 
     path: str  # path of the key that says where it is: "object.0.center"
     start: tuple[float, ...]  # its value before, mm; of a plane the distance alone
@@ -38,8 +38,8 @@ class Grip:
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
         """Position of the object after the pointer has moved by a distance.
 
-        across, down: pixels of the frame, to the right and down, since the object was taken hold of; is_along: move
-        along z: ALONG pixels up multiply the depth by e. Returns: new value of the key, mm.
+        across, down: pixels of the frame, to the right and down, since the drag began; is_along: move along z: ALONG
+        pixels up multiply the depth by e. Returns the new value of the key, mm.
 
         At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). Validated by projections.
         """
@@ -54,7 +54,7 @@ class Grip:
 
 
 def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
-    """Take hold of an object.
+    """Begin to drag an object.
 
     Parameters
     ----------
@@ -62,16 +62,16 @@ def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye =
     index : int
         Number of the frame.
     object_id : int
-        As the frame has it, in which a box is six objects.
+        Number in the frame, in which a box is six objects.
     depth : float
-        Depth of the point that is held, mm.
+        Depth of the held point, mm.
     eye : {"left", "right"}
         View of a stereo pair.
 
     Raises
     ------
     SceneError
-        Nothing is there, or what is there has no place of its own.
+        There is no object, or it has no position of its own.
     """
     entries = session.object_entries
     if not 0 <= object_id < len(entries):
@@ -106,7 +106,7 @@ class Pointer:
         self._held: tuple[int, Grip, Camera] | None = None  # by the drag of this number
 
     def ask(self, x: int, y: int) -> None:
-        """Report the figures of a pixel."""
+        """Send the figures of a pixel."""
 
         async def report(found: dict[str, Any]) -> None:
             await self._preview.tell(inspected=found)
@@ -114,7 +114,7 @@ class Pointer:
         self._preview.inspect(x, y, report)
 
     def measure(self, x: int, y: int) -> None:
-        """Report the response of a pixel's source."""
+        """Send the response of a pixel's source."""
 
         async def report(found: dict[str, Any]) -> None:
             await self._preview.tell(measured=found)
@@ -122,7 +122,7 @@ class Pointer:
         self._preview.inspect(x, y, report, MEASURE)
 
     def focus(self, x: int, y: int, drag: int) -> None:
-        """Focus on the surface at a pixel, as one step of undo."""
+        """Focus on the surface at a pixel, as one undo step."""
 
         async def focus(found: dict[str, Any]) -> None:
             depth = found["values"]["depth"]
@@ -134,7 +134,7 @@ class Pointer:
         self._preview.inspect(x, y, focus, "focus")
 
     def grab(self, x: int, y: int, drag: int) -> None:
-        """Take hold of the object at a pixel, and report its name."""
+        """Begin to drag the object at a pixel, and send its name."""
 
         async def take(found: dict[str, Any]) -> None:
             values = found["values"]
@@ -151,7 +151,7 @@ class Pointer:
         self._preview.inspect(x, y, take, "grab")
 
     def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
-        """Move the object that a drag holds so many pixels from where it was; all of it is one step of undo."""
+        """Move the dragged object by pixels from its start; the whole drag is one undo step."""
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
             _, held, camera = self._held
             value = held.value(camera, across, down, is_along)

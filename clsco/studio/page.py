@@ -62,7 +62,7 @@ _HEAD = """<!DOCTYPE html>
 
 
 def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
-    """Draw the page of a tab, at an address; returns it, and what a browser loads."""
+    """Create the page of a tab at an address; returns it, and its HTML."""
     page = Page(address, studio.tabs[name].told.set)
     with page.current():
         _draw(page, name, studio)
@@ -99,7 +99,7 @@ def _draw(page: Page, name: str, studio: Studio) -> None:
 
 
 def _header(session: Document, studio: Studio, name: str) -> None:
-    """Title, files, and the way back."""
+    """Header with title, files, undo and redo."""
     say("button", "☰", id="drawer", aria_label="Panels", data_toggle="open")
     say("h1", id="title")
     say("span", id="file", role="status")
@@ -121,7 +121,7 @@ def _header(session: Document, studio: Studio, name: str) -> None:
 
 
 def _lens_strip(session: Document) -> None:
-    """The lens, always in sight: what is in focus, and how deep."""
+    """Strip with the lens, always visible: the distance in focus, and the depth of field."""
     with say("section", id="lens-strip", aria_label="Lens"):
         say(
             "canvas",
@@ -212,7 +212,7 @@ def _middle() -> None:
 
 
 def _keyframes() -> None:
-    """Keyframes as marks on lines of time, which the page's script draws, and what adds and removes them."""
+    """Keyframes as marks on time lines, which the page's script draws, and buttons to add and remove them."""
     with say("div", id="keyframes-part", hidden=True, role="group", aria_label="Keyframes"):
         with say("div", id="keyframes-row"):
             say("select", id="track", aria_label="What has the keyframe")
@@ -230,7 +230,7 @@ def _keyframes() -> None:
 
 
 def _view_controls() -> None:
-    """Controls of the view's exposure and gamma, which leave the picture as it is."""
+    """Exposure and gamma of the view, which do not change the picture itself."""
     with say("details", id="shown"):
         with say("summary", title="Exposure and gamma of the view; the scene and its files stay as they are"):
             say("span", "View: ")
@@ -252,7 +252,7 @@ def _view_controls() -> None:
 
 
 def _stack() -> None:
-    """Frames at focus distances at equal steps, which are looked through without waiting."""
+    """Focal stack: frames at focus distances at equal steps, for browsing without delay."""
     with say("div", id="stack-row", hidden=True, role="group", aria_label="Focal stack"):
         for name, label, value in (("nearest", "from", 200), ("farthest", "to", 400), ("steps", "mm, steps", 9)):
             say("label", label, for_=f"stack-{name}")

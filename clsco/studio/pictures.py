@@ -1,4 +1,4 @@
-"""Pictures on their way to the browser: the view of a frame, and its bytes behind a header."""
+"""Pictures sent to the browser: views of frames, encoded with a header."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 @dataclass(frozen=True)
 class ViewPicture:
-    """Picture of a frame, as it is sent to the page."""
+    """Picture of a frame in the form sent to the page."""
 
     # DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene; STACKED: one of a focal
     # stack; OUTLINED: numbers of objects, to outline one of them
@@ -70,7 +70,7 @@ class ViewPicture:
     small: bytes = b""  # small JPEG of an exact color image, for lists of scenes
 
     def packed(self, revision: int, number: int) -> bytes:
-        """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
+        """The bytes for the browser; number: number of the frame, or position in a focal stack, or NO_NUMBER."""
         view = list(VIEWS).index(self.view)
         sizes, without = (*self.size, self.encoding, *self.full), self.left_out
         flags = (OCCLUSION in without) | (self.eye == "right") << 1 | (MOTION in without) << 2
@@ -83,7 +83,7 @@ def packed_message(revision: int, content: dict[str, Any]) -> bytes:
 
 
 def truth_of(view: str) -> tuple[str, ...]:
-    """Outputs that a view needs besides the color."""
+    """Outputs that a view needs besides color."""
     if view == "blur radius":
         return VIEWS[view], "mask"
     return () if view == "color" else (VIEWS[view],)
@@ -92,9 +92,10 @@ def truth_of(view: str) -> tuple[str, ...]:
 def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> ViewPicture:
     """Encode a view of a frame.
 
-    Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits, but
-    for codes. The blur radius, of several colors that of green, is NaN where nothing is, which is not in focus. Raises
-    SceneError for a view that belongs to a sensor where there is none.
+    Images are sent as JPEG, in the rung EXACT as the PNG that `clsco render` writes. Other views are sent as floats, in
+    the rung DRAGGING as 16-bit floats, except sensor codes. The blur radius (of green, if there are several) is NaN
+    without a surface, so that such pixels do not look in focus. Raises SceneError for a view that needs a sensor if
+    there is none.
     """
     data: NDArray[Any] | None = getattr(frame, VIEWS[view])
     if data is None:
@@ -119,7 +120,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
 
 
 def small_png(radiance: NDArray[Any]) -> bytes:
-    """A PNG of 8 bits with at most SMALL pixels on a side."""
+    """An 8-bit PNG with at most SMALL pixels on a side."""
     codes = encode(_shrunk(radiance), 8, "srgb").astype(np.uint8)
     return b"".join(png_parts(codes))
 
@@ -144,14 +145,15 @@ NEAREST = 1e-3  # mm; what is nearer to the lens, or behind it, has no place in 
 
 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:
-    """The scene whose frame has one time sample.
+    """The scene with a single time sample in its frame.
 
-    index: number of the frame; time: seconds since the reference pose, taken to be within the interval of the frame, or
-    while its shutter is open. Returns: its frame of the same number is the sub-frame at this time, and all ground truth
-    is that of this time; the flow leads over one interval.
+    index: number of the frame; time: seconds since the reference pose, clamped to the interval of the frame, or to its
+    exposure. The returned scene's frame of the same number is the sub-frame at this time, and all ground truth belongs
+    to this time; the flow leads over one interval.
 
-    A shutter of twice the time since the frame began, or since its shutter opened sooner, has its only sample then; it
-    may exceed the interval, which files may not ask for. Validated by the sub-frames of `clsco.render`.
+    The shutter is twice as long as the time since the frame began, or since the shutter opened if earlier, so that its
+    only sample is at this time; it may exceed the interval, which files do not allow. Validated by the sub-frames of
+    `clsco.render`.
     """
     sequence, interval = scene.sequence, scene.sequence.interval
     start = min(sequence.shutter_start, 0.0)
@@ -163,16 +165,16 @@ def moment_of(scene: Scene, index: int, time: float) -> Scene:
 
 
 def eye_of(frame: Frame) -> Eye:
-    """Eye that a frame belongs to; one that is no half of a pair is the left eye's, where the camera is."""
+    """View of a frame; a frame that is not half of a stereo pair belongs to the left eye, which is at the camera."""
     return "right" if frame.eye == "right" else "left"
 
 
 def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
     """Data of the time line for a frame.
 
-    samples: time samples of the frame, as its plan has them. Returns: `times` of its samples and `shutter`, when it
-    opens and closes, in s since the reference pose; `arrows`: column and row of the origin of each object that moves,
-    at both of these, and how many mm it has come nearer.
+    samples: time samples of the frame, from its plan. Returns `times` of its samples and `shutter`, its opening and
+    closing time, in s since the reference pose; `arrows`: column and row of the origin of each moving object at both
+    times, and by how many mm it has come nearer.
     """
     if not scene.moves:
         return {"times": [], "shutter": None, "arrows": []}

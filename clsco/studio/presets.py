@@ -1,4 +1,4 @@
-"""Scenes to start from: the figures of the thesis with the numbers of their captions, and the examples."""
+"""Scenes to start from: figures of the thesis with the numbers in their captions, and the examples."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ class ScenePreset:
 
     @property
     def picture(self) -> str:
-        """Address of a small picture."""
+        """URL of a small picture."""
         return f"static/presets/{self.name}.jpg"
 
 
 @cache
 def presets() -> tuple[ScenePreset, ...]:
-    """The examples by what they show, then the figures of the thesis in their order."""
+    """The examples, ordered by topic, then the figures of the thesis in order."""
     groups: dict[str, list[str]] = json.loads((PICTURES / "groups.json").read_bytes())
     paths = sorted((Path(str(folder("examples"))) / "thesis").glob("*.toml"))
     groups[OF_THE_THESIS] = [f"thesis/{path.stem}" for path in paths]
@@ -62,9 +62,9 @@ def presets() -> tuple[ScenePreset, ...]:
 
 
 def load_preset(session: Document, name: str) -> None:
-    """Go to the scene of a preset, as a step of undo; its images are copied below the root.
+    """Go to the scene of a preset, as an undo step; its images are copied below the root.
 
-    Raises SceneError; FileError: the root cannot be written; KeyError: there is no such preset.
+    Raises SceneError; FileError: the root is not writable; KeyError: there is no such preset.
     """
     preset = {each.name: each for each in presets()}[name]
     table, start = read_mapping(str(preset.path), ()), preset.path.parent
@@ -75,7 +75,7 @@ def load_preset(session: Document, name: str) -> None:
 
 
 def _copied(path: Path, root: Path) -> str:
-    """Name of a copy of a file below the root, so that a saved scene works wherever its folder is taken."""
+    """Name of a file's copy below the root, so that a saved scene stays usable when its folder is moved."""
     content = path.read_bytes()
     name = f"{IMAGES}/{path.name}"
     target = below(root, name)
@@ -87,14 +87,14 @@ def _copied(path: Path, root: Path) -> str:
 
 
 def is_as_the_thesis(session: Document) -> bool:
-    """True if PSF and method are the thesis'."""
+    """True if PSF and method are those of the thesis."""
     return {key: session.table.get(key) for key in _METHOD[:2]} == {key: _thesis()[key] for key in _METHOD[:2]}
 
 
 def choose_method(session: Document, as_the_thesis: bool) -> None:
-    """Take PSF and method of the thesis, or the defaults of clsco, as a step of undo. Raises SceneError.
+    """Set PSF and method to those of the thesis, or to clsco's defaults, as an undo step. Raises SceneError.
 
-    Forward warp and filling come with the thesis' method; objects, camera and sequence stay.
+    The thesis' method includes forward warp and filling; objects, camera and sequence stay.
     """
     table = {key: value for key, value in session.table.items() if key not in _METHOD}
     if as_the_thesis:
@@ -104,12 +104,12 @@ def choose_method(session: Document, as_the_thesis: bool) -> None:
 
 @cache
 def _thesis() -> Table:
-    """Sections of a figure with motion."""
+    """Sections of a thesis figure with motion."""
     return read_mapping(str(Path(str(folder("examples"))) / "thesis" / "fig_4_13.toml"), ())
 
 
 def _numbered(preset: ScenePreset) -> ScenePreset:
-    """A preset whose title others have, too, with the part of its figure."""
+    """A preset with a non-unique title, extended by the part of its figure."""
     part = re.search(r"_([a-z])$", preset.name)
     return replace(preset, title=preset.title.replace(":", f" {part[1]}:", 1)) if part else preset
 
@@ -120,7 +120,7 @@ Pair = tuple[NDArray[Any], NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class Removal:
-    """An image, and the mask of the pixels to remove: `make` returns both."""
+    """An image, and the mask of the pixels to remove; `make` returns both."""
 
     title: str
     make: Callable[[], Pair]
@@ -159,7 +159,7 @@ def _rope() -> Pair:
 
 
 def _scratches() -> Pair:
-    """A photograph with scratches and text, of which the package has the mask."""
+    """A photograph with scratches and text; the package includes their mask."""
     return read_image(_shipped("damaged.png")).data, read_image(_shipped("damaged_mask.png")).data > 127
 
 

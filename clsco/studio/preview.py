@@ -1,4 +1,4 @@
-"""Pictures of one tab: coarse ones while something is dragged, then the exact one; the latest state wins."""
+"""Pictures of a tab: coarse ones during a drag, then the exact one; stale states are skipped."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Report = Callable[[dict[str, Any]], Awaitable[None]]
 
 
 class Edited(Protocol):
-    """Part of a `Document` that a preview needs."""
+    """Interface of a `Document` that a preview uses."""
 
     @property
     def scene(self) -> Scene: ...
@@ -46,7 +46,7 @@ class Edited(Protocol):
 
 
 class Renders(Protocol):
-    """Part of a `RendererProcess` that a preview needs."""
+    """Interface of a `RendererProcess` that a preview uses."""
 
     def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]: ...
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]: ...
@@ -55,17 +55,17 @@ class Renders(Protocol):
 
 
 def _now() -> float:
-    """Time by the event loop's clock, s: the one that its waits end by."""
+    """Time of the event loop's clock, s, which its timeouts use."""
     return asyncio.get_running_loop().time()
 
 
 class Preview:
     """Pictures of a session for one tab.
 
-    There is one slot: a picture that nobody has begun is forgotten as soon as there is a later state. No more than two
-    pictures are on their way, so that a slow browser gets fewer of them, and not late ones.
+    There is one slot: a waiting picture is discarded when the state changes. At most two pictures are in flight, so
+    that a slow browser gets fewer pictures, not late ones.
 
-    send: takes pictures to the browser.
+    send: sends pictures to the browser.
     """
 
     def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
@@ -90,7 +90,7 @@ class Preview:
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
-        """The session has another scene."""
+        """Handle a change of the session's scene."""
         self._state += 1
         self._is_stopped = False
         self._changed_at, self._crashes = _now(), 0
@@ -99,14 +99,14 @@ class Preview:
         self._give_up()
 
     def _give_up(self) -> None:
-        """Nobody waits any more for what takes long, not even until it hears so."""
+        """Cancel stale work, and stop waiting for it at once."""
         if self._is_exact_underway:
             self._renderer.cancel()
             if self._work is not None:
                 self._work.cancel()
 
     async def _answer(self, work: Awaitable[T]) -> T:
-        """The renderer's answer; raises CanceledError where nobody waits for it any more."""
+        """The renderer's answer; raises CanceledError if it is no longer needed."""
         self._work = asyncio.ensure_future(work)
         try:
             await asyncio.wait({self._work})
@@ -135,7 +135,7 @@ class Preview:
     def look(
         self, view: str | None = None, index: int | None = None, time: float | None = None, eye: Eye | None = None
     ) -> None:
-        """Show another view, or another frame, of which the one time sample at `time`, s, if any; or another eye's."""
+        """Show another view, frame or eye; `time`: show only the frame's time sample at this time, s."""
         before = self._view, self._index, self._time, self._eye
         if view in VIEWS:
             self._view = view
@@ -147,23 +147,23 @@ class Preview:
             self.changed()
 
     def acknowledge(self, revision: int, rung: int) -> None:
-        """The browser has painted a picture, or thrown it away."""
+        """Handle the browser's message that it has painted or discarded a picture."""
         if (revision, rung) in self._unseen:
             self._unseen.remove((revision, rung))
             self._news.set()
 
     def hide(self, is_hidden: bool) -> None:
-        """Nobody sees the pictures, or somebody does again: the renderer is left to the tabs in front."""
+        """Pause pictures of a hidden tab, or resume them: the renderer serves the visible tabs."""
         self._is_hidden = is_hidden
         self._news.set()
         if is_hidden:
             self._give_up()
 
     def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
-        """Have `report` called with the figures of a pixel, once the exact frame is there.
+        """Call `report` with the figures of a pixel when the exact frame is ready.
 
-        Of pixels that are asked for with one purpose the latest wins. With MEASURE, what is asked for is the response
-        of the pixel's source. After `stop` there is no answer.
+        Of several requests with one purpose, the latest wins. With MEASURE, the response of the pixel's source is
+        requested. After `stop` there is no answer.
         """
         if self._is_stopped:
             return
@@ -171,22 +171,22 @@ class Preview:
         self._news.set()
 
     def pin(self, scene: Scene) -> None:
-        """Send the exact frame of another scene, to compare with, once that of the session is there."""
+        """Send the exact frame of another scene for comparison, after that of the session."""
         self._other = scene
         self._news.set()
 
     def stack(self, scenes: Sequence[Scene]) -> None:
-        """Send the exact frames of a focal stack, until something changes."""
+        """Send the exact frames of a focal stack, until the state changes."""
         self._stack = list(enumerate(scenes))
         self._news.set()
 
     def outline(self, is_wanted: bool) -> None:
-        """Send the numbers of the objects after each exact frame, or no longer."""
+        """Switch on or off that each exact frame is followed by its object numbers."""
         self._outlines, self._outlined = is_wanted, 0
         self._news.set()
 
     async def tell(self, **content: Any) -> None:
-        """Send a message that is no picture."""
+        """Send a message without a picture."""
         await self._send(packed_message(self._session.revision, content))
 
     async def run(self) -> None:
@@ -216,7 +216,7 @@ class Preview:
                 await self._news.wait()
 
     async def _besides(self, work: Awaitable[None]) -> None:
-        """Have work done that nobody waits for: pictures report what is wrong with the scene."""
+        """Run background work and ignore its errors: pictures report faults of the scene."""
         try:
             await work
         except RendererEndedError as error:
@@ -229,7 +229,7 @@ class Preview:
         return self._is_hidden or len(self._unseen) >= MOST_UNSEEN
 
     def _at_rest(self) -> tuple[Scene, int]:
-        """The scene whose exact frame is shown at rest, and the number of that frame."""
+        """The scene and the number of the exact frame that is shown without dragging."""
         scene = self._session.scene
         index = min(self._index, scene.sequence.frames - 1)
         if self._time is not None and scene.moves:
@@ -240,13 +240,13 @@ class Preview:
         await self.tell(progress=asdict(progress))
 
     async def _room(self) -> None:
-        """Wait until one more picture may be on its way."""
+        """Wait until another picture may be sent."""
         while self._is_full:
             self._news.clear()
             await self._news.wait()
 
     async def _changes_within(self, seconds: float) -> bool:
-        """Wait so long, or until the state changes."""
+        """True if the state changes within this time."""
         state, end = self._state, _now() + seconds
         while self._state == state and (left := end - _now()) > 0:
             self._news.clear()
@@ -258,7 +258,7 @@ class Preview:
         return self._state != state
 
     async def _show(self, rung: int) -> None:
-        """Render and send the pictures of a rung, or say why there are none."""
+        """Render and send the pictures of a rung, or the reason why there are none."""
         state, stops, revision = self._state, self._stops, self._session.revision
         other, step = self._other if rung == PINNED else None, self._stack.pop(0) if rung == STACKED else None
         if other is not None:
@@ -286,7 +286,7 @@ class Preview:
             self._is_exact_underway = False
 
     def _next_job(self, rung: int, other: Scene | None, step: tuple[int, Scene] | None) -> tuple[PictureJob, int]:
-        """Job of the session's scene, of another one or of a step of a focal stack, and the number of its pictures."""
+        """Job for the session's scene, another scene or a step of a focal stack, and the number of its pictures."""
         scene = other or self._session.scene
         index = number = min(self._index, scene.sequence.frames - 1)
         if step is not None:
@@ -296,7 +296,7 @@ class Preview:
         return PictureJob(scene, index, "id" if rung == OUTLINED else self._view, rung, self._eye), number
 
     async def _post_all(self, job: PictureJob, revision: int, number: int) -> bool:
-        """Send the pictures of a job; False where there is a later state before the last of them."""
+        """Send the pictures of a job; False if the state changes before the last one."""
         state, late = self._state, list[ViewPicture]()
         self._is_exact_underway = job.rung != DRAGGING
         async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
@@ -324,7 +324,7 @@ class Preview:
             await self.tell(about=picture.about)
 
     async def _ask(self, purpose: str) -> None:
-        """Answer a question about a pixel; a change in between has it asked again."""
+        """Answer a question about a pixel; if the state changes meanwhile, it is asked again."""
         x, y, report = asked = self._asked.pop(purpose)
         stops = self._stops
         self._is_exact_underway = True

@@ -1,4 +1,4 @@
-"""The renderer: a process of its own, so that a window outlives its driver, and is not held up by it."""
+"""The renderer runs in a separate process, so that a driver crash or a long render does not block a window."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ SILENCE = 30.0  # s without one, after which the process is given up: it is stop
 
 
 class RendererEndedError(ClscoError):
-    """The renderer's process ended in the middle of its work; another one is started for the next."""
+    """The renderer's process ended during its work; another one is started for the next job."""
 
 
 @dataclass(frozen=True)
 class PictureJob:
-    """A picture that is wanted."""
+    """Request for a picture."""
 
     scene: Scene
     index: int  # number of the frame
@@ -49,7 +49,7 @@ class PictureJob:
 class Question:
     """Request for the figures of a pixel.
 
-    measures: the response of its source is asked for, which takes a rendering of its own.
+    measures: request the response of its source, which needs another rendering.
     """
 
     scene: Scene
@@ -61,7 +61,7 @@ class Question:
 
     @property
     def frame(self) -> tuple[Scene, int, Eye]:
-        """The frame that is asked about."""
+        """Scene, number and view of the frame in question."""
         return self.scene, self.index, self.eye
 
 
@@ -80,7 +80,7 @@ Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]
 
 
 class RendererProcess:
-    """Handle of the renderer's process: jobs go in, one at a time, and pictures come out.
+    """Handle of the renderer's process: takes jobs, one at a time, and returns pictures.
 
     device: as for `clsco.render`.
     """
@@ -106,20 +106,20 @@ class RendererProcess:
         threading.Thread(target=_listen, args=(self._child.pipe, loop, self._answers), daemon=True).start()
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
-        """Pictures of a job, as they come.
+        """Pictures of a job, as they are finished.
 
         Parameters
         ----------
         job : PictureJob
         watch : coroutine function of RenderProgress, optional
-            Called twice a second while it takes long.
+            Called twice a second during long work.
 
         Raises
         ------
         CanceledError
             `cancel` was called meanwhile.
         RendererEndedError
-            The process ended, of a fault or because it was killed.
+            The process crashed or was killed.
         SceneError, FileError, DeviceError, KernelError
             As `clsco.render`.
         """
@@ -130,19 +130,19 @@ class RendererProcess:
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         """Ask for the figures of a pixel. `watch` and errors are as for `pictures`.
 
-        Returns: figures of `clsco.studio.inspector.inspected`, and `seconds` that measuring takes; or where the
-        question measures `x`, `y`, and `response`, what `clsco.studio.inspector.figures_of` gives of the response.
+        Returns the figures of `clsco.studio.inspector.inspected`, and `seconds` that a measurement takes; if the
+        question measures, `x`, `y`, and `response`, the `clsco.studio.inspector.figures_of` of the response.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)
 
     async def warm(self, scene: Scene) -> None:
-        """Have compiled, in the background, what the scene and those near it need."""
+        """Compile, in the background, the kernels that the scene and similar ones need."""
         async for _ in self._ask("warm", scene):
             pass
 
     async def rehearse(self, job: PictureJob) -> None:
-        """Have compiled and timed what previews like a job's need. Errors are as for `pictures`."""
+        """Compile and time previews of a job's scene. Errors are as for `pictures`."""
         async for _ in self._ask("rehearse", job):
             pass
 
@@ -188,7 +188,7 @@ class RendererProcess:
             self._turn.release()
 
     async def _answer(self, number: int, watch: Watch | None) -> Any:
-        """The next answer to a job: a ClscoError or None at its end. Raises TimeoutError and EOFError."""
+        """The next answer to a job; a ClscoError or None ends it. Raises TimeoutError and EOFError."""
         while True:
             async with asyncio.timeout(SILENCE):  # wait_for loses a cancellation that comes with the answer
                 of, answer = await self._answers.get()
@@ -202,7 +202,7 @@ class RendererProcess:
                 await watch(answer)
 
     def cancel(self) -> None:
-        """End the job that is worked on before its next pass."""
+        """Cancel the current job before its next pass."""
         if self._child is not None:
             self._child.send(("cancel", self._number, None))
 
@@ -213,14 +213,14 @@ class RendererProcess:
             self._end()
 
     def _end(self) -> str:
-        """Let go of the process, which has ended or is about to; says how."""
+        """Release the process, which has ended or is about to; returns how it ended."""
         child, self._child = self._child, None
         assert child is not None
         return how_ended(child.end())
 
 
 def _listen(pipe: Connection, loop: asyncio.AbstractEventLoop, answers: asyncio.Queue[tuple[int, Any]]) -> None:
-    """Hand on what the process says, until it ends."""
+    """Forward messages of the process to the queue, until it ends."""
     with suppress(RuntimeError):  # the loop is closed
         try:
             while True:
@@ -230,7 +230,7 @@ def _listen(pipe: Connection, loop: asyncio.AbstractEventLoop, answers: asyncio.
 
 
 def _work(pipe: Connection, device: str | None) -> None:
-    """The process: a thread that listens, and this one that renders."""
+    """Main function of the process: one thread listens, this one renders."""
     import queue
 
     jobs: queue.SimpleQueue[tuple[str, int, Any]] = queue.SimpleQueue()
@@ -252,13 +252,13 @@ def _work(pipe: Connection, device: str | None) -> None:
 
 
 def _needed(job: PictureJob) -> Scene:
-    """The scene of a job, without what its view does not show and takes the time: the blur."""
+    """The scene of a job, without blur, the slowest feature, if its view does not show it."""
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 
 @dataclass
 class _Known:
-    """A frame with all of its ground truth, whether tilt counts in it, and the time of a response, s."""
+    """A frame with all of its ground truth, True if its weights are tilted, and the time of a response, s."""
 
     asked: tuple[Scene, int, Eye]
     frame: Any
@@ -267,7 +267,7 @@ class _Known:
 
 
 class _RenderWorker:
-    """Renders in the process."""
+    """Renders inside the process."""
 
     def __init__(self, pipe: Connection, device: str | None) -> None:
         self._pipe, self._device = pipe, device
@@ -284,7 +284,7 @@ class _RenderWorker:
             self._live.cancel()
 
     def answer(self, what: str, number: int, content: Any) -> None:
-        """Do a job, and say that it is done, or why not."""
+        """Do a job, and send that it is done, or the error."""
         error: ClscoError | None = None
         self._current = number, time.monotonic()
         try:
@@ -315,7 +315,7 @@ class _RenderWorker:
         self._send(number, error)
 
     def _short_of_memory(self, content: PictureJob | Question | Scene) -> ClscoError:
-        """Error where the device is too small even for strips, or the host for the frame."""
+        """Error for a device with too little memory even for strips, or a host with too little for the frame."""
         from clsco.plan.memory import device_bytes
         from clsco.plan.prepare import prepare
 
@@ -332,7 +332,7 @@ class _RenderWorker:
             self._pipe.send((number, answer))
 
     def watch(self) -> None:
-        """Say how far a job is that takes long, for ever."""
+        """Report the progress of long jobs, forever."""
         before, since = None, 0.0
         while True:
             time.sleep(TICK)
@@ -356,7 +356,7 @@ class _RenderWorker:
     def _coarse_picture(
         self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
     ) -> ViewPicture:
-        """Render a preview, and learn how long that takes."""
+        """Render a preview, and learn from its time."""
         from clsco.studio.pictures import picture_of, truth_of
 
         wanted, start = _needed(job), time.perf_counter()
@@ -368,7 +368,7 @@ class _RenderWorker:
         return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(wanted)))))
 
     def _rehearse(self, job: PictureJob) -> None:
-        """Compile what previews of a scene need, and learn how long they take."""
+        """Compile the kernels for previews of a scene, and learn from their times."""
         size, ladders, wanted = self._size_of(job), self._ladders_of(job), _needed(job)
         for way in ways_of(wanted):
             ladder, work = ladders.of[way], work_of(wanted, size, way)
@@ -433,7 +433,7 @@ class _RenderWorker:
         return {"x": x, "y": y, "response": figures_of(response, x, y)}
 
     def _frame_of(self, number: int, question: Question) -> _Known:
-        """The frame that is asked about, with all of its ground truth."""
+        """The frame in question, with all of its ground truth."""
         from clsco.frame.outputs import ALL_TRUTH
         from clsco.plan.prepare import prepare
 

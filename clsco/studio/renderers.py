@@ -1,4 +1,4 @@
-"""Two renderers: one for what a drag waits for, and one for all else."""
+"""Two renderers: one for previews during a drag, and one for everything else."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from clsco.studio.renderer import PictureJob, Question, RendererEndedError, Rend
 
 
 class Renderers:
-    """Two processes, so that previews come whatever else is rendered or compiled, for this tab or another.
+    """Two processes, so that previews are not delayed by other renders or compilations, of this tab or another.
 
-    The one for previews is begun once there is an exact frame, and takes over what it has rehearsed.
+    The preview process starts after the first exact frame, and then reuses the kernels that were compiled for it.
 
     device: as for `clsco.render`.
     """
@@ -30,7 +30,7 @@ class Renderers:
         self._took: dict[Any, float] = {}  # s, of exact frames
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
-        """Pictures of a job, as they come. As for `RendererProcess`."""
+        """Pictures of a job, as they are finished. As for `RendererProcess`."""
         kind = kind_of(job.scene)
         renderer, key = self._main, (kind, job.view)
         if job.rung == DRAGGING:
@@ -53,7 +53,7 @@ class Renderers:
         return await self._main.inspect(question, watch)
 
     async def warm(self, scene: Scene) -> None:
-        """Have previews of the scene rehearsed in the background, then compiled what it and those near it need."""
+        """Rehearse previews of the scene in the background, then compile the kernels of it and of similar scenes."""
         self._cold[kind_of(scene)] = scene
         if self._rehearsal is None or self._rehearsal.done():
             self._rehearsal = asyncio.create_task(self._rehearse())
@@ -68,7 +68,7 @@ class Renderers:
                 await self._main.warm(scene)
 
     def cancel(self) -> None:
-        """End what is rendered besides previews before its next pass."""
+        """Cancel jobs other than previews before their next pass."""
         self._main.cancel()
 
     def close(self) -> None:

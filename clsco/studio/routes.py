@@ -1,4 +1,4 @@
-"""Addresses that the page requests: scenes, results of jobs, small pictures, images and masks of inpainting."""
+"""HTTP routes for the page: scenes, results of jobs, small pictures, images and masks of inpainting."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm", ".jpg
 
 
 class Addresses:
-    """The addresses of a server behind the guard.
+    """HTTP handlers of a server behind the guard.
 
     Parameters
     ----------
     jobs : Jobs
     state : StateFolder
     session_of : function of str
-        The session of a tab; None where there is no such tab.
+        Returns the session of a tab; None if there is no such tab.
     """
 
     def __init__(self, jobs: Jobs, state: StateFolder, session_of: Callable[[str], Document | None]) -> None:
@@ -59,12 +59,12 @@ class Addresses:
         return session
 
     async def scene(self, request: Request) -> Response:
-        """The scene of a tab, as a file to keep."""
+        """The scene of a tab, as a file to download."""
         about = {"content-disposition": 'attachment; filename="scene.toml"', "cache-control": "no-store"}
         return Response(toml_text(self._session(request).table), media_type="application/toml", headers=about)
 
     async def share(self, request: Request) -> JSONResponse:
-        """Go to the scene of a link, which is the fragment of the page's address."""
+        """Go to the scene of a link, given by its URL fragment."""
         content = await request.body()  # before any answer, or a connection with what is not read yet is reset
         session = self._session(request)
         try:
@@ -74,7 +74,7 @@ class Addresses:
         return JSONResponse({})
 
     async def texture(self, request: Request) -> JSONResponse:
-        """Keep an image that was dropped, under a name made of its content, and say what it is called."""
+        """Save a dropped image under a name derived from its content, and return the name."""
         content = await request.body()  # the guard bounds it
         root, kind = self._session(request).root, request.query_params.get("kind", "")
         try:
@@ -83,7 +83,7 @@ class Addresses:
             return _refused(str(error))
 
     def thumbnail(self, request: Request) -> Response:
-        """A small picture of a texture of the scene, by the path of its key."""
+        """A small picture of a texture, given the path of its key."""
         try:
             content, about = small_picture(self._session(request), request.query_params.get("path", ""))
         except ClscoError:
@@ -91,7 +91,7 @@ class Addresses:
         return _picture(content, **{"cache-control": "no-store", "x-about": about})
 
     def result(self, request: Request) -> Response:
-        """A file that a job has made, by its name in the job's folder."""
+        """A file of a job's results, by its name in the job's folder."""
         jobs, name = self._jobs, request.query_params.get("name")
         try:
             job = jobs.job(int(request.query_params["job"]))
@@ -104,7 +104,7 @@ class Addresses:
         return FileResponse(path, media_type=_TYPES[path.suffix], headers={"cache-control": "no-cache"})
 
     def sample(self, request: Request) -> Response:
-        """A small picture of a sample of a data set: the first of one of equal parts of the set."""
+        """A small picture of the first sample in one of several equal parts of a data set."""
         try:
             job, part, parts = (int(request.query_params[name]) for name in ("job", "part", "parts"))
             folder = self._jobs.root / self._jobs.job(job).output
@@ -114,7 +114,7 @@ class Addresses:
         return _picture(content, **{"cache-control": "private, max-age=86400"})  # one made anew has another address
 
     def scene_picture(self, request: Request) -> Response:
-        """A small picture of a scene that was shown, by the name that it has in the folder of the state."""
+        """A small picture of a scene as displayed, by its name in the state folder."""
         name = request.query_params.get("name", "")
         try:
             content = self._state.read(name, LARGEST_PICTURE) if _PICTURE.fullmatch(name) else b""
@@ -123,7 +123,7 @@ class Addresses:
         return _picture(content, ".jpg", **{"cache-control": "no-cache"})
 
     def picture(self, request: Request) -> Response:
-        """The image that is inpainted, or what a method has made of it."""
+        """The image to inpaint, or the result of a method."""
         inpainting = inpainting_of(self._session(request))
         return _picture(inpainting.picture(request.query_params.get("which", "")), **{"cache-control": "no-store"})
 
@@ -132,7 +132,7 @@ class Addresses:
         return _mask(inpainting_of(self._session(request)))
 
     async def paint(self, request: Request) -> JSONResponse:
-        """Take a mask as runs, or add the pixels of a color to it; the guard bounds the request."""
+        """Set the mask from runs, or add the pixels of a color to it; the guard limits the size of the request."""
         content = await request.body()
         inpainting = inpainting_of(self._session(request))
         try:
@@ -164,7 +164,8 @@ def _refused(message: str) -> JSONResponse:
 
 
 def small_picture(session: Document, path: str) -> tuple[bytes, str]:
-    """A PNG of at most 160 x 160 px of a texture with its size and bits in words; nothing where the path is not of one.
+    """A PNG of at most 160 x 160 px of a texture, and text with its size and bits; empty if the path is not of a
+    texture.
 
     Raises ClscoError.
     """

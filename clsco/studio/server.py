@@ -1,4 +1,4 @@
-"""The studio's server: its page, its routes and a socket for each tab, behind the guard."""
+"""The studio's server: its page, its routes and a socket per tab, behind the guard."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ _OPENING = """<!DOCTYPE html>
 
 
 class Tab:
-    """A tab of the browser: its session, and where its pictures go while it is there."""
+    """A browser tab: its session, and its connection if open."""
 
     def __init__(self, session: Document) -> None:
         self.session = session
@@ -84,9 +84,9 @@ class Studio:
     Parameters
     ----------
     root : Path
-        Folder with all files that may be read and written.
+        Folder of all files that may be read and written.
     scene : Path, optional
-        Scene that a new tab begins with.
+        Scene that new tabs begin with.
     device : str, optional
         As for `clsco.render`.
     """
@@ -110,9 +110,9 @@ class Studio:
         return session
 
     async def tab(self, name: str = "") -> str:
-        """The name of a tab that nobody looks at, for a page that is loaded again, or of a new one.
+        """Name for a tab: reuse the given one for a reloaded page if no open tab has it, else a new name.
 
-        A page that is loaded again has said that it leaves; a copy of a tab has not.
+        A page that is reloaded announces that it leaves; a duplicated tab does not.
         """
         known = self.tabs.get(name)
         for _ in range(10):
@@ -129,18 +129,18 @@ class Studio:
         return new
 
     def kept_scenes(self) -> list[Path]:
-        """Scenes that were kept when a studio ended, the latest first."""
+        """Scenes saved when a studio ended, latest first."""
         ours = {self._kept(name) for name in self.tabs}
         found = [path for path in self.state.path.glob(f"{KEPT}*.json") if path not in ours]
         return sorted(found, key=_changed_at, reverse=True)
 
     def picture_of(self, path: Path) -> str:
-        """Address of the small picture of a scene file, or of a scene that was kept; "" where there is none."""
+        """URL of the small picture of a scene file, or of a recoverable scene; "" if there is none."""
         name = f"{path.stem}.jpg" if path.parent == self.state.path else _shown_name(path)
         return f"scene-picture?name={name}" if (self.state.path / name).is_file() else ""
 
     def keep(self) -> None:
-        """Keep all scenes that changed, and pictures of scenes as they were shown."""
+        """Save all changed scenes for recovery, and pictures of scenes as displayed."""
         for name, tab in self.tabs.items():
             session, path = tab.session, self._kept(name)
             revision, small = tab.preview.small if tab.preview is not None else (-1, b"")
@@ -158,13 +158,13 @@ class Studio:
         return self.state.path / f"{KEPT}{name}.json"
 
     async def watch(self) -> None:
-        """Keep the scenes, until canceled."""
+        """Save the scenes for recovery at regular intervals, until canceled."""
         while True:
             await asyncio.sleep(TICK)
             self.keep()
 
     async def frames(self, socket: WebSocket) -> None:
-        """Talk to a tab: patches up, pictures down."""
+        """Serve a tab's socket: receive changes, send pictures."""
         tab = self.tabs.get(socket.query_params.get("tab", ""))
         if tab is not None and tab.preview is not None:
             await socket.close(1008)
@@ -203,7 +203,7 @@ class Studio:
                 await asyncio.gather(*tasks, return_exceptions=True)
 
     async def hear(self, tab: Tab, preview: Preview, pointer: Pointer, text: str) -> None:
-        """Do what a tab says, or tell it why not: whatever it is, the tab goes on."""
+        """Handle a message of a tab, or send an error; the tab stays open in any case."""
         try:
             said = json.loads(text)
             is_flat = _is_flat(said, MOST_LEVELS)
@@ -224,14 +224,14 @@ class Studio:
             await preview.tell(error=[f"studio: must not fail; got {type(error).__name__}"])
 
     async def _do(self, tab: Tab, preview: Preview, pointer: Pointer, said: dict[str, Any]) -> None:
-        """Act on a message; nothing in it is code, and unknown messages are passed over."""
+        """Dispatch a message; no part of it is executed as code, and unknown messages are ignored."""
         if isinstance(number := said.get("on"), int):
             tab.page.hear(number, said.get("value"))
         elif not (_point(pointer, said) or await _look(tab.session, preview, said)):
             await self._change(tab, preview, said)
 
     async def _change(self, tab: Tab, preview: Preview, said: dict[str, Any]) -> None:
-        """Act on a message about the scene."""
+        """Handle a message about the scene."""
         match said:
             case {"path": str(path), "value": value}:
                 drag = said.get("drag")
@@ -267,12 +267,12 @@ def _changed_at(path: Path) -> float:
 
 
 def _shown_name(path: Path) -> str:
-    """Name of the picture of a scene file."""
+    """Name of the displayed picture of a scene file."""
     return f"{SHOWN}{digest_of(path)[:32]}.jpg"
 
 
 def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
-    """Act on a message about the pointer; False for others."""
+    """Handle a message about the pointer; False for other messages."""
     match said:
         case {"at": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y)
@@ -290,7 +290,7 @@ def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
 
 
 async def _look(session: Document, preview: Preview, said: dict[str, Any]) -> bool:
-    """Act on a message about the pictures; False for others."""
+    """Handle a message about the pictures; False for other messages."""
     match said:
         case {"ack": [int(revision), int(rung)]}:
             preview.acknowledge(revision, rung)
@@ -320,7 +320,7 @@ async def _look(session: Document, preview: Preview, said: dict[str, Any]) -> bo
 
 
 def _is_flat(value: Any, levels: int) -> bool:
-    """Test whether lists and tables are nested at most so deep."""
+    """True if lists and tables are nested at most `levels` deep."""
     if not isinstance(value, list | dict):
         return True
     inner = value.values() if isinstance(value, dict) else value
@@ -328,7 +328,7 @@ def _is_flat(value: Any, levels: int) -> bool:
 
 
 def as_the_thesis(session: Document) -> Scene:
-    """The scene with PSF and method of the thesis; the session stays as it is."""
+    """The scene with PSF and method of the thesis; the session is not changed."""
     other = Document(session.root)
     other.take(session.state)
     choose_method(other, True)
@@ -336,7 +336,7 @@ def as_the_thesis(session: Document) -> Scene:
 
 
 async def _tell(tab: Tab, preview: Preview) -> None:
-    """Send what follows from a change, each time that there was one: values, messages at fields, length of the clip."""
+    """Send the consequences of each change: values, messages at fields, length of the clip."""
     before: dict[str, Any] = {}
     values: dict[str, Any] = {}
     keys: list[dict[str, Any]] = []
@@ -388,7 +388,7 @@ def application(studio: Studio, draw: Draw) -> Starlette:
         studio.keep()
 
     async def page(request: Request) -> HTMLResponse:
-        """The page, of a tab that was there before where it is loaded again."""
+        """The page; a reloaded page keeps its tab."""
         name = await studio.tab(request.query_params.get("s", ""))
         studio.tabs[name].page.end()
         studio.tabs[name].page, content = draw(name, studio, str(request.base_url))
@@ -402,10 +402,11 @@ def application(studio: Studio, draw: Draw) -> Starlette:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """Open a socket whose connections send at once.
+    """Open a socket whose connections send without delay.
 
-    A picture goes as several packets, of which the kernel would keep the last until the browser has acknowledged those
-    before. asyncio turns that off only for sockets that name their protocol, which `create_server`'s do not.
+    A picture is several packets, and the kernel would hold back the last one until the browser has acknowledged the
+    others. asyncio disables that only for sockets with an explicit protocol, which sockets from `create_server` do not
+    have.
     """
     listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -419,19 +420,19 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     ----------
     studio : Studio
     host : str
-        Address to listen at.
+        Address to listen on.
     port : int
-        0: any that is free.
+        0 for any free port.
     draw : function
         `clsco.studio.page.draw`.
     show : function of str
-        Is given the address.
+        Called with the address.
     opens_browser : bool
 
     Raises
     ------
     OSError
-        The address is taken.
+        The address is in use.
     """
     listener = listening(host, port)
     port = listener.getsockname()[1]

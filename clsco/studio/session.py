@@ -1,4 +1,4 @@
-"""Session of a tab: a scene with its file, its link, and the values that outlive a reload."""
+"""Session of a tab: a scene with its file, its link, and values that survive a reload."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ __all__ = ["ConflictError", "Document"]
 
 
 class Document(Editor):
-    """A scene that is changed key by key, opened and saved, and shared as a link.
+    """A scene that is edited key by key, opened and saved, and shared as a link.
 
-    root: folder with all files that may be read and written.
+    root: folder of all files that may be read and written.
     """
 
     def __init__(self, root: Path) -> None:
@@ -49,19 +49,19 @@ class Document(Editor):
 
     @property
     def file(self) -> str:
-        """Name of the scene's file, relative to the root; "" where it has none."""
+        """Name of the scene's file, relative to the root; "" without a file."""
         return self.path.relative_to(self.root).as_posix() if self.path is not None else ""
 
     @property
     def is_saved(self) -> bool:
-        """True if the scene is the one in its file, or a new one."""
+        """True if the scene equals its file, or is new and unchanged."""
         return self._saved == (self.path, self.table)
 
     def open(self, path: Path) -> None:
-        """Go to the scene of a file below the root, as a step of undo.
+        """Go to the scene of a file below the root, as an undo step.
 
-        Raises SceneError: as `clsco.load_sweep`; the file or one that it names is not below the root. Then all stays as
-        it is.
+        Raises SceneError: as `clsco.load_sweep`; the file, or a file that it names, is not below the root. Then the
+        state is unchanged.
         """
         target = self.inside(path)
         table, digest = read_scene(target)
@@ -70,21 +70,21 @@ class Document(Editor):
         self._saved = target, self.table
 
     def save(self, path: Path | None = None, overwrite: bool = False) -> None:
-        """Write the scene to a file below the root, which keeps its comments.
+        """Write the scene to a file below the root; comments in the file are kept.
 
         Parameters
         ----------
         path : Path, optional
-            Ends in .toml or .json; by default the file that the scene is from.
+            Ends in .toml or .json; by default the file of the scene.
         overwrite : bool
-            Although the file is not the one that was opened or saved.
+            Overwrite a file other than the one opened or saved.
 
         Raises
         ------
         ConflictError
-            The file was changed meanwhile, or is another one.
+            The file was changed by others, or is another file.
         SceneError
-            It is not below the root, or its name has another end.
+            It is not below the root, or its name has another extension.
         FileError
             It cannot be written.
         """
@@ -104,21 +104,19 @@ class Document(Editor):
         return difference(target, text)
 
     def share(self) -> str:
-        """The fragment of an address that has the scene in it: "#s=..."."""
+        """URL fragment that contains the scene: "#s=..."."""
         return link_of(self.table, self.folder, self.root)
 
     def load_share(self, text: str) -> None:
-        """Go to the scene of a link, as a step of undo.
+        """Go to the scene of a link, as an undo step.
 
-        Images that are not there have their names in `refused`. Raises SceneError; then all stays as it is.
+        `refused` gets the names of missing images. Raises SceneError; then the state is unchanged.
         """
         table, missing = from_link(text, self.readable)
         self.take(self._state_of(table, None), missing)
 
     def remembered(self) -> dict[str, Any]:
-        """Data for `resume`: the link of the scene, its file below the root and the digest of that, and the values that
-        are not valid.
-        """
+        """Data for `resume`: the link of the scene, its file below the root with its digest, and the invalid values."""
         path = self.path
         return {
             "scene": self.share(),
@@ -128,7 +126,7 @@ class Document(Editor):
         }
 
     def resume(self, link: str, file: str, digest: str) -> None:
-        """Go to a scene that `remembered` described, as a step of undo. Raises SceneError; then all stays as it is."""
+        """Go to a scene described by `remembered`, as an undo step. Raises SceneError; then the state is unchanged."""
         table, missing = from_link(link, self.readable)
         target = self.inside(Path(file)) if file else None
         start = target.parent if target is not None else self.root
@@ -137,7 +135,7 @@ class Document(Editor):
             self._digests[target] = digest
 
     def load_table(self, table: Table, start: Path) -> None:
-        """Go to a scene whose files are relative to a folder, as a step of undo. Raises SceneError."""
+        """Go to a scene whose file names are relative to a folder, as an undo step. Raises SceneError."""
         state = self._state_of(table, None)
         if start.is_relative_to(self.root):
             self.take(replace(state, table=moved(table, start, self.root)))
@@ -145,21 +143,21 @@ class Document(Editor):
         self.take(replace(state, table=relocated(table, lambda _, name: str(start / name))))
 
     def keep(self, path: Path) -> None:
-        """Write the scene so that `recover` finds it, if it changed since. Raises FileError."""
+        """Save the scene for `recover`, if it has changed since it was last saved. Raises FileError."""
         if self._kept != self.revision:
             keep(self.table, self.folder, path)
             self._kept = self.revision
 
     def recover(self, path: Path) -> None:
-        """Go to a scene that was kept, as a step of undo. Raises SceneError."""
+        """Go to a scene saved by `keep`, as an undo step. Raises SceneError."""
         self.load_table(*read_kept(path))
 
     def inside(self, path: Path) -> Path:
-        """A path below the root, with all links followed. Raises SceneError for any other."""
+        """A path below the root, after following all links. Raises SceneError for any other path."""
         return below(self.root, path)
 
     def source(self, name: str) -> str:
-        """A texture as `clsco.inputs` takes it: the name of a pattern, a color, or an absolute path."""
+        """A texture in the form of `clsco.inputs`: the name of a pattern, a color, or an absolute path."""
         return name if is_drawn(name) else str(self.folder / name)
 
     def _state_of(self, table: Table, path: Path | None) -> State:
@@ -167,7 +165,7 @@ class Document(Editor):
         return State(table, ({},) * len(items(table)), path, opened=self._opened)
 
     def _written(self, path: Path | None) -> tuple[Path, str, Table]:
-        """The file that a scene is saved to, its text, and the table with names relative to its folder."""
+        """The file to save a scene to, its text, and the table with file names relative to its folder."""
         if path is None and self.path is None:
             raise SceneError("file: must have a name to be saved")
         target = self.inside(path or self.path or Path())
@@ -181,7 +179,7 @@ KEY, KEY_BYTES = "key", 32
 
 
 class StateFolder:
-    """Folder of what the next studio in the same folder needs: scenes that were not saved, pictures and a secret.
+    """Folder with data for the next studio in the same folder: unsaved scenes, pictures and a secret.
 
     Parameters
     ----------
@@ -191,7 +189,8 @@ class StateFolder:
     Attributes
     ----------
     path : Path
-        `clsco/studio/DIGEST` in XDG_STATE_HOME; where no folder is the user's alone, a temporary one, which is lost.
+        `clsco/studio/DIGEST` in XDG_STATE_HOME; if no private folder is possible, a temporary one, which is lost at the
+        end.
     """
 
     def __init__(self, root: Path) -> None:
@@ -202,15 +201,15 @@ class StateFolder:
             self.path = temporary_folder("studio")
 
     def read(self, name: str, most: int) -> bytes:
-        """Content of a file. Raises OSError where it is not there, no regular one, or larger than `most` bytes."""
+        """Content of a file. Raises OSError if it is missing, not regular, or larger than `most` bytes."""
         return read_regular(self.path / name, most)
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file that is whole or absent. Raises FileError where that cannot be."""
+        """Write a file atomically. Raises FileError if that fails."""
         atomic_write_bytes(self.path / name, content)  # in a folder that nobody else can write to
 
     def key(self) -> bytes:
-        """A secret that the next studio in the folder has, too, if it can be kept."""
+        """A secret, saved for the next studio in the folder if possible."""
         with suppress(OSError):
             if len(known := self.read(KEY, KEY_BYTES)) == KEY_BYTES:
                 return known
@@ -220,7 +219,7 @@ class StateFolder:
         return made
 
     def remove(self, *names: str) -> None:
-        """Remove files, where they are there."""
+        """Remove files, if they exist."""
         for name in names:
             with suppress(OSError):
                 (self.path / name).unlink()

@@ -1,4 +1,4 @@
-"""Scenes of the studio on the disk, in links, and kept for the case that the studio ends."""
+"""Scenes of the studio as files, as links, and saved for recovery."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ START = "#s="
 
 
 class ConflictError(ClscoError):
-    """A file on the disk is not the one that was read or written."""
+    """A file on disk differs from the one that was read or written."""
 
 
 def read_scene(path: Path) -> tuple[Table, str]:
@@ -40,7 +40,7 @@ def read_scene(path: Path) -> tuple[Table, str]:
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a scene or an image; "" where there is no such file, or one of more than 1 GiB."""
+    """SHA-256 of a scene or an image; "" if the file is missing, or larger than 1 GiB."""
     try:
         with open_regular(path, LARGEST_IMAGE, follow=True) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -49,10 +49,10 @@ def digest_of(path: Path) -> str:
 
 
 def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
-    """Text of a scene file: keys that are given and differ from the defaults.
+    """Text of a scene file with the keys that differ from their defaults.
 
-    path: ends in .toml or .json; old: the file that the scene was in, whose comments, order and keys at their defaults
-    stay, as far as the scene has them.
+    path: ends in .toml or .json; old: previous file of the scene, whose comments, order and keys at their defaults are
+    kept, as far as the scene still has them.
     """
     if path.suffix.lower() == ".json":
         return json.dumps(_kept(sparse(table), table, _content(old)), indent=2, ensure_ascii=False) + "\n"
@@ -75,7 +75,7 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
 
 
 def _content(path: Path | None) -> Any:
-    """Content of a file that a scene was in, {} where it is gone."""
+    """Content of the scene's previous file, {} if it is missing."""
     try:
         return read_mapping(str(path), ()) if path is not None else {}
     except SceneError:
@@ -83,7 +83,7 @@ def _content(path: Path | None) -> Any:
 
 
 def _kept(fewer: Any, table: Any, old: Any) -> Any:
-    """The sparse form of a table, with the keys at their defaults that a file has, too."""
+    """The sparse form of a table, plus keys at their defaults that the old file has."""
     if not isinstance(table, Mapping):
         return table
     found = {}
@@ -105,7 +105,9 @@ def _kept(fewer: Any, table: Any, old: Any) -> Any:
 
 
 def _twin(item: Mapping[str, Any], index: int, listed: list[Any]) -> Any:
-    """The table of a file that one of the scene came from: the same, of the same name, or at its place."""
+    """The table in the old file that corresponds to one of the scene: equal, with the same name, or at the same
+    position.
+    """
     others = [other for other in listed if isinstance(other, Mapping)]
     same = [other for other in others if other == item]
     same = [other for k, other in enumerate(listed) if k == index and other in same] or same
@@ -116,7 +118,7 @@ def _twin(item: Mapping[str, Any], index: int, listed: list[Any]) -> Any:
 
 
 def _arranged(text: str, table: Table) -> str:
-    """The text of a scene file with objects and groups in the order of another scene, which has some of them."""
+    """The text of a scene file with its objects and groups in the order of another scene, which shares some of them."""
     content = tomllib.loads(text)
     for key in ("object", "group"):
         listed, wanted = content.get(key, []), table.get(key, [])
@@ -133,7 +135,7 @@ def _arranged(text: str, table: Table) -> str:
 
 
 def _update(document: Any, table: Mapping[str, Any]) -> None:
-    """Give a table of tomlkit other content; comments stay at what they are of."""
+    """Replace the content of a tomlkit table; comments stay with their keys."""
     for key in [key for key in document if key not in table]:
         del document[key]
     for key, value in table.items():
@@ -155,7 +157,7 @@ def _is_array(value: Any) -> bool:
 
 
 def _append(document: Any, key: str, value: Any) -> None:
-    """Add a key after the others, and before what stands above the next table."""
+    """Add a key after the others, before any comment of the next table."""
     body = getattr(getattr(document, "value", None), "body", [])  # of a table; that of the whole file has none
     last: list[Any] = []
     while len(body) > 1 and body[-1][0] is None:
@@ -171,7 +173,7 @@ def _same(before: Any, value: Any) -> bool:
 
 
 def difference(path: Path, text: str) -> str:
-    """Changes that a text would make in a file, as a unified diff."""
+    """Changes from a file to a text, as a unified diff."""
     try:
         before = read_regular(path, LARGEST, follow=True).decode("utf-8-sig", "replace").splitlines()
     except OSError:  # none, or what is no scene
@@ -180,7 +182,7 @@ def difference(path: Path, text: str) -> str:
 
 
 def moved(table: Table, start: Path, to: Path) -> Table:
-    """The table with relative names of files as from another folder."""
+    """The table with file names relative to another folder."""
     if start == to:
         return table
 
@@ -191,22 +193,22 @@ def moved(table: Table, start: Path, to: Path) -> Table:
 
 
 def link_of(table: Table, start: Path, root: Path) -> str:
-    """A scene as the fragment of an address.
+    """A scene as a URL fragment.
 
     Parameters
     ----------
     table : dict
         A valid scene.
     start : Path
-        Folder that its files are relative to.
+        Base folder of its file names.
     root : Path
-        Folder of the studio, which they are relative to in the link; files elsewhere have their names alone.
+        Folder of the studio, the base of file names in the link; files elsewhere keep only their names.
 
     Returns
     -------
     str
-        "#s=" and JSON of the keys that differ from their defaults, deflated, in base64 for addresses; with the SHA-256
-        of each file.
+        "#s=" and the keys that differ from their defaults as JSON, deflated, in URL-safe base64; with the SHA-256 of
+        each file.
     """
     files: dict[str, str] = {}
 
@@ -231,19 +233,19 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
     text : str
         From `link_of`, with or without "#s=".
     places : iterable of Path
-        Folders that its files may be in; the first is the folder of the studio.
+        Folders to search for its files; the first is the studio's folder.
 
     Returns
     -------
     table : dict
-        Not validated. In place of an image that is not there is the default.
+        Not validated. A missing image is replaced by the default.
     missing : dict
-        Names of those with messages, by the paths of their keys.
+        Names of missing images with messages, by path of the key.
 
     Raises
     ------
     SceneError
-        It is no link, holds more than 1 MiB, or needs a depth map that is not there.
+        The text is not a link, holds more than 1 MiB, or needs a missing depth map.
     """
     content = _unpacked(text.strip().rpartition(START)[2])
     digests = content.pop("files", {})
@@ -279,7 +281,7 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
 
 
 def _unpacked(text: str) -> Table:
-    """The JSON of a link. Raises SceneError."""
+    """The JSON content of a link. Raises SceneError."""
     try:
         if len(text) > 2 * LARGEST:
             raise SceneError("link: must hold at most 1 MiB")
@@ -299,13 +301,13 @@ def _unpacked(text: str) -> Table:
 
 
 def keep(table: Table, start: Path, path: Path) -> None:
-    """Write a scene so that it can be recovered, whole or not at all. Raises FileError."""
+    """Save a scene for recovery, atomically. Raises FileError."""
     content = {"folder": str(start), "scene": table}
     atomic_write_bytes(path, json.dumps(content, ensure_ascii=False).encode())
 
 
 def read_kept(path: Path) -> tuple[Table, Path]:
-    """A scene that was kept, and the folder that its files are relative to. Raises SceneError."""
+    """A scene saved for recovery, and the base folder of its file names. Raises SceneError."""
     try:
         content = json.loads(read_regular(path, 2 * LARGEST))
         table, start = content["scene"], Path(content["folder"])
@@ -318,7 +320,7 @@ _HEADER = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_-]+)")
 
 
 def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str]) -> str:
-    """The text with another order of the tables of an array, each with its sub-tables and the comments above it.
+    """The text with the tables of an array in another order, each with its sub-tables and the comments above it.
 
     Parameters
     ----------
@@ -329,13 +331,13 @@ def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str
     order : sequence of int or None
         For each table its number in the text, counted from 0; None for a new one.
     new : sequence of str
-        Text of a new table, for each place in `order`.
+        Texts of new tables, one for each position in `order`.
 
     Returns
     -------
     str
-        Tables that others stand between come together in place of the last one. Headers inside of strings are not
-        looked for: whoever needs the same content compares it.
+        Separated tables of the array are moved together, to the position of the last one. Headers inside strings are
+        not detected: compare the content afterwards.
     """
     parts = _parts(text.splitlines(), key)
     slots = [number for number, (is_table, _) in enumerate(parts) if is_table]
@@ -355,7 +357,7 @@ def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str
 
 
 def _parts(lines: Sequence[str], key: str) -> list[tuple[bool, list[str]]]:
-    """Lines of the text in parts: tables of the array, and what is between them."""
+    """Lines of the text in parts: tables of the array, and text between them."""
     parts: list[tuple[bool, list[str]]] = [(False, [])]
     for line in lines:
         header = _HEADER.match(line)
@@ -372,7 +374,7 @@ def _parts(lines: Sequence[str], key: str) -> list[tuple[bool, list[str]]]:
 
 
 def _trimmed(lines: list[str]) -> list[str]:
-    """Lines without the blank ones at the end."""
+    """Lines without trailing blank ones."""
     end = len(lines)
     while end and not lines[end - 1].strip():
         end -= 1

@@ -1,4 +1,4 @@
-"""Changes of the mapping of a scene that leave the old one as it is, and faults of it by their keys."""
+"""Changes to a copy of a scene's mapping, and its faults by key."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "fa
 
 
 def pose_label(path: str) -> str:
-    """Label of a key of a static rotation, "" of others: Rotation alone is that of a motion."""
+    """Label of a key of a static rotation, "" for other keys: "Rotation" by itself is a motion's."""
     _, _, key = path.rpartition("rotation")
     labels = {
         "": "Pose",
@@ -107,13 +107,13 @@ def pose_label(path: str) -> str:
 
 
 def keyframe_label(path: str) -> str:
-    """Label of a key of a keyframe, which are numbered from 1; "" of others."""
+    """Label of a keyframe's key, numbered from 1; "" for other keys."""
     number, _, key = path.partition(".keyframe.")[2].partition(".")
     return f"{words(key)} of keyframe {int(number) + 1}" if key else ""
 
 
 def words(key: Any) -> str:
-    """A key as words."""
+    """A key with spaces, as text."""
     if key in WORDS:
         return WORDS[key]
     text = str(key).replace("_", " ")
@@ -138,7 +138,7 @@ _START: dict[str, Table] = {  # of shapes that have no defaults
 
 
 def is_path(path: str) -> bool:
-    """Test whether something can be the path of a key."""
+    """True if the text can be the path of a key."""
     try:
         path_parts(path)
     except SceneError:
@@ -147,7 +147,7 @@ def is_path(path: str) -> bool:
 
 
 def path_parts(path: str) -> list[str]:
-    """Parts of the path of a key, "object.0.radius". Raises SceneError for what cannot be one."""
+    """Parts of a key's path, "object.0.radius". Raises SceneError for an invalid path."""
     parts = key_parts(path) if len(path) <= LONGEST else []
     if not all(parts) or not 1 <= len(parts) <= DEEPEST:
         raise SceneError(f"scene: {brief(path)}: must be the path of a key, like object.0.radius")
@@ -155,7 +155,7 @@ def path_parts(path: str) -> list[str]:
 
 
 def at(node: Any, parts: Sequence[str]) -> Any:
-    """The entry at `parts`, None where there is none."""
+    """The entry at `parts`, None if there is none."""
     for part in parts:
         if isinstance(node, list | tuple):
             node = node[int(part)] if part.isdecimal() and len(part) < 10 and int(part) < len(node) else None
@@ -165,7 +165,7 @@ def at(node: Any, parts: Sequence[str]) -> Any:
 
 
 def with_value(table: Table, parts: list[str], value: Any) -> Table:
-    """The table with another value, and without the keys that contradict it. Raises SceneError."""
+    """The table with another value, without keys that contradict it. Raises SceneError."""
     changed: Table = _copied({key: _shallow(entry) for key, entry in table.items()}, parts)
     displace(changed, ".".join(parts), value)
     if (fault := put(changed, parts, value)) is not None:
@@ -174,7 +174,7 @@ def with_value(table: Table, parts: list[str], value: Any) -> Table:
 
 
 def without(table: Table, parts: list[str]) -> Table:
-    """The table without a key, and without tables that are empty then."""
+    """The table without a key, and without tables that become empty."""
     if at(table, parts) is None:
         return table
     changed: Table = _copied(table, parts)
@@ -191,7 +191,7 @@ def _shallow(node: Any) -> Any:
 
 
 def _copied(node: Any, parts: Sequence[str]) -> Any:
-    """A copy of the tables and lists along `parts`; all else is shared."""
+    """A copy of the tables and lists along `parts`; other values are shared."""
     if not isinstance(node, dict | list):
         return node
     copy = node.copy()
@@ -202,16 +202,16 @@ def _copied(node: Any, parts: Sequence[str]) -> Any:
 
 
 def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table, dict[str, Table]]:
-    """An object of another shape, and the keys that the old one had, to come back to.
+    """An object changed to another shape, and the keys of its former shapes, to restore them later.
 
     Parameters
     ----------
     item : mapping
         Table of the object.
     shape : str
-        The new shape; any other value is left for the rules of scenes to refuse.
+        The new shape; an invalid value is left for validation to reject.
     kept : mapping
-        Keys of the shapes that the object has had, by shape.
+        Keys of the object's former shapes, by shape.
     """
     own = {key: value for key, value in item.items() if key not in _ALIKE}
     alike = {key: value for key, value in item.items() if key in _ALIKE}
@@ -230,12 +230,12 @@ def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table,
 
 
 def seed(key: str, value: Any) -> list[Any] | None:
-    """Start value of a vector without a default when one component is given; None for a key that is no vector."""
+    """Initial value of a vector without a default when one component is entered; None for other keys."""
     return [value, value] if key in _ALL_ALIKE else _SEEDS.get(key)
 
 
 def pose_for(rotation: Any, part: str) -> Any:
-    """A static rotation in the form that a part of it belongs to: an angle, axis and angle, or a quaternion."""
+    """A static rotation converted to the form with this part: Euler angles, axis and angle, or a quaternion."""
     if part.isdecimal():
         return rotation if isinstance(rotation, list) else [0.0, 0.0, 0.0]
     if part in ("axis", "angle"):
@@ -246,7 +246,7 @@ def pose_for(rotation: Any, part: str) -> Any:
 
 
 def placed(error: SceneError) -> dict[str, str]:
-    """Messages of a SceneError by the paths of their keys; "" for a message about no key."""
+    """Messages of a SceneError by path of the key; "" for a message without a key."""
     found: dict[str, str] = {}
     for message in error.messages:
         match = re.fullmatch(r"[^:]*: ([^:]+): (.*)", message)
@@ -256,15 +256,15 @@ def placed(error: SceneError) -> dict[str, str]:
 
 
 def written(place: Sequence[str]) -> str:
-    """A place in a table as messages have it: object[0].texture."""
+    """A location in a table as in messages: object[0].texture."""
     return key_name([int(part) if part.isdecimal() else part for part in place])
 
 
 def sparse(table: Mapping[str, Any]) -> Table:
     """The valid table of a scene without the keys that have their defaults.
 
-    Defaults follow from keys of the same table alone, so that each is looked at by itself; tables with several values
-    for a key stay whole.
+    Defaults depend only on keys of the same table, so each table is processed by itself; tables with several values for
+    a key are not reduced.
     """
     swept = {location[:2] if location[0] in ("object", "group") else location[:1] for location, _ in swept_keys(table)}
     found: Table = {}

@@ -1,6 +1,6 @@
-"""Rays through the real lens: what pixels of a frame should be, by formulas that are not those of `clsco.optics`.
+"""Rays through the real lens: expected values of a frame's pixels, by formulas independent of `clsco.optics`.
 
-It shares with the engine the model of a scene and its loaded textures. numba and scipy are the extra `check`.
+It shares the scene model and loaded textures with the engine. numba and scipy are in the extra `check`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,6 @@ from clsco.errors import require_extra
 
 
 def require_rays() -> None:
-    """Raise MissingDependencyError where what traces rays is not installed."""
+    """Raise MissingDependencyError if the packages for tracing rays are not installed."""
     for name in ("numba", "scipy"):
         require_extra("check", name, "check")

@@ -1,4 +1,4 @@
-"""Surfaces as ten coefficients in frames of their own, cut by bounds: the textbook's formulas of each shape."""
+"""Surfaces as ten coefficients in their own frames, cut by bounds: textbook formulas of each shape."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ FARTHEST = 1e12  # mm, of a background
 
 
 def surface_of(item: Any) -> tuple[Array, Any, tuple[float, float]]:
-    """Coefficients (10,) a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, x right, y up, z away from the camera, the
-    center (3) that they are about, in mm, and the z range (2) of one object; ValueError for an unknown shape."""
+    """Coefficients (10,) a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, x right, y up, z away from the camera; the
+    center (3) that they are relative to, in mm; and the z range (2) of an object. Raises ValueError for an unknown
+    shape.
+    """
     k = np.zeros(10)
     everywhere = (-np.inf, np.inf)
     match item.shape:
@@ -47,8 +49,9 @@ def surface_of(item: Any) -> tuple[Array, Any, tuple[float, float]]:
 
 
 def bounds_of(item: Any, span: tuple[float, float]) -> Array:
-    """Bounds (7,) of an object as x0 x1 y0 y1 z0 z1 in its frame, and the square of the largest distance from its z
-    axis; span: z range of the shape."""
+    """Bounds (7,) of an object: x0 x1 y0 y1 z0 z1 in its frame, and the square of the largest distance from its z axis;
+    span: z range of the shape.
+    """
     box = np.array([-np.inf, np.inf] * 3 + [np.inf])
     if item.bounds is not None:
         box[:6] = np.ravel(item.bounds)

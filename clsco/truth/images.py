@@ -1,7 +1,7 @@
-"""Images on surfaces for rays: where a point of an object's frame is in its image, and what is there.
+"""Images on surfaces for rays: the position of an object's point in its image, and the value there.
 
-Formulas from the words of docs/scene_files.md, and not those of `clsco.optics`. An image is a continuous function, its
-texels interpolated by the cubic of Keys (1981, a = -1/2) along each axis, or as the scene's texture filter says.
+The formulas follow the text of docs/scene_files.md, independently of `clsco.optics`. An image is a continuous function,
+its texels interpolated by the cubic of Keys (1981, a = -1/2) along each axis, or by the scene's texture filter.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ SIZE = NUMBERS + 10
 
 
 def lies(item: Any) -> bool:
-    """True if the texture of an object lies on its surface."""
+    """True if the texture of an object is on its surface, not projected."""
     return getattr(item, "texture_mapping", "projected") != "projected"
 
 
 def mapping_of(item: Any, shape: tuple[int, int], first: int, texture_filter: str = "bicubic") -> Array:
-    """The numbers (SIZE,) of an object whose image has so many rows and columns and begins at texel `first`."""
+    """Mapping numbers (SIZE,) of an object whose image has this shape and begins at texel `first`."""
     rows, columns = shape
     found = np.zeros(SIZE)
     right, up, towards = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
@@ -85,7 +85,7 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int, texture_filter: st
 
 @njit(cache=True, inline="always")
 def _texel(index, count, wrap):  # type: ignore[no-untyped-def]
-    """The texel of an index beyond the image, -1 for none."""
+    """The texel for an index beyond the image, -1 for none."""
     if 0 <= index < count:
         return index
     if wrap == 0:
@@ -113,7 +113,9 @@ def _weight(t, kind):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _add_image(total, share, s, t, m, images, side=0):  # type: ignore[no-untyped-def]
-    """Add the image at lengths s right and t up, from its middle, times a share; side: number of the image."""
+    """Add the image at lengths s right and t up from its middle, multiplied by a blending weight; side: number of the
+    image.
+    """
     first, rows, columns, wrap = int(m[1]), int(m[2]), int(m[3]), int(m[4])
     turned_s, turned_t = m[7] * s + m[8] * t, m[7] * t - m[8] * s
     column = columns * (0.5 + turned_s / m[5] - m[9]) - 0.5

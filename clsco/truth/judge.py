@@ -1,4 +1,4 @@
-"""A frame against rays through the lens: deviations by class of pixel and by object (float64)."""
+"""Comparison of a frame with rays through the lens: deviations by class of pixel and by object (float64)."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ COUNTED_ERRORS = 4.0  # pixels are counted beyond ALLOWED and so many standard e
 
 @dataclass(frozen=True)
 class Row:
-    """Deviations of some pixels: of a class, or of an object.
+    """Deviations of a class of pixels, or of the pixels of an object.
 
-    rms, noise: of the frame from rays, and of these by themselves, of white; mean: signed; beyond: pixels that are off
-    by more than 0.01 and 4 standard errors; column, row, right, got, errors: of the pixel that is off by most, in
-    standard errors where it is off by more than 0.01.
+    rms, noise: differences between frame and rays, and noise of the rays, 1 = white; mean: signed; beyond: number of
+    pixels off by more than 0.01 and 4 standard errors; column, row, right, got, errors: position, expected value, value
+    and error of the worst pixel, in standard errors if off by more than 0.01.
     """
 
     name: str
@@ -56,14 +56,15 @@ class Row:
 
     @property
     def decibels(self) -> float:
-        """PSNR in dB without the noise of the rays, which may be all of the error."""
+        """PSNR in dB with the noise of the rays subtracted, which may be the whole error."""
         return -10 * math.log10(max(self.rms**2 - self.noise**2, 1e-2 * self.noise**2, 1e-12))
 
 
 @dataclass(frozen=True)
 class Light:
-    """Light of all that is around a small object, in px of white: by rays with their standard error, and in the
-    frame; `own`: what the object alone changes."""
+    """Total light around a small object, in px of white: by rays with their standard error, and in the frame; `own`:
+    contribution of the object alone.
+    """
 
     name: str
     right: float
@@ -74,7 +75,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A view of a frame against rays: rows of classes and of objects, light of small objects, and the pixels."""
+    """Comparison of a view with rays: rows for classes and objects, light of small objects, and the pixels."""
 
     classes: tuple[Row, ...]
     objects: tuple[Row, ...]
@@ -88,13 +89,13 @@ class Judgement:
 
     @property
     def deviations(self) -> NDArray[np.bool_]:
-        """Pixels (n,) that are off by more than 0.01 of white and 5 standard errors."""
+        """Mask (n,) of pixels that are off by more than 0.01 of white and 5 standard errors."""
         off = np.abs(self.got - self.right)
         return np.asarray(((off > ALLOWED) & (off > ALLOWED_ERRORS * self.error)).any(axis=1))
 
     @property
     def dim(self) -> tuple[Light, ...]:
-        """Small objects whose light is off by more than 2 % of theirs, 0.01 px of white and 5 standard errors."""
+        """Small objects whose light is off by more than 2 % of their own, 0.01 px of white and 5 standard errors."""
         return tuple(
             each for each in self.lights
             if abs(each.got - each.right) > max(0.02 * abs(each.own), ALLOWED, ALLOWED_ERRORS * each.error)
@@ -102,12 +103,12 @@ class Judgement:
 
     @property
     def agrees(self) -> bool:
-        """True if there is no such pixel, and no such object."""
+        """True if there are no deviating pixels or small objects."""
         return not (self.deviations.any() or self.dim)
 
     @property
     def wrong(self) -> str:
-        """Number of deviations, and the largest of them."""
+        """Text with the number of deviations, and the largest one."""
         off = np.where(self.deviations, np.abs(self.got - self.right).max(axis=1), -1.0)
         dim = f"{len(self.dim)} small objects of another light" if self.dim else ""
         if not self.deviations.any():
@@ -119,8 +120,9 @@ class Judgement:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """All pixels in few numbers: PSNR in dB less the noise of rays, and that of the noise; mean deviation of white;
-        counts of pixels, deviations, small objects, and those of another light."""
+        """Summary: PSNR in dB without the noise of rays, and PSNR of that noise; mean deviation, 1 = white; counts of
+        pixels, deviations, small objects, and small objects with wrong light.
+        """
         if not len(self.right):  # waves, of which all is hidden or tilted
             return {"pixels": 0, "deviations": 0}
         off, noise = self.got - self.right, max(float(np.mean(self.error**2)), 1e-18)
@@ -132,7 +134,7 @@ class Judgement:
         }  # fmt: skip
 
     def values(self) -> dict[str, Any]:
-        """Figures and pixels as values of JSON."""
+        """Figures and pixels as JSON types."""
         pixels, kinds = self.pixels, [CLASSES[k] for k in self.pixels.kind]
         numbers = (pixels.column, pixels.row, self.right, self.got, self.error)
         names = ("class", "column", "row", "right", "got", "error")
@@ -147,7 +149,9 @@ class Judgement:
 
 
 def judged_frame(scene: Scene, frame: Frame) -> Frame:
-    """A frame whose metadata have `check`: figures of some rays at each tried pixel, or why there are none."""
+    """A frame with `check` in its metadata: figures from some rays at each tested pixel, or the reason why there are
+    none.
+    """
     why = not_judged(scene)
     if why is None and (scene.sensor is not None or "color" not in frame.arrays()):
         why = "rays tell light, and not what a sensor or a scene without an image has"
@@ -169,11 +173,11 @@ def judge(
     image : ndarray (rows, columns[, channels])
         Linear radiance.
     rays : int
-        Most rays of a pixel.
+        Most rays per pixel.
     seconds : float
-        Time after which no more rays are begun, without that of the compiler.
+        Time after which no more rays are started, without compilation.
     seed : int
-        Seed of pixels and rays: the same one has the same bits, unless the time is over.
+        Seed of pixels and rays: equal seeds give equal bits, unless the time runs out.
 
     Returns
     -------
@@ -223,8 +227,9 @@ def _judgement(
 
 
 def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int = 0) -> tuple[Array, Array]:
-    """Radiance (rows, columns[, channels]) of all pixels by rays, and its standard error, the RMS of which is below
-    `noise` where at most so many rays of a pixel bring it there."""
+    """Radiance (rows, columns[, channels]) of all pixels by rays, and its standard error; the error's RMS is below
+    `noise`, if `rays` rays per pixel are enough.
+    """
     row, column = (each.ravel() for each in np.indices(problem.size))
     places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
 
@@ -239,7 +244,7 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
 
 
 def trace_waves(problem: Problem, seed: int = 0) -> tuple[Array, Array, Array, int]:
-    """A frame by waves, see `spread_light`, and the number of rays."""
+    """A frame by wave optics, as from `spread_light`, and the number of rays."""
     cells = cells_of(problem)
     if cells.hidden[cells.shines].all():
         nothing = np.zeros((*problem.size, problem.surfaces.images.shape[1]))
@@ -253,9 +258,10 @@ def trace(
     problem: Problem, jobs: NDArray[np.int64], places: Array, rays: int, seconds: float, seed: int,
     go_on: Callable[[Array], NDArray[np.bool_]] = lambda error: error > NOISE, repeats: int = REPEATS,
 ) -> tuple[Array, Array, int]:  # fmt: skip
-    """Radiance (jobs, channels) by rays and its standard error, and the number of rays; arguments as for `accumulate`,
-    seconds: after which no more are begun, besides those of the compiler; go_on: which jobs need more, by their errors;
-    repeats: independent estimates of each, whose differences are the errors."""
+    """Radiance (jobs, channels) by rays, its standard error, and the number of rays; arguments as for `accumulate`.
+    seconds: limit after which no more rays are started, without compilation; go_on: returns a mask of jobs that need
+    more rays, given their errors; repeats: number of independent estimates per job, whose differences give the errors.
+    """
     channels = problem.surfaces.images.shape[1]
     sampler = qmc.Sobol(5, scramble=True, rng=np.random.default_rng(seed))
     sums, counts = np.zeros((len(jobs), repeats, channels)), np.zeros(len(jobs), np.int64)
@@ -283,8 +289,9 @@ def trace(
 
 
 def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[float, ...]]]:
-    """Objects that are narrow and in the frame all over, the pixels (left, top, width, height) that have all of their
-    light, and half a width and height in mm about a place that rays are aimed at."""
+    """Objects that are narrow and entirely in the frame; for each the pixels (left, top, width, height) that receive
+    all of its light, and a box, as half width and height in mm around a point, that rays are aimed at.
+    """
     moments = sorted({0, len(problem.moments.poses) // 2, len(problem.moments.poses) - 1})
     if problem.moments.clock[1] > 0.0 and len(problem.moments.poses) > 1:
         return  # where rows open in turn, light is not that of a time
@@ -311,7 +318,9 @@ def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[flo
 
 
 def _reach(problem: Problem) -> tuple[float, float]:
-    """Reach of a blur of R = 1 px and a fifth more, and in px by how much errors of the wavefront bend rays most."""
+    """Extent of a blur with R = 1 px, enlarged by a fifth, and the largest displacement of rays by wavefront errors,
+    px.
+    """
     pupil, (step, half, *_) = problem.optics.pupil, problem.moments.lenses[0]
     grid = np.linspace(0.0, 0.999, 24)
     at = np.array([lens_point(u, v, *pupil)[:2] for u in grid for v in grid])

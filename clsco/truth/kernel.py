@@ -1,9 +1,9 @@
-"""Rays through the lens, in float64, BLOCK at a time, of which the compiler computes as many at once as vectors hold.
+"""Rays through the lens, in float64, in blocks of BLOCK, which the compiler vectorizes.
 
-The detector's place x' sees through the lens point l, in radii of the lens, the point of a surface whose slope X / Z is
-x, with x' = x + R(Z) l + 2 Q grad W(l), R = (D / 2) (K - 1 / Z) as a slope. So the ray is the straight line X(Z) =
-(x' - 2 Q grad W - (D / 2) K l) Z + (D / 2) l, whose parameter is the depth Z itself. K and W that differ over the field
-are those of x: the ray is cast anew from the place that it met.
+The detector position x' sees, through the lens point l in lens radii, the surface point whose slope X / Z is x, with x'
+= x + R(Z) l + 2 Q grad W(l), R = (D / 2) (K - 1 / Z) as a slope. So the ray is the straight line X(Z) = (x' - 2 Q grad
+W - (D / 2) K l) Z + (D / 2) l, whose parameter is the depth Z. If K and W vary over the frame, they are those at x: the
+ray is cast again with the values at the point that it met.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DEPTH, NUMBER, PLACE, HIT = 0, 1, 2, 5  # numbers of each hit: depth, object or 
 
 @njit(cache=True, inline="always")
 def uniform(state):  # type: ignore[no-untyped-def]
-    """A uniform number in [0, 1) of a 64-bit state (the finalizer of splitmix64)."""
+    """A uniform number in [0, 1) from a 64-bit state (the finalizer of splitmix64)."""
     z = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     z = z ^ (z >> np.uint64(31))
@@ -34,14 +34,14 @@ def uniform(state):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _inside(box, x, y, z):  # type: ignore[no-untyped-def]
-    """True if a point of the object's frame lies in its bounds."""
+    """True if a point in the object's frame is within its bounds."""
     within = (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
     return within & (x * x + y * y <= box[6])
 
 
 @njit(cache=True, inline="always")
 def mirror(index, count):  # type: ignore[no-untyped-def]
-    """Half-sample mirror reflection of a whole number: -1 -> 0, count -> count - 1. All floating point."""
+    """Half-sample mirror reflection of an integer: -1 -> 0, count -> count - 1; computed in floating point."""
     # The half keeps the product off whole numbers, where rounding would decide.
     index = index - 2 * count * np.floor((index + 0.5) * (0.5 / count))
     index = index if index < count else 2 * count - 1 - index
@@ -60,7 +60,7 @@ def rotated(m, x, y, z):  # type: ignore[no-untyped-def]
 def meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
     """First hit of the ray (lens + slope Z, Z) with a surface: depth, 0 for none, and the point in the object's frame.
 
-    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (7). All about the center.
+    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (7). All relative to the center.
     """
     # Back to the object's frame: the ray's parameter stays the depth in the camera at the sampled time.
     ox, oy, oz = rotated(m, lens_x - m[9], lens_y - m[10], -m[11])
@@ -94,9 +94,10 @@ def normal_at(normal, x, y, z, k):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def lambert(light, normal, m, lens_x, lens_y, x, y, z):  # type: ignore[no-untyped-def]
-    """Share of the texture that a point of the object's frame shows to a point of the lens: the cosine between the
-    light and that of both normals which the ray comes from. `light` (5): place or direction in the camera's frame,
-    whether the former, and the share without it; `m`: as in `meet`."""
+    """Fraction of the texture's radiance visible from a lens point at a point of the object's frame: the cosine between
+    the light and the normal on the ray's side. `light` (5): position or direction in the camera's frame, 1 for a
+    position, and the ambient fraction; `m`: as for `meet`.
+    """
     if light[3] > 0.0:
         to_x, to_y, to_z = rotated(m, light[0] - m[9], light[1] - m[10], light[2] - m[11])
         to_x, to_y, to_z = to_x - x, to_y - y, to_z - z
@@ -111,7 +112,7 @@ def lambert(light, normal, m, lens_x, lens_y, x, y, z):  # type: ignore[no-untyp
 
 @njit(cache=True)
 def distorted(x, y, n):  # type: ignore[no-untyped-def]
-    """Slopes as the lens shows them, and the derivatives xx, xy, yy of these; n: `Optics.numbers`."""
+    """Slopes after distortion by the lens, and their derivatives xx, xy, yy; n: `Optics.numbers`."""
     square, p1, p2 = x * x + y * y, n[9], n[10]
     q = 1.0 + square * (n[6] + square * (n[7] + square * n[8]))
     rise, along = n[6] + square * (2.0 * n[7] + square * 3.0 * n[8]), 2.0 * (p2 * x + p1 * y)
@@ -122,7 +123,7 @@ def distorted(x, y, n):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def undistorted(x, y, n):  # type: ignore[no-untyped-def]
-    """Slopes that the lens shows as x and y, by Newton's method."""
+    """Slopes that the lens distorts to x and y, by Newton's method."""
     at_x, at_y = x, y
     if n[6] != 0.0 or n[7] != 0.0 or n[8] != 0.0 or n[9] != 0.0 or n[10] != 0.0:
         for _ in range(30):
@@ -137,7 +138,7 @@ def undistorted(x, y, n):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _keep_nearer(hits, rays, count, number, m, k, box):  # type: ignore[no-untyped-def]
-    """Keep the hits of rays with one surface where they are nearer than those before; `m`: its poses (12 x BLOCK)."""
+    """Replace hits of rays by those with one surface where these are nearer; `m`: its poses (12 x BLOCK)."""
     # Scalars, so that the compiler need not fear that a store changes them.
     k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9]
     x0, x1, y0, y1, z0, z1, across = box[0], box[1], box[2], box[3], box[4], box[5], box[6]
@@ -164,8 +165,9 @@ def _keep_nearer(hits, rays, count, number, m, k, box):  # type: ignore[no-untyp
 
 @njit(cache=True)
 def _meet_all(hits, rays, count, left_out, poses, shapes):  # type: ignore[no-untyped-def]
-    """Put the first surface that each ray meets in `hits`: depth infinity and number -1 for none. left_out: a surface
-    that rays pass."""
+    """Write the first surface that each ray meets to `hits`: depth infinity and number -1 for none. left_out: a surface
+    that rays ignore.
+    """
     hits[:BLOCK], hits[BLOCK : 2 * BLOCK] = np.inf, -1.0
     for n in range(len(poses)):
         if n != left_out:
@@ -174,7 +176,7 @@ def _meet_all(hits, rays, count, left_out, poses, shapes):  # type: ignore[no-un
 
 @njit(cache=True)
 def _pose(posed, poses, moment, count):  # type: ignore[no-untyped-def]
-    """Put the poses of all objects at the moment of each ray in `posed` (objects, 12 x BLOCK)."""
+    """Write the poses of all objects at the moment of each ray to `posed` (objects, 12 x BLOCK)."""
     for n in range(len(posed)):
         for s in range(count):
             t = moment[s]
@@ -184,7 +186,7 @@ def _pose(posed, poses, moment, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _texel(x, y, z, n, mapping):  # type: ignore[no-untyped-def]
-    """The texel that the camera sees in the reference pose at a point of its frame, squares of one radiance."""
+    """The texel, a square of constant radiance, that the camera sees in the reference pose at a point in its frame."""
     first, rows, columns = mapping[1], mapping[2], mapping[3]
     x, y, _, _, _ = distorted(x / z, y / z, n)
     j = mirror(np.floor(x / n[2] + 0.5 * columns), columns)
@@ -194,7 +196,7 @@ def _texel(x, y, z, n, mapping):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _passes(rims, depth, rays, s, radius, detector):  # type: ignore[no-untyped-def]
-    """True if all rims let a ray pass."""
+    """True if a ray passes all rims."""
     for k in range(len(rims)):
         d, size = rims[k, 0], rims[k, 1]
         if d > 0.0:
@@ -212,7 +214,9 @@ def _passes(rims, depth, rays, s, radius, detector):  # type: ignore[no-untyped-
 
 @njit(cache=True, error_model="numpy")
 def _add_light(sums, sign, hits, rays, moment, count, posed, left_out, channel, scratch, surfaces, moments, optics):  # type: ignore[no-untyped-def]
-    """Add what rays meet to `sums` (channels,), times a sign and their weights; channel: the only one, or -1."""
+    """Add the radiance that rays meet, times `sign` and their weights, to `sums` (channels,); channel: the only one to
+    add, or -1.
+    """
     shapes, mappings, images, background, light = surfaces
     cameras, lenses, n, rims = moments.cameras, moments.lenses, optics.numbers, optics.rims
     total, normal, m = scratch[0, : len(sums)], scratch[1, :3], scratch[2]
@@ -253,8 +257,9 @@ def _add_light(sums, sign, hits, rays, moment, count, posed, left_out, channel, 
 
 @njit(cache=True)
 def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments, optics):  # type: ignore[no-untyped-def]
-    """Rays through their lens points to the detector's slopes. Where the lens differs over the field, it is that of the
-    place that the ray comes from."""
+    """Rays through their lens points to the detector's slopes. If the lens varies over the frame, its values are those
+    at the point that the ray comes from.
+    """
     n, lenses, (across, up, field) = optics.numbers, moments.lenses, optics.wavefront
     for k in range(int(n[17])):
         for s in range(count):
@@ -284,7 +289,7 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
 
 @njit(cache=True)
 def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type: ignore[no-untyped-def]
-    """Rays through their lens points to places around a point of an object's frame, with what they weigh there."""
+    """Rays through their lens points to points around a point in an object's frame, and their weights."""
     p0, p1, p2, p3, p4 = place
     for s in range(count):
         lens, m = moments.lenses[moment[s]], posed[s:]
@@ -305,7 +310,7 @@ def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type
 
 @njit(cache=True, inline="always")
 def _moment(u, column, row, n, quantiles, clock, count):  # type: ignore[no-untyped-def]
-    """Number of the moment of a uniform number at a place of the detector."""
+    """Number of the moment for a uniform number at a detector position."""
     time = u * (len(quantiles) - 1.0)
     i = min(int(time), len(quantiles) - 2)
     time = quantiles[i] + (time - i) * (quantiles[i + 1] - quantiles[i])
@@ -317,7 +322,7 @@ def _moment(u, column, row, n, quantiles, clock, count):  # type: ignore[no-unty
 
 @njit(cache=True)
 def _draw(rays, moment, points, span, shifts, place, aimed, moments, optics):  # type: ignore[no-untyped-def]
-    """Uniform numbers, lens points, moments and weights of rays, of samples span[0]..span[1]."""
+    """Draw uniform numbers, lens points, moments and weights of rays, for samples span[0]..span[1]."""
     n, (opening, rows_of, columns_of) = optics.numbers, optics.pupil
     times, quantiles, clock = len(moments.poses), moments.quantiles, moments.clock
     for s in range(span[1] - span[0]):
@@ -344,10 +349,9 @@ def _draw(rays, moment, points, span, shifts, place, aimed, moments, optics):  #
 def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moments, optics):  # type: ignore[no-untyped-def]
     """Add samples span[0]..span[1] of some jobs to `sums` (jobs, repeats, channels).
 
-    numbers: those of the jobs that are to go on; `jobs` (jobs, 2): the object that is left out, -1 for none, and one
-    that rays are aimed at, -1 for none; `places` (jobs, 5): left, top, width and height of the pixels in px, or half a
-    width and a height in mm around a point (3,) of the object's frame, at whose depth rays end; `points` (n, 5): a
-    Sobol set over pixel, lens and time.
+    numbers: the jobs to continue; `jobs` (jobs, 2): an object to leave out, and an object to aim rays at, -1 for none;
+    `places` (jobs, 5): left, top, width and height of the pixels in px, or half a width and a height in mm around a
+    point (3,) in the object's frame, at whose depth rays end; `points` (n, 5): a Sobol set over pixel, lens and time.
     """
     n, bands, shapes, poses = optics.numbers, optics.bands, surfaces.shapes, moments.poses
     rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.zeros(BLOCK, np.int64)
@@ -403,8 +407,9 @@ def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moment
 
 @njit(cache=True, nogil=True)
 def pinhole(depth, label, t, surfaces, moments, numbers):  # type: ignore[no-untyped-def]
-    """Put depth and number of the surface in the middle of each pixel of a frame in `depth` and `label` (rows,
-    columns), infinity and -1 for none; t: number of the moment."""
+    """Write depth and number of the surface at the middle of each pixel of a frame to `depth` and `label` (rows,
+    columns), infinity and -1 for none; t: number of the moment.
+    """
     rows, columns = depth.shape
     rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.full(BLOCK, t)
     posed, step = np.empty((moments.poses.shape[1], 12 * BLOCK)), moments.lenses[t, 0]

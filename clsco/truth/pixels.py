@@ -1,4 +1,4 @@
-"""Pixels of a frame at which rays are compared with it: at outlines, in focus, of small objects, and anywhere."""
+"""Selection of pixels to compare with rays: at outlines, in focus, at small objects, and anywhere."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Places = tuple[NDArray[Any], NDArray[Any], int, int]
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Pixels (n,) by row and column, the class of each, and the object that it is of, -1 for none."""
+    """Pixels (n,) by row and column, with the class of each, and its object, -1 for none."""
 
     row: NDArray[np.int64]
     column: NDArray[np.int64]
@@ -32,8 +32,9 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Extent:
-    """Image of an object: places (n, 3) of its own frame along it, half its size (3) there, and its least width in px
-    at the time in the middle."""
+    """Image of an object: points (n, 3) along it in its own frame, half its size (3) there, and its smallest width in
+    px at the middle time.
+    """
 
     places: Array
     half: Array
@@ -41,19 +42,19 @@ class Extent:
 
     @property
     def around(self) -> float:
-        """Radius in mm of a ball that has it all."""
+        """Radius in mm of a ball that contains it."""
         return float(self.half.max() if len(self.places) == 1 else np.linalg.norm(self.half))
 
 
 def labels_at(problem: Problem, moment: int) -> tuple[Array, NDArray[np.int64]]:
-    """Depth and object (rows, columns) in the middle of each pixel at a moment."""
+    """Depth and object (rows, columns) at the middle of each pixel at a moment."""
     depth, label = np.empty(problem.size), np.empty(problem.size, np.int64)
     pinhole(depth, label, moment, problem.surfaces, problem.moments, problem.optics.numbers)
     return depth, label
 
 
 def choose_pixels(problem: Problem, seed: int) -> Pixels:
-    """Pixels that are tried, the same for the same seed."""
+    """Pixels to test, equal for equal seeds."""
     draw, middle = np.random.default_rng(seed), len(problem.moments.poses) // 2
     moments = sorted({0, middle, len(problem.moments.poses) - 1})
     (rows, columns), background = problem.size, problem.surfaces.background
@@ -97,13 +98,13 @@ def choose_pixels(problem: Problem, seed: int) -> Pixels:
 
 
 def radius_of(problem: Problem, depth: Array, moment: int) -> Array:
-    """R in px of depths (rows, columns), of a lens that is the same all over the field."""
+    """R in px for depths (rows, columns), for a lens that is constant over the frame."""
     step, half, power, _ = problem.moments.lenses[moment]
     return np.asarray(half / step * (power - 1.0 / depth))
 
 
 def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ...]:
-    """Rows and columns (n,) beside another object, and the larger |R| of the two."""
+    """Rows and columns (n,) of pixels beside another object, and the larger |R| of the two."""
     parts = []
     for axis in (0, 1):
         one, other = (np.take(label, range(k, label.shape[axis] - 1 + k), axis) for k in (0, 1))
@@ -114,7 +115,7 @@ def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ..
 
 
 def extent_of(problem: Problem, number: int) -> Extent | None:
-    """Image of an object in the middle of the exposure; None for one that has no width."""
+    """Image of an object at the middle of the exposure; None for an object without width."""
     item: Any = problem.scene.objects[number]
     shape, box = item.shape, problem.surfaces.shapes[1, number, :6].reshape(3, 2)
     if shape in ("plane", "quadric", "background", "cone"):
@@ -142,13 +143,13 @@ def extent_of(problem: Problem, number: int) -> Extent | None:
 
 
 def is_small(problem: Problem, number: int) -> bool:
-    """True if the image of an object is below SMALL_PX along an axis."""
+    """True if the image of an object is smaller than SMALL_PX along an axis."""
     extent = extent_of(problem, number)
     return extent is not None and extent.width < SMALL_PX
 
 
 def places_of(problem: Problem, number: int, moment: int, points: Array) -> tuple[Array, Array, Array]:
-    """Column, row and R (n,) in px of places (n, 3) of an object's own frame."""
+    """Column, row and R (n,) in px of points (n, 3) in an object's own frame."""
     m, n = problem.moments.poses[moment, number], problem.optics.numbers
     x, y, z = (points @ m[:9].reshape(3, 3) + m[9:]).T
     ahead = z > 0
@@ -162,7 +163,7 @@ def places_of(problem: Problem, number: int, moment: int, points: Array) -> tupl
 
 
 def _around(problem: Problem, number: int, moment: int, count: int, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Rows and columns (count,) in the blur of an object that may be smaller than pixels."""
+    """Random rows and columns (count,) in the blur of an object that may be smaller than pixels."""
     extent = extent_of(problem, number)
     points = np.zeros((1, 3)) if extent is None else extent.places
     column, row, radius = places_of(problem, number, moment, points)
@@ -176,7 +177,7 @@ def _around(problem: Problem, number: int, moment: int, count: int, draw: np.ran
 
 
 def _inside(found: list[_Places], label: NDArray[np.int64], rows: int, columns: int) -> Pixels:
-    """Pixels of the frame among places, each once in a class, as many as that has at most."""
+    """Pixels of the frame among positions, without duplicates in a class, up to the class's largest number."""
     parts = [
         np.stack([row, column, np.full(len(row), kind), np.full(len(row), item)], axis=-1).astype(np.int64)
         for row, column, kind, item in found

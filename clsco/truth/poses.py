@@ -1,4 +1,4 @@
-"""Poses of objects and camera, and the lens, at many times at once, by the words of docs/motion.md (float64)."""
+"""Poses of objects and camera, and the lens, at many times at once, following the text of docs/motion.md (float64)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SINES = 32  # of each component of a shake
 
 
 def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
-    """M of P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
+    """M in P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
 
-    The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` a turn
-    about the vector `angles` takes its place, in the sense that the matrix has for a single axis (clockwise
-    seen from the axis' tip).
+    The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` it is replaced
+    by a rotation about the vector `angles`, in the sense that the matrix has for a single axis (clockwise seen from the
+    axis' tip).
     """
     if axis_rotation:
         matrix = Rotation.from_rotvec(-angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
@@ -38,7 +38,7 @@ def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
 
 
 def static_rotation(given: Any) -> Array:
-    """Matrix (3, 3) of Euler angles or of an axis with an angle, both in deg, or of a quaternion w x y z."""
+    """Matrix (3, 3) from Euler angles or an axis with an angle, both in deg, or a quaternion w x y z."""
     if given is None:
         return np.eye(3)
     if hasattr(given, "quaternion"):
@@ -51,8 +51,9 @@ def static_rotation(given: Any) -> Array:
 
 
 def shake_sines(shake: Any) -> Array:
-    """Amplitude in rad or mm, frequency in Hz and phase in turns (6, sines, 3) of a camera's rotation vector and then
-    of its shift; no sines without a shake."""
+    """Amplitude in rad or mm, frequency in Hz and phase in turns (6, sines, 3) for a camera's rotation vector, then its
+    shift; no sines without shake.
+    """
     if shake is None:
         return np.zeros((6, 0, 3))
     numbers = np.random.Philox(key=shake.seed).random_raw(12 * SINES) >> np.uint64(11)
@@ -64,15 +65,16 @@ def shake_sines(shake: Any) -> Array:
 
 
 def shake_at(sines: Array, times: Array) -> tuple[Array, Array]:
-    """Rotations (times, 3, 3) and shifts (times, 3) of a camera that shakes."""
+    """Rotations (times, 3, 3) and shifts (times, 3) of a shaking camera."""
     size, frequency, phase = np.moveaxis(sines, -1, 0)
     found = (size * np.sin(2 * np.pi * (frequency * times[:, None, None] + phase))).sum(axis=-1)
     return rotation_matrix(found[:, :3], True), found[:, 3:]
 
 
 def path_at(keys: Sequence[float], values: Array, interpolation: str, outside: str, times: Array) -> Array:
-    """Values (times, size) of a path through keys; before the first and after the last one it goes on straight, or
-    holds."""
+    """Values (times, size) of a path through keys; before the first and after the last key it is extended linearly or
+    held.
+    """
     knots, at = np.asarray(keys, float), np.clip(times, keys[0], keys[-1])
     if interpolation == "step" or len(knots) == 1:
         return np.asarray(values[np.maximum(np.searchsorted(knots, times, side="right") - 1, 0)])
@@ -114,7 +116,7 @@ def motion_at(motion: Any, times: Array, axis_rotation: bool) -> tuple[Array, Ar
 
 
 def camera_at(scene: Any, eye: str, times: Array) -> tuple[Array, Array]:
-    """Rotations (times, 3, 3) and shifts (times, 3) of the camera, or of one of a stereo pair."""
+    """Rotations (times, 3, 3) and shifts (times, 3) of the camera, or of one camera of a stereo pair."""
     turn, shift = motion_at(scene.camera.motion, times, scene.motion.rotation == "axis")
     back, moved = shake_at(shake_sines(scene.camera.shake), times)
     turn, shift = turn @ back, shift + np.einsum("tij,tj->ti", turn, moved)
@@ -127,8 +129,9 @@ def camera_at(scene: Any, eye: str, times: Array) -> tuple[Array, Array]:
 
 
 def poses_at(scene: Any, centers: Array, rotations: Array, camera: tuple[Array, Array], times: Array) -> Array:
-    """Per time and object, the inverse rotation (9) and the moved center (3) in the camera's frame: (times, objects,
-    12), mm. centers, rotations: of the reference pose."""
+    """For each time and object, the inverse rotation (9) and the moved center (3) in the camera's frame: (times,
+    objects, 12), mm. centers, rotations: in the reference pose.
+    """
     back, shift = np.swapaxes(camera[0], -1, -2), camera[1]
     axis = scene.motion.rotation == "axis"
     groups = {group.name: (group, *motion_at(group.motion, times, axis)) for group in scene.groups}
@@ -148,7 +151,7 @@ def poses_at(scene: Any, centers: Array, rotations: Array, camera: tuple[Array, 
 
 
 def lens_at(scene: Any, times: Array) -> Array:
-    """Numbers of the lens at some times: pitch / s0, D / 2 in mm, K = 1/f - 1/s and 1/s in 1/mm, (times, 4)."""
+    """Numbers of the lens at several times: pitch / s0, D / 2 in mm, K = 1/f - 1/s and 1/s in 1/mm, (times, 4)."""
     camera, lens = scene.camera, scene.lens
     f0, s0 = camera.focal_length, camera.normalization_distance
     keys = () if lens is None else lens.keyframe or ()

@@ -1,4 +1,4 @@
-"""A scene as arrays for rays: surfaces, images, and where all is at many times (float64)."""
+"""A scene as arrays for rays: surfaces, images, and their state at many times (float64)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ QUANTILES = 4096  # of the light through a shutter
 
 
 class Surfaces(NamedTuple):
-    """Surfaces and their images: `shapes` (3, objects, 12), coefficients (10), bounds (7), and rotation and center of
-    the reference pose; `mappings` (objects, SIZE), `images` (texels, channels), `background` its number or -1, and
-    `light` (5,) as its place or direction, whether the former, and the share seen without it, or empty."""
+    """Surfaces and their images: `shapes` (3, objects, 12): coefficients (10), bounds (7), and rotation and center in
+    the reference pose; `mappings` (objects, SIZE); `images` (texels, channels); `background`: its number or -1; `light`
+    (5,): its position or direction, 1 for a position, and the ambient fraction, or empty.
+    """
 
     shapes: Array
     mappings: Array
@@ -33,10 +34,11 @@ class Surfaces(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """All that changes, at the middles of equal times: `poses` (times, objects, 12), `cameras` (times, 12) as rotation
-    and the place of the light, or the direction towards it, in the camera's frame, `lenses` (times, 4); `quantiles` of
-    the light through the shutter, of 1 its duration, and `clock`: shutter and readout over all of the time, whether by
-    columns, whether from the last one."""
+    """Time-dependent values at the middles of equal intervals: `poses` (times, objects, 12); `cameras` (times, 12):
+    rotation, and position of the light or direction to it in the camera's frame; `lenses` (times, 4); `quantiles` of
+    the light through the shutter, with duration 1; `clock`: shutter and readout as fractions of the whole time, 1 for
+    columns, 1 to begin with the last one.
+    """
 
     poses: Array
     cameras: Array
@@ -46,11 +48,12 @@ class Moments(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """The lens: `pupil` (3), `wavefront` (3), `rims` (n, 2) as distance and radius in mm, `bands` (1 or 3, 2) as
-    magnification and what is added to K, and `numbers`: columns, rows, pitch / s0 in the reference pose, pitch, field
-    curvature, 1 where a sphere is in focus, k1, k2, k3, p1, p2 (y up), vignetting 0, 1 or 2 with a1, a2, a3, exposure,
-    1 / f of the camera - 1 / s, how often a ray is cast for its place in the field, and 1 where the wavefront
-    has errors."""
+    """The lens: `pupil` (3); `wavefront` (3); `rims` (n, 2): distance and radius in mm; `bands` (1 or 3, 2):
+    magnification and addition to K; and `numbers`: columns, rows, pitch / s0 in the reference pose, pitch, field
+    curvature, 1 if a sphere is in focus, k1, k2, k3, p1, p2 (y up), vignetting 0, 1 or 2 with a1, a2, a3, exposure, 1 /
+    f of the camera - 1 / s, number of times that a ray is cast again for its position in the frame, and 1 if the
+    wavefront has errors.
+    """
 
     pupil: tuple[Array, Array, Array]
     wavefront: Wavefront
@@ -60,7 +63,7 @@ class Optics(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """A view of a frame of a scene, for rays."""
+    """A frame of a scene in one view, as input for rays."""
 
     scene: Scene
     surfaces: Surfaces
@@ -75,7 +78,7 @@ class Problem(NamedTuple):
 
 
 def not_judged(scene: Scene) -> str | None:
-    """Why rays cannot tell what a frame should be; None where they can."""
+    """Reason why rays cannot predict a frame of the scene; None if they can."""
     if not scene.is_analytic:
         return "depth maps have no surfaces that rays could meet behind others"
     varies = set(scene.psf.seidel.model_dump(exclude_unset=True)) - {"W040"} or scene.lens is not None
@@ -85,7 +88,9 @@ def not_judged(scene: Scene) -> str | None:
 
 
 def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles | None = None) -> Problem:
-    """Read a scene that rays can tell, with its resolution; frame: index; eye: left or right of a stereo pair."""
+    """Read a scene that rays can predict, with its resolution; frame: index; eye: left or right view of a stereo
+    pair.
+    """
     normalized = scene.model_copy(
         update={"aperture": scene.aperture.model_copy(update={"exposure": "normalized"})}
     )  # fmt: skip
@@ -128,7 +133,7 @@ def _surfaces(scene: Scene, textures: Any) -> Surfaces:
 
 
 def poses_of(scene: Scene, eye: str, times: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Poses of all objects in the frame of a camera, as of `poses_at`, and those of the camera."""
+    """Poses of all objects in the frame of a camera, as from `poses_at`, and those of the camera."""
     centers = np.array([surface_of(item)[1] for item in scene.objects], float)
     rotations = np.array([static_rotation(item.rotation) for item in scene.objects])
     camera = camera_at(scene, eye, times)

@@ -1,7 +1,7 @@
-"""Openings of lenses, and errors of the wavefront behind them, as numbers that rays are drawn with (float64).
+"""Apertures of lenses, and wavefront errors, as numbers for drawing rays (float64).
 
-A point of the lens follows from two uniform numbers: from circles, rings and Gaussians by the inverse of their
-distribution, from polygons at a uniform angle with the square of the rim as its weight, from images by sums over cells.
+A lens point is computed from two uniform numbers: for circles, rings and Gaussians by the inverse distribution
+function, for polygons at a uniform angle with the squared edge distance as weight, for images by sums over cells.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ MOST_CELLS, ORDER = 512, 6  # a side of an image; of the polynomials of a wavefr
 
 
 class Pupil(NamedTuple):
-    """The opening of a lens: kind, and the numbers and the sums over cells that `lens_point` takes; `light`, the part
-    of the light through an open circle."""
+    """The aperture of a lens: kind, and the numbers and sums over cells for `lens_point`; `light`: relative to an open
+    circle.
+    """
 
     numbers: Array
     rows: Array
@@ -34,7 +35,7 @@ class Pupil(NamedTuple):
 
 
 def pupil_of(scene: Any) -> Pupil:
-    """The opening of a scene's lens."""
+    """The aperture of a scene's lens."""
     given, psf, none = scene.aperture, scene.psf, np.zeros(1)
     squeeze, turn = given.squeeze, math.radians(given.rotation)
     if psf.model == "gaussian":
@@ -61,7 +62,9 @@ def pupil_of(scene: Any) -> Pupil:
 
 
 def _cells(scene: Any) -> Array:
-    """Transmission (n, n) of an image in its inscribed circle, the largest 1; row 0 on top."""
+    """Transmission (n, n) of the aperture image, 0 outside its inscribed circle, scaled to a maximum of 1; row 0 on
+    top.
+    """
     picture = picture_of(scene.aperture.inputs()["image"])
     linear = decode(picture.data, picture.color.transfer(scene.image.transfer))
     linear = linear[..., 0] if linear.ndim == 3 else linear
@@ -74,7 +77,7 @@ def _cells(scene: Any) -> Array:
 
 @njit(cache=True)
 def _rim(angle, p):  # type: ignore[no-untyped-def]
-    """Distance of a blade from the middle of the lens at an angle off the blade's middle."""
+    """Distance of a blade from the lens center, at an angle relative to the blade's middle."""
     if math.isinf(p[6]):
         return p[4] / math.cos(angle)
     across = p[5] * math.sin(angle)
@@ -83,8 +86,9 @@ def _rim(angle, p):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
-    """The point of the lens of two uniform numbers, in radii, right and up as a far light's image shows it, and its
-    weight, of mean 1."""
+    """Lens point for two uniform numbers, in radii, right and up as in a far light's image, and its weight, with mean
+    1.
+    """
     weight, kind, angle = 1.0, int(p[0]), 2.0 * math.pi * v
     if kind == CELLS:
         count, wanted = len(columns), u * rows[-1]
@@ -109,7 +113,7 @@ def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def is_open(x, y, p, columns):  # type: ignore[no-untyped-def]
-    """Transmission at a point of the lens, but for a Gaussian; arguments as for `lens_point`."""
+    """Transmission at a lens point, except for a Gaussian; arguments as for `lens_point`."""
     x, kind = p[1] * x, int(p[0])
     away, angle = math.hypot(x, y), math.atan2(y, x)
     if kind == CELLS:
@@ -124,8 +128,9 @@ def is_open(x, y, p, columns):  # type: ignore[no-untyped-def]
 
 
 class Wavefront(NamedTuple):
-    """Errors of a wavefront that bend rays: `across` and `up` (7, 7), coefficients by powers of x and y of what a ray's
-    slope changes by at a lens radius of 1 mm, and three more of what grows over the field."""
+    """Wavefront errors that bend rays: `across` and `up` (7, 7): coefficients, by powers of x and y, of the change of a
+    ray's slope for a lens radius of 1 mm; and three more for terms that vary over the frame.
+    """
 
     across: Array
     up: Array
@@ -133,7 +138,7 @@ class Wavefront(NamedTuple):
 
 
 def path_of(psf: Any) -> Array:
-    """Errors (7, 7) of the wavefront all over the field, in waves of green light by powers of x and y."""
+    """Wavefront errors (7, 7) that are constant over the frame, in waves of green light by powers of x and y."""
     total, square = np.zeros((ORDER + 1, ORDER + 1)), np.zeros((3, 3))
     square[2, 0] = square[0, 2] = 1.0
     table = psf.zernike.model_dump(exclude_unset=True)
@@ -153,8 +158,9 @@ def path_of(psf: Any) -> Array:
 
 
 def wavefront_of(scene: Any) -> Wavefront:
-    """Rays through l arrive 2 Q grad W px off, Q = wavelength s0 / (D p): slopes change by wavelength / (D / 2) grad W,
-    W in waves of green light."""
+    """Wavefront errors of a lens. Rays through l arrive 2 Q grad W px off, Q = wavelength s0 / (D p): slopes change by
+    wavelength / (D / 2) grad W, W in waves of green light.
+    """
     total, seidel = path_of(scene.psf), scene.psf.seidel
     powers, scale = np.arange(1.0, ORDER + 1), scene.psf.wavelengths[1] * 1e-6
     across, up = np.zeros_like(total), np.zeros_like(total)
@@ -163,7 +169,7 @@ def wavefront_of(scene: Any) -> Wavefront:
 
 
 def _add(total: Array, size: float, polynomial: Array, square: Array, times: int) -> None:
-    """Add a polynomial times so many squared distances."""
+    """Add a polynomial multiplied by a power of the squared distance."""
     for _ in range(times):
         polynomial = convolve2d(polynomial, square)
     total[: len(polynomial), : len(polynomial)] += size * polynomial
@@ -171,8 +177,9 @@ def _add(total: Array, size: float, polynomial: Array, square: Array, times: int
 
 @njit(cache=True)
 def bend(x, y, right, up, across_of, up_of, field):  # type: ignore[no-untyped-def]
-    """Change of the slope of a ray through (x, y), in radii of the lens, times the lens' radius in mm, from a place
-    (right, up) of the frame, 1 in the corner."""
+    """Change of slope of a ray through (x, y), in lens radii, times the lens radius in mm, for a position (right, up)
+    in the frame, 1 in the corner.
+    """
     bent_x, bent_y, power = 0.0, 0.0, 1.0
     for i in range(len(across_of)):
         sum_x, sum_y = 0.0, 0.0

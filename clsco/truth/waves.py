@@ -1,8 +1,8 @@
-"""Light of pixels by waves where nothing is hidden or tilted: sums over what a pinhole sees (float64).
+"""Light of pixels by wave optics without occlusion and tilt: sums over the pinhole image (float64).
 
-Surfaces are seen in cells, some of a pixel; the light of a cell of blur radius R spreads by |U|^2, U the transform of
-the opening with the phases of R and of the wavefront's errors. Between two radii whose spreads are known it is the mean
-of both. Light that leaves the window is spread evenly over it.
+Surfaces are divided into cells smaller than a pixel; the light of a cell of blur radius R spreads by |U|^2, U the
+transform of the aperture with the phases of R and of the wavefront errors. Between two radii with known spreads it is
+interpolated. Light that leaves the window is spread evenly over it.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ HIDDEN = 2e-3  # share of a pixel's light that may come from there, or from wher
 
 
 class Cells(NamedTuple):
-    """Cells (y, x), `parts` x `parts` a pixel, of the frame and half a `window` in px around it: blur radius in px,
-    whether they shine, whether one surface may hide another there or is tilted; `problem`: as a pinhole sees it,
-    `places` (n, 5) of those that shine for `accumulate`."""
+    """Cells (y, x), `parts` x `parts` per pixel, of the frame and half a `window` in px around it: blur radius in px, a
+    mask of cells with light, and a mask of cells where surfaces are tilted or may hide another; `problem`: the scene
+    seen by a pinhole; `places` (n, 5): cells with light, for `accumulate`.
+    """
 
     parts: int
     window: int
@@ -43,7 +44,7 @@ class Cells(NamedTuple):
 
 
 def unit_of(problem: Problem, wavelength: float) -> float:
-    """Q in px of a wavelength in nm."""
+    """Q in px for a wavelength in nm."""
     step, half, *_ = problem.moments.lenses[0]
     return float(1e-6 * wavelength / (2.0 * half * step))
 
@@ -81,8 +82,9 @@ def cells_of(problem: Problem) -> Cells:
 
 
 def spread_light(problem: Problem, cells: Cells, light: Array, error: Array) -> tuple[Array, Array, Array]:
-    """Radiance (rows, columns, channels) of a frame, its standard error, and the share (rows, columns) of each pixel
-    that comes from hidden or tilted places; light, error (n, channels): of the cells that shine."""
+    """Radiance (rows, columns, channels) of a frame, its standard error, and the fraction (rows, columns) of each
+    pixel's light from hidden or tilted surfaces; light, error (n, channels): of the cells with light.
+    """
     psf, parts, channels = problem.scene.psf, cells.parts, light.shape[1]
     radii, count = cells.radius[cells.shines], [next_fast_len(each) for each in cells.radius.shape]
     middles = psf.wavelengths if channels == 3 else psf.wavelengths[1:2]
@@ -115,7 +117,9 @@ def _signed(count: int) -> NDArray[np.int64]:
 
 
 def _spread(problem: Problem, cells: Cells, wavelength: float, radius: float) -> Array:
-    """Share of a pixel in the light of cells, by how many cells from its middle to the left and above; indices wrap."""
+    """Fraction of a cell's light that a pixel receives, by the number of cells from its middle to the left and up;
+    indices wrap.
+    """
     unit, psf, pupil = unit_of(problem, wavelength), problem.scene.psf, problem.optics.pupil
     extent = max(1.0 / problem.scene.aperture.squeeze, 1.0)
     fine = cells.parts * math.ceil(2.0 * extent / unit / cells.parts)  # samples per px, so that none fold over
@@ -141,7 +145,7 @@ def _spread(problem: Problem, cells: Cells, wavelength: float, radius: float) ->
 
 @njit(cache=True)
 def _amplitude(index, pitch, p, columns):  # type: ignore[no-untyped-def]
-    """Amplitude (y, x) in cells of the opening, the first row on top, and the light of all of them."""
+    """Amplitude (y, x) in cells of the aperture, the first row on top, and the total light of the cells."""
     found, passed = np.zeros((len(index), len(index))), 0.0
     for i in range(len(index)):
         for j in range(len(index)):

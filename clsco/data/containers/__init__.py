@@ -1,4 +1,4 @@
-"""Formats that hold the samples of a shard, in one table."""
+"""Table of the formats for samples of a shard."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ CONTAINERS = {
 
 
 def container_named(name: str) -> Container:
-    """The container of a name, which can be used.
+    """The container with a name, ready for use.
 
-    Raises SceneError: there is none of this name; MissingDependencyError: the extra that it needs is not installed.
+    Raises SceneError: no container has this name; MissingDependencyError: the extra that it needs is not installed.
     """
     if name not in CONTAINERS:
         raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")

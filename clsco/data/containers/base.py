@@ -1,4 +1,4 @@
-"""Common interface of containers: shards are written, and read one record at a time."""
+"""Common interface of containers: write shards, and read records one at a time."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ from clsco.files.strict_json import strict_json
 class ShardReader(ABC):
     """The records of a shard, in the order in which they were written.
 
-    Nothing is open before the first record is read; a closed reader opens again. A reader is used by one thread at a
-    time.
+    Files are opened for the first record; a closed reader opens them again. A reader is for one thread at a time.
     """
 
     def __init__(self, path: Path, keys: Iterable[str]) -> None:
@@ -42,7 +41,7 @@ class ShardReader(ABC):
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
         """Read one record. Raises FileError where the shard is damaged.
 
-        names: of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
+        names: arrays, by full name or by kind; other arrays are not read if the format stores them apart.
         """
 
     def close(self) -> None:  # noqa: B027, some leave nothing open
@@ -63,8 +62,8 @@ class Container:
     """A format that holds the records of a shard in one file, or in one folder.
 
     suffix: end of a shard's name, "" for a folder without one. write: takes a new local path and records, few of which
-    are in memory at a time; the same records give the same bytes. read: takes a local path, and raises FileError where
-    it is no whole shard. needs: a module, and the extra of clsco that brings it.
+    are in memory at a time; the same records give the same bytes. read: takes a local path, and raises FileError if the
+    shard is incomplete. needs: a module, and the extra of clsco that installs it.
     """
 
     name: str
@@ -76,7 +75,9 @@ class Container:
 
 @contextlib.contextmanager
 def translate_errors(path: Path, kind: str) -> Iterator[None]:
-    """Turn any error of a codec into a FileError: each has its own exceptions for damage, and none lists them."""
+    """Turn any error of a codec into a FileError: each codec raises its own exceptions for damaged files,
+    undocumented.
+    """
     try:
         yield
     except ClscoError:
@@ -93,7 +94,7 @@ MOST_SAMPLES, MOST_BYTES = 16, 2**26  # of a block
 
 
 def block_size(layout: Layout) -> int:
-    """Records that are in memory together: 16, or fewer where they have more than 64 MiB."""
+    """Records per block in memory: 16, or fewer if they exceed 64 MiB."""
     return max(1, min(MOST_SAMPLES, MOST_BYTES // max(record_bytes(layout), 1)))
 
 
@@ -103,9 +104,9 @@ def record_bytes(layout: Layout) -> int:
 
 
 def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[Layout, list[Record]]]:
-    """The layout of all records, and up to `block_size` of them at a time.
+    """The layout of all records, with up to `block_size` records at a time.
 
-    Raises FileError: two records differ in their layout, or there is none.
+    Raises FileError: two records have different layouts, or there is no record.
     """
     layout: Layout | None = None
     block: list[Record] = []
@@ -144,7 +145,7 @@ _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4
 
 
 def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, bytes]:
-    """Extension, one of `EXTENSIONS`, and content of an array; path: for messages.
+    """Extension, one of `EXTENSIONS`, and content of the file of an array; path: for messages.
 
     The same array gives the same bytes. Raises FileError: the extra `formats` is missing.
     """
@@ -156,10 +157,10 @@ def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, by
 
 
 def decoded(path: Path, extension: str, content: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Decode an array that can be written to; the inverse of `encoded` bit by bit.
+    """Decode a writable array; the exact inverse of `encoded`.
 
-    dtype, shape: that it must have, as `parsed_meta` gives them; memory for no more is allocated. Damage raises any
-    error of a codec, which readers turn into a FileError.
+    dtype, shape: expected, as `parsed_meta` gives them; no more memory is allocated. Damage raises any error of a
+    codec, which readers turn into a FileError.
     """
     if extension == "png":
         return _from_png(path, content, dtype, shape)
@@ -169,17 +170,17 @@ def decoded(path: Path, extension: str, content: bytes, dtype: np.dtype[Any], sh
 
 
 def stored_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
-    """Bytes that hold an array at most, compressed or not: what cannot be compressed grows by less than an eighth."""
+    """Upper bound of an array's bytes, compressed or not: incompressible data grow by less than an eighth."""
     return npy_size(dtype, shape) * 9 // 8
 
 
 def is_png(dtype: str, shape: tuple[int, ...]) -> bool:
-    """True if a PNG can hold such an array: of masks and codes, gray or with three channels."""
+    """True if a PNG can hold such an array: a mask or codes, gray or with three channels."""
     return dtype in ("bool", "uint8", "uint16") and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 3))
 
 
 def png_bytes(array: NDArray[Any]) -> bytes:
-    """A PNG of codes, or of a mask as 0 and 255."""
+    """PNG file of codes, or of a mask as 0 and 255."""
     return b"".join(png_parts(array.astype(np.uint8) * np.uint8(255) if array.dtype == bool else array))
 
 
@@ -198,9 +199,9 @@ def _from_png(path: Path, content: bytes, dtype: np.dtype[Any], shape: tuple[int
 
 
 def meta_bytes(record: Record, flat: bool = False) -> bytes:
-    """JSON of what describes a record, in one line. Raises FileError where JSON cannot hold it.
+    """JSON of a record's description, in one line. Raises FileError for values that JSON cannot hold.
 
-    flat: nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
+    flat: nested tables become strings of JSON, as `datasets` needs one type per key and scenes differ in theirs.
     """
     try:
         nested = {name: _json(value) for name, value in record.meta.items() if isinstance(value, (dict, list, tuple))}
@@ -214,8 +215,9 @@ def _json(value: Any) -> str:
 
 
 def parsed_meta(path: Path, content: bytes | str) -> tuple[dict[str, Any], Layout]:
-    """Parse the meta.json of a record: it, and the types and shapes of its arrays. Raises FileError, or ValueError for
-    no JSON."""
+    """Parse the meta.json of a record: its content, and the types and shapes of the arrays. Raises FileError, or
+    ValueError for invalid JSON.
+    """
     if len(content) > LARGEST_META:
         raise_file_error(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = strict_json(content)
@@ -230,7 +232,7 @@ def parsed_meta(path: Path, content: bytes | str) -> tuple[dict[str, Any], Layou
 
 
 def _layout_of(path: Path, name: str, about: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
-    """Type and shape of an array by what meta.json says of it. Raises FileError for what no record has."""
+    """Type and shape of an array from its entry in meta.json. Raises FileError for values that no record has."""
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
         raise_file_error(path, "arrays must have plain names and be described in meta.json", repr(name))
     dtype = _DTYPES.get(str(about.get("dtype")))
@@ -244,13 +246,14 @@ def _layout_of(path: Path, name: str, about: Any) -> tuple[np.dtype[Any], tuple[
 
 
 def chosen(layout: Layout, names: Collection[str] | None) -> Layout:
-    """Arrays of a layout that have one of these names, or hold what one of them says."""
+    """Arrays of a layout selected by full name or by kind."""
     return {name: about for name, about in layout.items() if is_named(name, names)}
 
 
 def confined_arrays(function: str, file: BinaryIO, layout: Layout, **options: Any) -> dict[str, NDArray[Any]]:
-    """Arrays of a record, which a function reads in the process with limits: of these types and shapes, and of no more
-    bytes. Raises ValueError for any others."""
+    """Arrays of a record, read by a function in a process with limits. Raises ValueError for other types, shapes or
+    more bytes than in the layout.
+    """
     _, arrays = run_decoder(function, file, record_bytes(layout), names=list(layout), **options)
     for (name, about), array in zip(layout.items(), arrays, strict=True):
         if (array.dtype, array.shape) != about:
@@ -267,7 +270,7 @@ def members(path: Path, record: Record, raw: bool, flat: bool = False) -> Iterat
 
 
 def split_name(member: str) -> tuple[str, str] | None:
-    """Array and extension of a member such as "left.depth.npy.zst"; None for what holds no array."""
+    """Array and extension of a member such as "left.depth.npy.zst"; None for a member that is not an array."""
     for extension in EXTENSIONS:
         if member.endswith(f".{extension}"):
             return member.removesuffix(f".{extension}"), extension
@@ -279,7 +282,7 @@ Members = tuple[Iterable[str], Callable[[str, int], bytes]]
 
 
 class MemberReader(ShardReader):
-    """Records whose arrays are members: files of a folder, or parts of an archive, which is called `kind`."""
+    """Records whose arrays are members: files of a folder or of an archive; `kind` names it in messages."""
 
     kind: ClassVar[str]
 
@@ -291,7 +294,7 @@ class MemberReader(ShardReader):
         return self.path
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read the members of these arrays."""
+        """Read the members of the selected arrays."""
         path = self._place(index)
         with translate_errors(path, self.kind), self._members(index) as (members, content):
             meta, layout = parsed_meta(path, content("meta.json", LARGEST_META))

@@ -1,4 +1,4 @@
-"""A folder per sample with a file per array: for people, and for tools that read nothing else.
+"""A folder per sample with a file per array: for viewing, and for tools that read only single files.
 
 Read back with OpenCV, Pillow, `numpy` and `zstandard`.
 """
@@ -19,7 +19,7 @@ from clsco.resources import open_regular, read_regular
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new folder, KEY/ARRAY.EXTENSION and KEY/meta.json; arguments as of a tar."""
+    """Write records to a new folder as KEY/ARRAY.EXTENSION and KEY/meta.json; arguments as for a tar."""
     path.mkdir()
     for record in records:
         folder = path / record.key
@@ -48,10 +48,9 @@ class FolderReader(MemberReader):
 
 
 def write_npz(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new folder, KEY.npz each.
+    """Write records to a new folder as KEY.npz.
 
-    Without `raw`, masks, codes and numbers of objects are compressed, floats never: deflate takes 0.3 s for 10 MB of
-    them.
+    Without `raw`, masks, codes and object numbers are compressed, floats never: deflate takes 0.3 s for 10 MB of them.
     """
     path.mkdir()
     for record in records:

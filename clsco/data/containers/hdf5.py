@@ -1,4 +1,4 @@
-"""HDF5: a group per sample, in it a dataset per array, and `meta`, a string of JSON.
+"""HDF5: a group per sample with a dataset per array, and `meta`, a string of JSON.
 
 Read back with h5py.
 """
@@ -27,8 +27,9 @@ _FILE = "clsco.data.containers.hdf5_file"
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new file: bytes are shuffled and deflated (gzip 4), which every build of HDF5 reads, or
-    `raw`."""
+    """Write records to a new file, shuffled and deflated (gzip 4), which every HDF5 build reads, or uncompressed
+    (`raw`).
+    """
     h5py = import_extra(path, *NEEDS)
     options = {} if raw else {"shuffle": True, "compression": "gzip", "compression_opts": 4}
     with h5py.File(path, "x", track_order=False) as file:
@@ -54,7 +55,7 @@ class Hdf5Reader(ShardReader):
         super().__init__(path, about["keys"])
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read the datasets of these arrays."""
+        """Read the datasets of the selected arrays."""
         key = self.keys[index]
         with translate_errors(self.path, "HDF5 file"), open_regular(self.path) as file:
             _, (text,) = run_decoder(f"{_FILE}:meta", file, LARGEST_META, key=key)

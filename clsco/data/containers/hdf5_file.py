@@ -1,4 +1,4 @@
-"""Records of HDF5 files, by h5py: called in a process with limits (`run_decoder`), as no header bounds them."""
+"""Reader of HDF5 files by h5py, called in a process with limits (`run_decoder`) because no header bounds its memory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def meta(file: BinaryIO, key: str) -> tuple[dict[str, Any], list[NDArray[Any]]]:
 
 
 def arrays(file: BinaryIO, key: str, names: Sequence[str]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Arrays of a record."""
+    """Bytes of the JSON text that describes a record."""
     with _opened(file) as opened:
         group = _stored(opened, key)
         return {}, [_stored(group, name)[()] for name in names]

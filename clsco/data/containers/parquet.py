@@ -1,4 +1,5 @@
-"""Parquet as the Hugging Face package `datasets` has it: codes and masks as `Image`, floats as `Array2D` and so on.
+"""Parquet in the layout of the Hugging Face package `datasets`: codes and masks as `Image`, floats as `Array2D` and so
+on.
 
 Columns are `key`, one for each array, and `meta`, a string of JSON. Read back with pyarrow and with `datasets`.
 """
@@ -62,7 +63,7 @@ def write(path: Path, records: Iterable[Record]) -> None:
 
 
 def _schema(path: Path, layout: Layout) -> Any:
-    """Columns, and what `datasets` makes of them."""
+    """Columns of the file, with the features that `datasets` reads them as."""
     pyarrow = import_extra(path, *NEEDS)
     fields: list[Any] = [("key", pyarrow.string())]
     features: dict[str, Any] = {"key": {"dtype": "string", "_type": "Value"}}
@@ -98,7 +99,7 @@ def _table(path: Path, schema: Any, layout: Layout, block: list[Record]) -> Any:
 
 
 def _nested(pyarrow: Any, values: NDArray[Any]) -> Any:
-    """A column of lists of lists, one for each item of the first dimension."""
+    """A column of nested lists, one per item of the first dimension."""
     column = pyarrow.array(values.reshape(-1))
     for axis in range(values.ndim - 1, 0, -1):
         count = prod(values.shape[:axis])
@@ -108,7 +109,7 @@ def _nested(pyarrow: Any, values: NDArray[Any]) -> Any:
 
 
 class _Column(NamedTuple):
-    """A column of a row group: where each row begins in its bytes, and its end; or for lists the values of all rows."""
+    """A column of a row group: for bytes, the start of each row and the end; for lists, the values of all rows."""
 
     places: NDArray[np.int64]
     values: NDArray[Any]
@@ -138,7 +139,7 @@ class ParquetReader(ShardReader):
         super().__init__(path, keys)
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read the columns of these arrays."""
+        """Read the columns of the selected arrays."""
         group, row = self._rows[index]
         with translate_errors(self.path, "Parquet file"):
             if self._group is None or self._group[0] != group:

@@ -1,4 +1,6 @@
-"""Columns of Parquet files, by pyarrow: called in a process with limits (`run_decoder`), as no header bounds them."""
+"""Reader of Parquet columns by pyarrow, called in a process with limits (`run_decoder`) because no header bounds its
+memory.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ def layout(file: BinaryIO) -> tuple[dict[str, Any], list[NDArray[Any]]]:
 
 
 def columns(file: BinaryIO, group: int, names: Sequence[str]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Columns of a row group: of texts and pictures where each row's bytes begin and end, and these; of lists their
-    number and values."""
+    """Columns of a row group: for texts and pictures, the start and end of each row's bytes, and the bytes; for lists,
+    their count and values.
+    """
     arrays: list[NDArray[Any]] = []
     with parquet.ParquetFile(file) as opened:
         for name in names:

@@ -1,4 +1,4 @@
-"""WebDataset: a tar whose files KEY.ARRAY.EXTENSION belong together by their key.
+"""WebDataset: a tar in which the files KEY.ARRAY.EXTENSION of a sample share their key.
 
 Read back with the package `webdataset`, and with `tarfile`, `numpy` and `zstandard` alone.
 """
@@ -26,7 +26,7 @@ _RENAMES = re.compile(rb"(^|[ \n])(path|size|linkpath|GNU\.[^=]*)=")
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new tar, without names of users and times; raw: each array as NPY."""
+    """Write records to a new tar without user names and times; raw: each array as NPY."""
     with tarfile.open(path, "x", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
             for name, content in members(path, record, raw, flat=True):
@@ -36,10 +36,9 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 
 
 def _headers(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
-    """Name, first byte and size of each member of a tar of plain files, without reading their content.
+    """Name, first byte and size of each member of a tar of plain files; the content is not read.
 
-    The headers that other writers put before a file are passed over where they say of times alone: `tarfile` takes
-    time that grows as their square.
+    Headers of other writers that hold only times are skipped: `tarfile` would take time quadratic in their number.
     """
     end, place = os.fstat(file.fileno()).st_size, 0
     while (head := read_at(file, 512, place)) != bytes(512):
@@ -60,7 +59,7 @@ def _headers(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
 
 
 class TarReader(MemberReader):
-    """Records of a tar; its headers are read once, and no file stays open. 24 bytes per member stay in memory."""
+    """Records of a tar; its headers are read once, and no file stays open. It keeps 24 bytes per member in memory."""
 
     kind = "tar"
 

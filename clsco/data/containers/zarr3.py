@@ -33,7 +33,9 @@ _FILE = "clsco.data.containers.zarr_file"
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records with the same arrays, each of one type and size, to a new folder: by Zstandard 3, or `raw`."""
+    """Write records with the same arrays, each of one type and size, to a new folder, compressed by Zstandard 3 or
+    `raw`.
+    """
     zarr = import_extra(path, *NEEDS)
     compressors = None if raw else zarr.codecs.ZstdCodec(level=3)
     texts: list[bytes] = []
@@ -80,7 +82,7 @@ class ZarrReader(ShardReader):
         super().__init__(path, [f"{number:09d}" for number in numbers.tolist()])
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read a chunk of each of these arrays."""
+        """Read a chunk of each selected array."""
         with translate_errors(self.path, "Zarr group"), open_regular(self.path / "zarr.json") as file:
             meta, layout = parsed_meta(self.path, self._texts[self._ends[index] : self._ends[index + 1]])
             arrays = confined_arrays(f"{_FILE}:arrays", file, chosen(layout, names), row=index)

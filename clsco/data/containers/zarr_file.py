@@ -1,4 +1,6 @@
-"""Records of Zarr groups, by zarr: called in a process with limits (`run_decoder`), as no header bounds them."""
+"""Reader of Zarr groups by zarr, called in a process with limits (`run_decoder`) because no header bounds its
+memory.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 
 def index(file: BinaryIO) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Numbers of all records, where the text that describes each begins and ends, and these texts."""
+    """Numbers of all records, the start and end of each description, and the bytes of all descriptions."""
     return arrays(file, slice(None), ("keys", "meta_ends", "meta"))
 
 

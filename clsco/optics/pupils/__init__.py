@@ -1,8 +1,8 @@
-"""Pupils: what the opening of a lens lets through, as functions on [-1, 1]^2 (float64, pure).
+"""Pupils: transmission of a lens's aperture as a function on [-1, 1]^2 (float64, pure).
 
-Each file holds one kind: its transmission, what is known of its blur in closed form, and an example. A pupil that has
-no closed form is an `image`. `clsco.optics.point_spread.PointSpread` makes weights of any of them. A kind is imported
-when a lens has it.
+Each file holds one kind: its transmission, closed forms for its blur if known, and an example. A pupil without a closed
+form is an `image`. `clsco.optics.point_spread.PointSpread` computes weights for any pupil. The module of a kind is
+imported when a lens uses it.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from clsco.optics.pupils.pupil import Borders
 
 @dataclass(frozen=True)
 class CurvedPolygon(Outline):
-    """Opening of curved blades, with corners on the unit circle.
+    """Aperture of curved blades, with corners on the unit circle.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class CurvedPolygon(Outline):
     rotation : float
         deg, counter-clockwise in the image; at 0 an arc faces to the right.
     curvature : float
-        Height of an arc over its chord, as a part of that of the unit circle: near 0 straight, 1 the circle, negative
+        Height of an arc over its chord, relative to that of the unit circle: near 0 straight, 1 the circle, negative
         concave.
     squeeze : float
         Height over width of the blur.

@@ -1,5 +1,6 @@
-"""Shares of pupils without symmetry, of any blur radius: by differences of integrals, which small blurs need exactly
-(float64, pure)."""
+"""Weights of pupils without symmetry for any blur radius, by differences of integrals with special care for small blurs
+(float64, pure).
+"""
 
 from __future__ import annotations
 
@@ -16,9 +17,10 @@ SMALL_POINT = 1e-2  # px: a smaller source within a pixel is a point; pixel edge
 
 
 def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Share of the energy in pixels at (dx, dy) px, see `Pupil.share`, from one that holds where radii are not small.
+    """Fraction of the light in pixels at (dx, dy) px, see `Pupil.share`, from a function `share` that is accurate for
+    radii that are not small.
 
-    With the tent the offsets are whole numbers; else pixel edges are at least SMALL_POINT px away, or the radius is.
+    With the tent, offsets are integers; otherwise pixel edges, or the radius, are at least SMALL_POINT px.
     """
     dx, dy, radius = (np.asarray(v, np.float64) for v in np.broadcast_arrays(dx, dy, radius))
     at, part = _held(radius, tent)
@@ -37,10 +39,10 @@ def corner_share(
     running_integral: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool,
     extent: float = 1.0,
 ) -> Array:  # fmt: skip
-    """Shares in pixels at any (dx, dy) px, from the integral of `grid_share` at the corners of each.
+    """Fractions of the light in pixels at any (dx, dy) px, from the integral of `grid_share` at each pixel's corners.
 
-    extent: of the blur of R = 1 px; beyond it there is nothing but rounding. A negative radius mirrors the pupil in its
-    center.
+    extent: extent of the blur for R = 1 px; weights beyond it are set to 0, as they are only rounding. A negative
+    radius mirrors the pupil in its center.
     """
     shape = np.broadcast_shapes(np.shape(dx), np.shape(dy), np.shape(radius))
     dx, dy, radius = (v.ravel() for v in np.broadcast_arrays(dx, dy, radius))
@@ -61,11 +63,11 @@ def corner_share(
 def grid_share(
     running_integral: Callable[[Array, Array, Array], Array], radii: Array, dx: Array, dy: Array, tent: bool
 ) -> Array:
-    """Shares (radii, dy, dx) where dx and dy rise by 1 px, see `Pupil.rows`.
+    """Fractions of the light (radii, dy, dx) for dx and dy in steps of 1 px, see `Pupil.rows`.
 
-    running_integral(radius, x, y): of the pupil, per energy, what lies left of x and above y, times its distance from
-    both for the tent. Each is made once: first differences over a pixel are its area in the pupil, second differences
-    the pupil between a square source and a square detector.
+    running_integral(radius, x, y): integral of the normalized pupil left of x and above y, for the tent times the
+    distances from both. It is evaluated once per corner: first differences over a pixel give its area in the pupil,
+    second differences the overlap of a square source and a square detector.
     """
     half, order = (1.0, 2) if tent else (0.5, 1)
     at, part = _held(radii[:, None, None], tent)
@@ -80,17 +82,18 @@ def grid_share(
 
 
 def _held(radius: Array, tent: bool) -> tuple[Array, Array]:
-    """Radii of which integrals are made, and what part of them the radii are."""
+    """Radii for which integrals are computed, and the fraction of each that the requested radius is."""
     least = SMALL if tent else SMALL_POINT
     used = np.where(np.abs(radius) < least, np.where(radius < 0.0, -least, least), radius)
     return used, np.abs(radius) / np.abs(used)
 
 
 def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y: Array, part: Array) -> Array:
-    """Weights of `part` of a radius within SMALL from its own, and their sums per column and row.
+    """Weights for a radius of `part` times an integrated one, within SMALL, from its weights and their sums per column
+    and row.
 
-    Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so that the weight of a blur smaller by s is
-    (1 - s) of that of a point and s of that of the whole blur, along each axis.
+    Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so along each axis the weight of a blur scaled
+    by s is (1 - s) of a point's and s of the whole blur's.
     """
     rest = 1.0 - part
     inner = rest * (center_x * down + center_y * across) + part * share

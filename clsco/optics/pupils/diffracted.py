@@ -1,4 +1,4 @@
-"""Base of openings as waves see them: their rims diffract light (float64, pure)."""
+"""Base of pupils with wave optics: their edges diffract light (float64, pure)."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ PANEL_NODES = 10
 
 @dataclass(frozen=True)
 class Diffracted(Pupil):
-    """Opening whose blur is that of waves: its rim diffracts light.
+    """Aperture with wave-optics blur: its edge diffracts light.
 
     Attributes
     ----------
     opening : Pupil
     bands : tuple of (float, float)
-        Q = wavelength s0 / (D pitch), px, and share of the light, of each wavelength.
+        Q = wavelength s0 / (D pitch) in px, and fraction of the light, for each wavelength.
     tail : float
-        Share of the light that is left out, far from the rim.
+        Fraction of the light that is cut off, far from the blur's edge.
     keeps : bool
-        Light that is left out is spread over the blur, so that it has all of the light.
+        True to spread the light that is cut off over the blur, so that the total is preserved.
     """
 
     STEPS: ClassVar[tuple[tuple[float, int], ...]]  # intervals of tables per px, from a Q on
@@ -47,7 +47,7 @@ class Diffracted(Pupil):
 
     @property
     def extent(self) -> float:
-        """Largest |l| of the opening; light goes `margin` px farther than that."""
+        """Largest |l| of the opening; light spreads `margin` px farther."""
         return self.opening.extent
 
     @property
@@ -68,13 +68,15 @@ class Diffracted(Pupil):
 
     @property
     def second_moment(self) -> float:
-        """Mean of l_x^2 and l_y^2 of the opening: diffraction adds to the blur what does not grow with R."""
+        """Mean of l_x^2 and l_y^2 over the opening; diffraction adds to the blur's second moment, independently of
+        R.
+        """
         return self.opening.second_moment
 
     @property
     @abstractmethod
     def rim(self) -> float:
-        """Length of its rims per area, as a multiple of that of an open circle."""
+        """Length of its edges per area, relative to an open circle."""
 
     @property
     def widest(self) -> float:
@@ -88,14 +90,15 @@ class Diffracted(Pupil):
 
     @property
     def steps(self) -> int:
-        """Intervals per px of R, over which weights are cubics to 1e-5: they turn once in 4 Q, or a pixel."""
+        """Intervals per px of R within which weights are cubics to 1e-5: they oscillate once per 4 Q, or per pixel."""
         return next((steps for unit, steps in self.STEPS if self.narrowest >= unit), MOST_STEPS)
 
     @property
     def margin(self) -> float:
-        """Distance from the rim of the blur at which what is left ends, px: beyond is `tail` of the light, at most.
+        """Distance in px from the geometric blur's edge at which light is cut off: at most `tail` of the light is
+        beyond.
 
-        By the law of straight edges it is in proportion to the length of the rim.
+        By the law of straight edges it is proportional to the length of the aperture's edge.
         """
         return max(LAW * 2.0 * self.widest * self.rim / (pi**2 * self.tail), LEAST_MARGIN) + 0.5
 
@@ -106,19 +109,19 @@ class Diffracted(Pupil):
         return self.opening.cells(count)
 
     def waves(self, radius: float) -> float:
-        """Defocus of a blur radius in px at the edge of the opening, in waves of the shortest wavelength."""
+        """Defocus of a blur radius in px, at the edge of the opening, in waves of the shortest wavelength."""
         return abs(radius) / (4.0 * self.narrowest)
 
     @abstractmethod
     def left_out(self, radius: float) -> float:
-        """Share of the light of a blur radius in px that is cut off."""
+        """Fraction of the light that is cut off for a blur radius in px."""
 
     def within(self, light: Array, distance: Array, end: Array, area: Array) -> Array:
-        """Light (places, radii), less what fades out over the last px before `end`; where it `keeps` all, that goes
-        back in proportion to the squared distance.
+        """Light (places, radii) faded out over the last px before `end`; with `keeps`, the lost light is added back
+        with a weight that is quadratic in the distance.
 
-        Far light is nearly the mean of an image: a blur that were brighter by it in its middle would have too much
-        contrast, by the same share, whatever the detail.
+        Far light is nearly the mean of an image: if it were added in the middle of the blur, contrast would be too
+        high, by the same fraction for any detail.
         """
         held = np.clip(end - distance, 0.0, 1.0)
         inside = held**3 * (10.0 + held * (6.0 * held - 15.0))
@@ -132,12 +135,12 @@ class Diffracted(Pupil):
 def panels_of(
     radii: Array, panel: float, count: int = PANEL_NODES
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:  # fmt: skip
-    """Polynomials in R that give weights at signed radii, each for a panel of so many px, of `count` nodes.
+    """Interpolation in R of weights at signed radii, by polynomials with `count` nodes on panels of `panel` px.
 
     Returns
     -------
     numbers : ndarray of int
-        Panels, rising; one from n panel on has the number n, and nodes by `panel_nodes`.
+        Panels, increasing; panel n begins at n `panel`, with nodes by `panel_nodes`.
     which : ndarray of int (radii,)
         Index of each radius' panel.
     factors : ndarray (radii, count)
@@ -152,6 +155,6 @@ def panels_of(
 
 
 def panel_nodes(numbers: NDArray[np.int64], panel: float, count: int = PANEL_NODES) -> Array:
-    """Radii (panels, count) at the nodes of panels of so many px, Chebyshev's."""
+    """Chebyshev nodes (panels, count), as radii in px, of panels of `panel` px."""
     at = -np.cos((np.arange(count) + 0.5) * pi / count)
     return np.asarray((numbers[:, None] + 0.5 * (at + 1.0)) * panel)

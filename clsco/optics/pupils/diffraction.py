@@ -1,7 +1,7 @@
-"""Diffraction by round openings: light of a defocused point by its distance, in closed rings (float64, pure).
+"""Diffraction by round apertures: light of a defocused point in concentric rings (float64, pure).
 
-Lengths are in px of the detector. Q = wavelength s0 / (D pitch) is the unit of diffraction: the Airy spot is dark at
-1.22 Q. The phase at the edge of the opening is W20 = R / (4 Q) waves for blur radius R.
+Lengths are in detector px. Q = wavelength s0 / (D pitch) is the unit of diffraction: the first dark ring of the Airy
+pattern is at 1.22 Q. The phase at the edge of the opening is W20 = R / (4 Q) waves for blur radius R.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ def cell_width(unit: float) -> float:
 
 
 def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Path) -> Array:
-    """Light per px^2 around a defocused point, (r, radii), of all of its light, 1.
+    """Light per px^2 around a defocused point, (r, radii), for a total of 1.
 
     Parameters
     ----------
     r : ndarray (r,)
-        Distances from the point, px, rising.
+        Distances from the point, px, increasing.
     radii : ndarray (radii,)
         Signed blur radii, px.
     unit : float
         Q, px.
     inner : float
-        Radius of what is covered in the middle, in radii of the opening, 0 for none.
+        Radius of the central obstruction, in radii of the opening, 0 for none.
     path : callable
         Aberrations.
 
@@ -93,14 +93,14 @@ def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Pat
 
 
 def round_light(radii: Array, unit: float, inner: float, path: Path, width: float, count: int) -> Array:
-    """Light in `count` rings of a width in px, (count, radii); other arguments as for `round_intensity`."""
+    """Light in `count` rings `width` px wide, (count, radii); other arguments as for `round_intensity`."""
     r = ((np.arange(count)[:, None] + GAUSS) * width).ravel()
     found = np.pi * width * r[:, None] * round_intensity(r, radii, unit, inner, path)
     return np.asarray(found[0::2] + found[1::2])
 
 
 def _nodes(phase: float, inner: float) -> tuple[Array, Array]:
-    """Places and weights of a quadrature over t = inner^2 .. 1 of what turns by so much."""
+    """Nodes and weights of a quadrature over t = inner^2 .. 1 for an integrand with this range of phase."""
     count = 32 + 16 * int(np.ceil(phase / 48.0))
     x, weight = _legendre(count)
     half = 0.5 * (1.0 - inner**2)
@@ -115,11 +115,12 @@ def _legendre(count: int) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=2**15)
 def pixel_rings(a: float, b: float, tent: bool, width: float) -> tuple[int, Array]:
-    """First ring that a pixel at (a, b) px, a >= b >= 0, is met by, and its shares of that ring and those after it.
+    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and the pixel's fractions of that ring and of the
+    following ones.
 
-    tent: of a square source instead of a point, see `clsco.optics.pupils.pupil.Pupil.share`. Light that is even in each
-    ring leaves an error in proportion to their squared width; shares are those of Richardson's extrapolation from rings
-    of twice the width.
+    tent: True for a square source instead of a point, see `clsco.optics.pupils.pupil.Pupil.share`. Constant light
+    within rings causes an error quadratic in their width; the fractions include Richardson's extrapolation from rings
+    twice as wide.
     """
     half = 1.0 if tent else 0.5
     first = int(np.hypot(max(a - half, 0.0), max(b - half, 0.0)) / width) // 2 * 2

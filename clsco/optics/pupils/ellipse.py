@@ -1,4 +1,4 @@
-"""Elliptic pupil, as an anamorphic lens has it, open or covered in the middle (float64, pure)."""
+"""Elliptic pupil of an anamorphic lens, open or with a central obstruction (float64, pure)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from clsco.optics.pupils.pupil import Borders
 
 @dataclass(frozen=True)
 class Ellipse(Outline):
-    """Ellipse as high as the unit circle.
+    """Ellipse of the unit circle's height.
 
     Attributes
     ----------
     squeeze : float
         Height over width.
     obstruction : float
-        Part of it that is covered in the middle, 0 for none.
+        Radius of the central obstruction, relative to the ellipse, 0 for none.
 
     Examples
     --------

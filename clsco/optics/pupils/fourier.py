@@ -1,4 +1,4 @@
-"""Openings of any shape, and lenses with aberrations, as waves see them (float64, pure)."""
+"""Apertures of any shape, and lenses with aberrations, by wave optics (float64, pure)."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _spots, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 
 @dataclass(frozen=True)
 class FourierDiffracted(Diffracted):
-    """Opening of any shape behind which a wavefront may be in error, see `Diffracted`.
+    """Aperture of any shape with an optional wavefront error, see `Diffracted`.
 
     Attributes
     ----------
     wavefront : Wavefront
     steepest : float
-        Slope in px per radius that there is room for, of all places of a field; 0 where nothing varies over it.
+        Slope in px per radius that buffers allow for, over all positions of the frame; 0 if the wavefront is constant.
 
     Examples
     --------
@@ -74,12 +74,12 @@ class FourierDiffracted(Diffracted):
 
     @property
     def margin(self) -> float:
-        """Distance from the rim as of a perfect lens, and what the wavefront bends rays by."""
+        """Distance of the cut-off as for a perfect lens, plus the wavefront's ray displacement."""
         return super().margin + 2.0 * self.slope
 
     @property
     def slope(self) -> float:
-        """Largest change of the path along the lens that there is room for, px per radius."""
+        """Largest slope of the path that buffers allow for, px per radius."""
         return max(self.wavefront.slope, self.steepest)
 
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
@@ -121,16 +121,16 @@ class FourierDiffracted(Diffracted):
 
     @property
     def panel(self) -> float:
-        """Panels of R that one polynomial is for, px: whole intervals of tables."""
+        """Length in px of R of the panels that one polynomial covers: whole intervals of tables."""
         return min(max(2.0 ** floor(log2(PANEL_PER_UNIT * self.narrowest)), SHORTEST_PANEL), LONGEST_PANEL)
 
     def samples(self, radius: float) -> float:
-        """Samples of the pupil over its diameter for a blur radius in px; raises SceneError where it needs too many."""
+        """Samples of the pupil over its diameter for a blur radius in px; raises SceneError if too many are needed."""
         slope = (0.5 * abs(radius) * self.extent + self.slope) / self.narrowest
         return pupil_samples(slope, OF_FIELD if self.steepest else 1.0)
 
     def _squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        """Weights (nodes, y, x) at the nodes of a panel, of a source at a place in its pixel."""
+        """Weights (nodes, y, x) at the nodes of a panel, for a source at `place` in its pixel."""
         if number < 0 and self.wavefront.is_flat:  # the same as of -R, mirrored in the source
             mirrored = self._squares(-1 - number, (-place[0], -place[1]), tent)
             return np.roll(mirrored[::-1, ::-1, ::-1], 1, axis=(1, 2))
@@ -151,20 +151,22 @@ class FourierDiffracted(Diffracted):
 
     @property
     def upright(self) -> FourierDiffracted:
-        """The pupil with its wavefront mirrored upright, which several places of a field share."""
+        """The pupil with its wavefront mirrored to a canonical orientation, which several positions of the frame
+        share.
+        """
         if not is_round(self.opening) or self.wavefront.zernike:
             return self
         return replace(self, wavefront=self.wavefront.upright)
 
     def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        """`_squares` by those of the upright wavefront."""
+        """`_squares`, mirrored from those of the upright wavefront."""
         signs = tuple(-1.0 if turned else 1.0 for turned in self.wavefront.mirrored)
         axes = tuple(axis for axis, sign in zip((2, 1), signs, strict=True) if sign < 0.0)
         squares = self.upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
         return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
 
     def seconds(self, radius: float, places: int) -> float:
-        """Time of a core for one node of R px, for sources at so many places in their pixels."""
+        """CPU seconds for one node of R px, for sources at `places` positions in their pixels."""
         parts, samples = image_parts(self.narrowest, self.extent), self.samples(radius)
         width = 2.0 * (radius * self.extent + self.margin + 2.0)
         count, side = parts * max(samples * self.narrowest, width), parts * width
@@ -172,13 +174,13 @@ class FourierDiffracted(Diffracted):
         return SECONDS * (rows * count * log2(count) + side * side * (log2(side) + PLACE * places))
 
     def _spots(self, number: int) -> NDArray[Any]:
-        """Light at the nodes of a panel, for sources at any place in their pixels, by spectra (nodes, y, x)."""
+        """Spectra (nodes, y, x) of the light at the nodes of a panel, for sources at any position in their pixels."""
         nodes = panel_nodes(np.array([number]), self.panel)[0]
         farthest = self.panel * max(abs(number), abs(number + 1))
         return np.stack([spectra(self._light(radius, farthest)) for radius in nodes.tolist()])
 
     def _light(self, radius: float, farthest: float) -> Array:
-        """Light in cells (y, x) around the source that is inside of the margin; `farthest`: |R| that they are for."""
+        """Light within the margin in cells (y, x) around the source; farthest: |R| for which the size is chosen."""
         parts, samples = image_parts(self.narrowest, self.extent), self.samples(farthest)
         width = fast_length(2.0 * (farthest * self.extent + self.margin + 1.0) + 2.0, 2)
         light = sum(
@@ -192,10 +194,10 @@ class FourierDiffracted(Diffracted):
 
 @lru_cache(maxsize=64)
 def _rim(opening: Pupil) -> float:
-    """Length of the rims per area, as a multiple of that of an open circle.
+    """Length of the edges per area, relative to an open circle.
 
-    The squared gradient of an amplitude blurred by a Gaussian adds up to 1 / (2 sigma sqrt(pi)) across an edge, however
-    it lies; by Parseval's theorem a sum over frequencies.
+    The squared gradient of an amplitude blurred by a Gaussian integrates to 1 / (2 sigma sqrt(pi)) across an edge of
+    any direction; by Parseval's theorem it is a sum over frequencies.
     """
     amplitude = np.pad(opening.amplitude.cells(RIM_CELLS), 8 * RIM_SIGMA)
     bend = (2.0 * np.pi * np.fft.fftfreq(len(amplitude))) ** 2

@@ -1,4 +1,4 @@
-"""Gaussian pupil: transmission falls off from the middle of the lens, and is cut at some sigma (float64, pure)."""
+"""Gaussian pupil: transmission decreases from the center of the lens, and is cut off at some sigma (float64, pure)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from clsco.optics.pupils.pupil import Array, Pupil
 
 @dataclass(frozen=True)
 class Gaussian(Pupil):
-    """Gaussian of standard deviation `sigma`, in aperture radii, cut at `cut` sigma along each axis, or at a circle.
+    """Gaussian of standard deviation `sigma`, in aperture radii, cut off at `cut` sigma along each axis, or at a
+    circle.
 
     Examples
     --------
@@ -42,7 +43,7 @@ class Gaussian(Pupil):
 
     @property
     def extent(self) -> float:
-        """Cut along an axis."""
+        """Cut-off along an axis."""
         return self.sigma * self.cut
 
     @property
@@ -51,7 +52,9 @@ class Gaussian(Pupil):
 
     @property
     def light(self) -> float:
-        """Its own, whatever part of it is beyond the circle; 1 for sigma = sqrt(1 / 2), but for the cut."""
+        """Relative light of the Gaussian, including the part beyond the unit circle; 1 for sigma = sqrt(1 / 2), up to
+        the cut-off.
+        """
         tail = exp(-0.5 * self.cut * self.cut)
         return 2.0 * self.sigma**2 * (1.0 - tail if self.round else erf(self.cut / sqrt(2.0)) ** 2)
 
@@ -69,7 +72,7 @@ class Gaussian(Pupil):
         return np.asarray(np.where(size <= self.extent**2, np.exp(-0.5 * square / self.sigma**2), 0.0))
 
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        """As for all pupils; of a square cut, as only what is taken at pixel centers has a round one."""
+        """As for all pupils, with a square cut-off; only PSFs sampled at pixel centers have a round one."""
         size = np.abs(radius)
         return self.axis_share(dx, size, tent) * self.axis_share(dy, size, tent)
 
@@ -85,7 +88,7 @@ class Gaussian(Pupil):
 
 
 def gaussian_axis(offset: Array, sigma: Array, cut: float, tent: bool) -> Array:
-    """Integral of the pixel's response at `offset` over a unit Gaussian cut at +- cut sigma, along one axis."""
+    """Integral of the pixel's response at `offset` over a unit Gaussian cut off at +- cut sigma, along one axis."""
     offset, sigma = (np.asarray(v, dtype=np.float64) for v in np.broadcast_arrays(np.abs(offset), sigma))
 
     def mass(position: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Round openings as waves see them, by distances from the source (float64, pure)."""
+"""Round apertures with wave optics, by distance from the source (float64, pure)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class HankelDiffracted(Diffracted):
 
     @property
     def inner(self) -> float:
-        """Radius of what is covered in the middle, in radii of the opening."""
+        """Radius of the central obstruction, in radii of the opening."""
         return self.opening.obstruction if isinstance(self.opening, Ring) else 0.0
 
     @property
@@ -93,7 +93,7 @@ NDArrayComplex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 
 
 def is_round(opening: Pupil) -> bool:
-    """True of an opening that rings of light are made of."""
+    """True for an aperture whose light has rotational symmetry."""
     return isinstance(opening, Circle | Ring)
 
 

@@ -1,4 +1,6 @@
-"""Pupil given by an image, for what has no closed form: exact areas of its cells by running sums (float64, pure)."""
+"""Pupil given by an image, for shapes without a closed form: exact areas of its cells by running sums (float64,
+pure).
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,14 @@ KEPT = 4  # pupils, whose sums are kept
 
 @dataclass(frozen=True)
 class Image(Pupil):
-    """Transmission that is constant in each cell of a square around the lens; made by `image_pupil`.
+    """Transmission that is constant in each cell of a square around the lens; create it with `image_pupil`.
 
     Attributes
     ----------
     count : int
-        Cells a side.
+        Cells per side.
     digest : str
-        Digest of the cells, which tells pupils apart in reports and files.
+        Digest of the cells, which identifies pupils in reports and files.
     data : bytes
         float32, row after row, row 0 on top.
     squeeze : float
@@ -89,7 +91,7 @@ class Image(Pupil):
         return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
 
     def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
-        """Integral for `grid_share`: a polynomial in each cell, from the sums over all cells left of and above it."""
+        """Integral for `grid_share`: a polynomial in each cell, plus the sums over all cells left of and above it."""
         scale = 0.5 * self.count / radius  # cells per px, down
         column, across = _cell(0.5 * self.count + x * (scale * self.squeeze), self.count)
         row, down = _cell(0.5 * self.count + y * scale, self.count)
@@ -102,22 +104,22 @@ class Image(Pupil):
 
 
 def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> Image:
-    """Pupil of a picture, whose inscribed circle is the rim of the lens.
+    """Pupil from a picture, whose inscribed circle is the edge of the lens.
 
     Parameters
     ----------
     picture : ndarray (n, n)
-        Transmission, at least 0 and somewhere in the circle more; row 0 on top. It stands as the blur of a far light
-        shows it. n at most MOST_CELLS.
+        Transmission, not negative and positive somewhere in the circle; row 0 on top. It is oriented as the blur of a
+        far light. n at most MOST_CELLS.
     rotation : float
-        deg that it is turned by before, counter-clockwise.
+        Rotation applied before, deg, counter-clockwise.
     squeeze : float
         Height over width of the blur.
 
     Returns
     -------
     Image
-        Scaled to a largest transmission of 1; what lies outside of the circle is dark.
+        Scaled to a largest transmission of 1; 0 outside of the circle.
 
     Examples
     --------
@@ -137,8 +139,9 @@ def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> 
 
 
 def turned(picture: Array, rotation: float) -> Array:
-    """Square picture (n, n) turned around its middle by so many degrees, counter-clockwise; exactly by right angles,
-    else each cell is the mean of TURNED_PARTS^2 places, and beyond the picture it is dark."""
+    """Square picture (n, n) rotated about its middle by `rotation` deg counter-clockwise; exact for right angles, else
+    each cell is the mean of TURNED_PARTS^2 samples, dark beyond the picture.
+    """
     quarters = rotation / 90.0
     if quarters.is_integer():
         return np.rot90(picture, int(quarters))
@@ -153,21 +156,22 @@ def turned(picture: Array, rotation: float) -> Array:
 
 
 def _cell(at: Array, count: int) -> tuple[NDArray[np.int64], Array]:
-    """Cell of a place along an axis, and the place in it; beyond the last cell, where nothing is, any distance."""
+    """Cell of a position along an axis, and the position in it; beyond the last cell, which is empty, any distance."""
     held = np.maximum(at, 0.0)
     cell = np.minimum(held, count).astype(np.int64)
     return cell, held - cell
 
 
 def _powers(t: Array, order: int) -> Sequence[Array | float]:
-    """Integrals of 1 from 0 to t, `order` times to none at all."""
+    """Integrals of 1 from 0 to t, iterated from `order` times down to zero times."""
     return (0.5 * t * t, t, 1.0) if order == 2 else (t, 1.0)
 
 
 @lru_cache(maxsize=KEPT)
 def _running_sums(pupil: Image) -> list[list[Array]]:
-    """Sums at the upper left corner of each cell and of an empty one after the last, by how often they are integrated
-    down (0, 1, 2) and across."""
+    """Sums at the upper left corner of each cell, and of an empty one after the last, by the number of integrations
+    down (0, 1, 2) and across.
+    """
     cells = np.pad(pupil.image, (0, 1))
     down = [cells, *_integrals(cells, axis=0)]
     return [[each, *_integrals(each, axis=1)] for each in down]

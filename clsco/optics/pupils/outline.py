@@ -1,4 +1,4 @@
-"""Base of pupils that have an outline of straight edges and arcs: areas by Green's theorem along them (float64, pure).
+"""Base of pupils with outlines of straight edges and arcs: areas by Green's theorem (float64, pure).
 
 Axes of an image: x to the right, y down. A negative blur radius mirrors the outline in its center.
 """
@@ -25,9 +25,10 @@ FILLED = 16.0  # px: of larger radii pixels are filled within the outline, where
 
 @cache
 def _nodes() -> tuple[Array, Array]:
-    """Nodes and weights of Gauss and Legendre on [0, 1]; along arcs of LONGEST_ARC, cubics of both places to 1e-14.
+    """Gauss-Legendre nodes and weights on [0, 1]; along arcs of LONGEST_ARC, exact to 1e-14 for cubics in both
+    coordinates.
 
-    Found when they are first needed: numpy's polynomials take as long to import as a small scene takes to read.
+    Computed at the first use: importing numpy's polynomials takes as long as reading a small scene.
     """
     nodes, weights = np.polynomial.legendre.leggauss(8)
     return 0.5 * nodes + 0.5, 0.5 * weights
@@ -35,18 +36,18 @@ def _nodes() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Arc:
-    """Part of an outline that neither turns back along x nor along y, and is walked with the inside on one side.
+    """Part of an outline that is monotonic in x and in y, directed with the inside always on the same side.
 
     Attributes
     ----------
     start, end : tuple of float
         Ends, in aperture radii.
     center : tuple of float
-        Center of the circle; unused where `radius` is 0.
+        Center of the circle; unused if `radius` is 0.
     radius : float
         Its radius, 0 for a straight edge.
     angles : tuple of float
-        Angles of the ends as seen from the center, from x towards y; within one quadrant.
+        Angles of the ends seen from the center, from x towards y; within one quadrant.
     """
 
     start: tuple[float, float]
@@ -56,7 +57,7 @@ class Arc:
     angles: tuple[float, float] = (0.0, 0.0)
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """Places (x, y) at t, from 0 at the start to 1 at the end."""
+        """Points (x, y) at t, from 0 at the start to 1 at the end."""
         if not self.radius:
             (x0, y0), (x1, y1) = self.start, self.end
             return x0 + t * (x1 - x0), y0 + t * (y1 - y0)
@@ -64,14 +65,14 @@ class Arc:
         return self.center[0] + self.radius * np.cos(angle), self.center[1] + self.radius * np.sin(angle)
 
     def slope(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Changes of x and y by t, at places of it."""
+        """Derivatives of x and y by t, at points of the arc."""
         if not self.radius:
             return np.full_like(x, self.end[0] - self.start[0]), np.full_like(y, self.end[1] - self.start[1])
         turned = self.angles[1] - self.angles[0]
         return -turned * (y - self.center[1]), turned * (x - self.center[0])
 
     def until(self, axis: int, limit: Array) -> tuple[Array, Array]:
-        """Bounds of t between which the place along an axis (0: x) is below a limit."""
+        """Bounds of t between which the coordinate on an axis (0: x) is below a limit."""
         low, high = self.start[axis], self.end[axis]
         if low == high:
             return np.where(low < limit, 0.0, 1.0), np.ones_like(limit)
@@ -91,12 +92,12 @@ class Arc:
 
 
 def edge(start: tuple[float, float], end: tuple[float, float]) -> list[Arc]:
-    """Straight edge."""
+    """Straight edge between two points."""
     return [Arc(start, end)]
 
 
 def arc(center: tuple[float, float], radius: float, first: float, last: float) -> list[Arc]:
-    """Arc of a circle from one angle to another, in parts that do not turn back and are no longer than LONGEST_ARC."""
+    """Arc of a circle between two angles, in monotonic parts no longer than LONGEST_ARC."""
     low, high = min(first, last), max(first, last)
     quarters = [k * pi / 2.0 for k in range(ceil(low / (pi / 2.0)), floor(high / (pi / 2.0)) + 1)]
     stops = [low, *(q for q in quarters if low + STRAIGHT < q < high - STRAIGHT), high]
@@ -110,7 +111,7 @@ def arc(center: tuple[float, float], radius: float, first: float, last: float) -
 
 
 def bulging(start: tuple[float, float], end: tuple[float, float], sagitta: float) -> list[Arc]:
-    """Arc between two places, `sagitta` from their chord at most, away from the origin where it is positive."""
+    """Arc between two points with height `sagitta` over its chord, away from the origin if positive."""
     half = 0.5 * hypot(end[0] - start[0], end[1] - start[1])
     if abs(sagitta) < STRAIGHT * half:
         return edge(start, end)
@@ -125,7 +126,7 @@ def bulging(start: tuple[float, float], end: tuple[float, float], sagitta: float
 
 
 class Outline(Pupil):
-    """Opening with an outline of arcs, all of it open inside, and narrower or wider by a squeeze.
+    """Aperture with an outline of arcs, fully open inside, scaled horizontally by a squeeze.
 
     Attributes
     ----------
@@ -145,7 +146,7 @@ class Outline(Pupil):
     @cached_property
     @abstractmethod
     def arcs(self) -> tuple[Arc, ...]:
-        """Closed outlines, with the inside on the same side of each: holes are walked the other way."""
+        """Closed outlines, with the inside on the same side of each: holes have the opposite direction."""
 
     @property
     def has_plain_rim(self) -> bool:
@@ -161,7 +162,7 @@ class Outline(Pupil):
 
     @cached_property
     def area(self) -> float:
-        """Area of the outline that is not squeezed; negative where it is walked with the inside on the right."""
+        """Area of the outline before the squeeze; negative if the inside is on the right."""
         return float(sum((_nodes()[1] * x * dy).sum() for x, _, _, dy in self._walked()))
 
     @property
@@ -181,7 +182,7 @@ class Outline(Pupil):
             yield x, y, *each.slope(x, y)
 
     def transmission(self, x: Array, y: Array) -> Array:
-        """By how often outlines are to the left."""
+        """Transmission from the number of outlines to the left of each point."""
         x, y = np.asarray(x, np.float64) * self.squeeze, np.asarray(y, np.float64)
         inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), bool)
         for each in self.arcs:
@@ -203,7 +204,7 @@ class Outline(Pupil):
         return np.stack([self._filled(float(radius), dx, dy) for radius in radii])
 
     def _filled(self, radius: float, dx: Array, dy: Array) -> Array:
-        """Shares (dy, dx) in pixels: exact ones along the outline, and inside of it all the same."""
+        """Fractions of the light (dy, dx) in pixels: exact along the outline, constant inside."""
         beside = 0.25  # of a row through the middle, where arcs end
         found = self.transmission(dx / radius, (dy[:, None] + beside) / radius) / (pi * self.light * radius * radius)
         row, column = np.nonzero(self._outlined(radius, dx, dy))
@@ -214,7 +215,7 @@ class Outline(Pupil):
         return np.asarray(found)
 
     def _outlined(self, radius: float, dx: Array, dy: Array) -> NDArray[np.bool_]:
-        """Pixels (dy, dx) that an outline crosses, and those beside them."""
+        """Mask (dy, dx) of pixels crossed by an outline, and their neighbors."""
         found = np.zeros((len(dy) + 2, len(dx) + 2), bool)
         for each in self.arcs:
             turned = each.radius * abs(each.angles[1] - each.angles[0])
@@ -227,7 +228,7 @@ class Outline(Pupil):
         return np.asarray(found[:, :-2] | found[:, 1:-1] | found[:, 2:])
 
     def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
-        """Integral for `grid_share`, along all arcs: of (x - u)^2 (y - v) / 2 for the tent, else of x - u, by dv."""
+        """Integral for `grid_share` along all arcs: of (x - u)^2 (y - v) / 2 dv for the tent, else of (x - u) dv."""
         x, y = x * self.squeeze / radius, y / radius
         total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
         for each in self.arcs:

@@ -1,4 +1,4 @@
-"""Polygonal pupil, as the blades of an iris leave it: areas by Green's theorem along its edges (float64, pure).
+"""Polygonal pupil of an iris with straight blades: areas by Green's theorem along its edges (float64, pure).
 
 Axes of an image: x to the right, y down. A negative blur radius mirrors the polygon in its center.
 """
@@ -59,7 +59,7 @@ class Polygon(Pupil):
 
     @property
     def second_moment(self) -> float:
-        """Closed form, for either axis the same before it is squeezed."""
+        """Closed form; before the squeeze it is the same for both axes."""
         return (2.0 + cos(2.0 * pi / self.blades)) / 12.0 * 0.5 * (1.0 + self.squeeze**-2)
 
     @cached_property
@@ -74,7 +74,7 @@ class Polygon(Pupil):
 
     @cached_property
     def corners(self) -> Array:
-        """Corners (blades, 2), each at the end of its edge."""
+        """Corners (blades, 2) in aperture radii; edge k ends at corner k."""
         return vertices(self.blades, self.rotation) / (self.squeeze, 1.0)
 
     def transmission(self, x: Array, y: Array) -> Array:
@@ -108,13 +108,13 @@ def lens_mask(blades: int, rotation: float) -> Array:
 
 
 def vertices(blades: int, rotation: float) -> Array:
-    """Corners (blades, 2) of the polygon of `lens_mask`, in its order: each edge ends at its own corner."""
+    """Corners (blades, 2) of the polygon of `lens_mask`; edge k ends at corner k."""
     angle = np.deg2rad(rotation) + 2.0 * np.pi * (np.arange(blades) + 0.5) / blades
     return np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
 
 
 def _before(start: Array, step: Array, limit: Array) -> tuple[Array, Array]:
-    """Ends of t with start + t step < limit, one of them infinite; the three broadcast."""
+    """Range of t with start + t step < limit, with one end infinite; the three broadcast."""
     flat = step == 0.0
     crossing = (limit - start) / np.where(flat, 1.0, step)
     crossing = np.where(flat, np.where(start < limit, np.inf, -np.inf), crossing)
@@ -123,12 +123,12 @@ def _before(start: Array, step: Array, limit: Array) -> tuple[Array, Array]:
 
 
 def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bool) -> Array:
-    """Integral over the polygon, per area of it, of what lies left of x and above y.
+    """Integral over the part of the polygon left of x and above y, divided by the polygon's area.
 
     H(x, y; R) = (1 / A) times the integral of (x - u)_+^k (y - v)_+^k du dv, k = 0, or 1 for the tent. By Green's
-    theorem a sum over edges, of polynomials up to the third degree between where an edge passes x and y: two Gauss
-    nodes are exact. First differences of H over a pixel are its area in the polygon, second differences the polygon
-    between a square source and a square detector.
+    theorem it is a sum over edges of integrals of polynomials of degree 3 or less, split where an edge passes x and y:
+    two Gauss nodes are exact. First differences of H over a pixel give its area in the polygon, second differences the
+    overlap of a square source and a square detector.
 
     Parameters
     ----------
@@ -163,8 +163,9 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
 
 
 def _share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Integral of the pixel's response over the polygon, per area of it: along each edge, between the places where the
-    response changes its polynomial, that of S(x) T(y) dy, with T the response along an axis and S its integral."""
+    """Integral of the pixel's response over the polygon, divided by its area: along each edge, split where the response
+    changes its polynomial, the integral of S(x) T(y) dy, with T the response along an axis and S its integral.
+    """
     knots = (-1.0, 0.0, 1.0) if tent else (-0.5, 0.5)
     total, area = np.zeros(np.broadcast_shapes(dx.shape, dy.shape, radius.shape)), 0.0
     for (u0, v0), (u1, v1) in zip(np.roll(corners, 1, axis=0), corners, strict=True):

@@ -1,4 +1,4 @@
-"""Base of all pupils: what a blur, its tables and its visibility tests ask of one."""
+"""Base class of pupils: the interface for blur, tables and visibility tests."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Edges = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Borders:
-    """Edges and circles around an opening of one transmission: it is convex, but for holes.
+    """Edges and circles around an opening of constant transmission, which is convex except for holes.
 
     Attributes
     ----------
     columns : tuple of float
-        Places of its ends and corners from left to right, in aperture radii.
+        x of its ends and corners from left to right, in aperture radii.
     edges : tuple of (x, y, distance)
-        Straight ones, as `Pupil.edges`.
+        Straight edges, as `Pupil.edges`.
     circles, holes : tuple of (x, y, radius)
-        Circles that light passes within, and that cover parts of it, none of which overlap; x times `squeeze`.
+        Circles inside which light passes, and circles that cover parts of it, none of which overlap; x times `squeeze`.
     squeeze : float
     """
 
@@ -38,23 +38,23 @@ class Borders:
 
 
 class Pupil(ABC):
-    """Opening of a lens: its transmission over lens points l in units of the aperture's radius, x right and y down.
+    """Aperture of a lens: its transmission at lens points l in units of the aperture's radius, x right and y down.
 
     A ray through l arrives at the offset R l, R the signed blur radius in px, so that a blur is the pupil scaled by R.
-    Subclasses are frozen and hashable: tables of weights are kept by their fields.
+    Subclasses are frozen and hashable: tables of weights are cached by their fields.
 
     Attributes
     ----------
     symmetry : str
-        "octant": mirrored in x, in y and in the diagonals, so that R and -R blur alike. "none".
+        "octant": symmetric in x, in y and in the diagonals, so that R and -R give the same blur. "none".
     uniform : bool
-        The transmission is constant inside the rim.
+        The transmission is constant inside the edge.
     soft : bool
-        The transmission falls off towards the rim.
+        The transmission falls off towards the edge.
     hollow : bool
-        The transmission is constant between an inner and an outer rim.
+        The transmission is constant between an inner and an outer edge.
     separable : bool
-        The transmission is a product of one along each axis.
+        The transmission is a product of one function along each axis.
     """
 
     symmetry: ClassVar[Symmetry] = "octant"
@@ -68,47 +68,49 @@ class Pupil(ABC):
 
     @property
     def signed(self) -> bool:
-        """R and -R blur differently."""
+        """True if R and -R give different blur."""
         return self.symmetry == "none"
 
     @property
     def steps(self) -> int:
-        """Intervals of tables per px of R where weights are smooth in R whatever it is, as of waves; else 0."""
+        """Intervals of tables per px of R, if weights are smooth in R at every scale, as for waves; else 0."""
         return 0
 
     @property
     def margin(self) -> float:
-        """Distance from the rim of the blur at which its light ends, px."""
+        """Distance in px beyond the geometric blur at which the light ends."""
         return 0.0
 
     @property
     def lengths(self) -> Mapping[str, float]:
-        """Lengths in aperture radii that describe it, by name; of blur radius R they are R times as long."""
+        """Named lengths that describe it, in aperture radii; for blur radius R they are R times as long."""
         return {}
 
     @property
     def extent(self) -> float:
-        """Largest |l| that light passes at."""
+        """Largest |l| at which light passes."""
         return 1.0
 
     @property
     def bends_rays(self) -> bool:
-        """Rays arrive beside R l, by errors of the wavefront."""
+        """True if rays do not arrive at R l, because of wavefront errors."""
         return False
 
     @property
     def has_plain_rim(self) -> bool:
-        """The rim is a circle, or straight edges: mean lens points of pixels at it follow from their places."""
+        """True if the edge is a circle, or straight: then mean lens points of pixels on it follow from their
+        positions.
+        """
         return True
 
     @property
     def edges(self) -> Edges:
-        """Straight edges (x, y, distance), inside where x l_x + y l_y <= distance; none where the rim is round."""
+        """Straight edges (x, y, distance), inside where x l_x + y l_y <= distance; empty for a round edge."""
         return ()
 
     @property
     def borders(self) -> Borders | None:
-        """Edges and circles around the opening, where weights can be made of its chords."""
+        """Edges and circles around the opening if weights can be computed from its chords, else None."""
         return None
 
     @property
@@ -118,13 +120,13 @@ class Pupil(ABC):
 
     @property
     def amplitude(self) -> Pupil:
-        """Opening whose transmission is the square root of this one's: what waves come through."""
+        """Aperture whose transmission is the square root of this one's: the amplitude for wave optics."""
         return self
 
     @property
     @abstractmethod
     def light(self) -> float:
-        """Light that passes, as a part of what an open circle of radius 1 lets through."""
+        """Light that passes, relative to an open circle of radius 1."""
 
     @property
     @abstractmethod
@@ -137,17 +139,17 @@ class Pupil(ABC):
 
     @abstractmethod
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        """Share of the energy that a pixel at (dx, dy) px gets of a blur of radius R, not 0, in px; sums to 1.
+        """Fraction of the light that a pixel at (dx, dy) px receives in a blur of radius R, not 0, in px; sums to 1.
 
-        tent: of a square source instead of a point; the pixel's response is then the square convolved with itself.
-        The three arrays broadcast. The sign of R matters where the symmetry is "none".
+        tent: True for a square source instead of a point; the pixel's response is then the square convolved with
+        itself. The three arrays broadcast. The sign of R matters if the symmetry is "none".
         """
 
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
-        """`share` (radii, dy, dx) for positive radii, where dx and dy rise by 1 px."""
+        """`share` (radii, dy, dx) for positive radii, with dx and dy in steps of 1 px."""
         return self.share(dx[None, None, :], dy[None, :, None], radii[:, None, None], tent)
 
     def cells(self, count: int) -> Array:
-        """Light through each cell of a square around the lens, 2 count a side, up to a factor."""
+        """Light through each cell of a square around the lens, 2 count cells per side, up to a factor."""
         at = np.arange(2.0 * count) + 0.5 - count
         return self.share(at[None, :], at[:, None], np.asarray(count / self.extent), tent=False)

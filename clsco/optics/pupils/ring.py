@@ -1,4 +1,4 @@
-"""Ring pupil: a lens whose middle is covered, as a mirror lens has it; the difference of two discs (float64, pure)."""
+"""Ring pupil: a lens with a central obstruction, such as a mirror lens; the difference of two discs (float64, pure)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from clsco.optics.pupils.pupil import Array, Borders, Pupil
 
 @dataclass(frozen=True)
 class Ring(Pupil):
-    """Light passes where obstruction < |l| <= 1.
+    """Light passes at obstruction < |l| <= 1.
 
     Attributes
     ----------
     obstruction : float
-        Radius of what is covered, in aperture radii, more than 0 and less than 1.
+        Radius of the central obstruction, in aperture radii, between 0 and 1.
 
     Examples
     --------

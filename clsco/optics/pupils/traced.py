@@ -1,7 +1,7 @@
-"""Lenses with aberrations by rays, without diffraction (float64, pure).
+"""Lenses with aberrations in geometrical optics, without diffraction (float64, pure).
 
-A ray through l, in radii of the lens, arrives at R l + 2 grad W px from its source's place, W the optical path in px
-(`clsco.optics.pupils.wavefront`): the limit of waves that are infinitely short.
+A ray through l, in lens radii, arrives R l + 2 grad W px from its source, with W the optical path in px
+(`clsco.optics.pupils.wavefront`): the limit of infinitely short waves.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ NO_WAVES = ((1.0, 1.0),)
 
 @dataclass(frozen=True)
 class Traced(FourierDiffracted):
-    """Opening of any shape and a wavefront, whose light goes by rays; `bands` and `tail` mean nothing.
+    """Aperture of any shape with a wavefront error, in geometrical optics; `bands` and `tail` are unused.
 
-    Weights are cubics in R over the intervals of tables, between sums over rays. Validated against the closed disc, and
-    moments of coma, astigmatism and spherical aberration (tests/optics/pupils/test_traced.py).
+    Weights are cubics in R over the intervals of tables, through sums over rays. Validated against the closed form of
+    the disc, and moments of coma, astigmatism and spherical aberration (tests/optics/pupils/test_traced.py).
 
     Examples
     --------
@@ -72,11 +72,11 @@ class Traced(FourierDiffracted):
 
     @property
     def margin(self) -> float:
-        """Distance from the rim of the blur that the wavefront bends rays to, px."""
+        """Distance in px beyond the geometric blur that wavefront errors displace rays to."""
         return 2.0 * self.slope
 
     def samples(self, radius: float) -> float:
-        """Rays over the diameter for a blur radius in px."""
+        """Number of rays over the diameter for a blur radius in px."""
         return 2.0 * self._count(abs(radius))
 
     def left_out(self, _: float) -> float:
@@ -86,11 +86,11 @@ class Traced(FourierDiffracted):
         return SECONDS * 4.0 * self._count(radius) ** 2 * (1.0 + PLACE * places)
 
     def _clipped(self, found: Array) -> Array:
-        """Cubics between nodes where no weight is negative, as tables have them: they may be, between these."""
+        """Values at nodes, adjusted so that the cubics between them, as in tables, are not negative."""
         return found
 
     def _count(self, radius: float) -> int:
-        """Rays per radius of the lens."""
+        """Number of rays per radius of the lens."""
         wanted = min(RAYS_PER_CELL * self._parts(radius), RAYS_PER_PX) * (radius * self.extent + self.margin)
         return min(max(32 * ceil(wanted / 32.0), FEWEST_RAYS), MOST_RAYS)
 
@@ -121,7 +121,7 @@ class Traced(FourierDiffracted):
         return spots.reshape(len(nodes), 2 * middle + 1, 2 * middle + 1)
 
     def _sizes(self, number: int) -> tuple[int, int, int]:
-        """Cells per px and reach in px of the spots of a panel, and rays per radius of the lens."""
+        """Cells per px, reach in px of a panel's spots, and rays per radius of the lens."""
         farthest = self.panel * max(abs(number), abs(number + 1))
         return self._parts(farthest), self._reach(farthest), self._count(farthest)
 
@@ -141,8 +141,9 @@ class Traced(FourierDiffracted):
 
 
 def ends(at: Array, width: Array) -> tuple[Array, Array]:
-    """First of the two cells along an axis that rays light, and the part of the second: a ray is as wide as it is far
-    from those beside it, up to a cell."""
+    """First of the two cells along an axis that a ray lights, and the fraction in the second: a ray is as wide as its
+    distance from its neighbors, up to a cell.
+    """
     wide = np.clip(width, 1e-6, 1.0)
     after = at + 0.5 * wide
     first = np.floor(after + 0.5 - wide)
@@ -152,9 +153,10 @@ def ends(at: Array, width: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=256)
 def response(parts: int, place: float, tent: bool) -> Array:
-    """Part of the light in cells around a pixel that it gets along an axis, of a source at a place in its own.
+    """Fraction of the light in cells around a pixel that the pixel receives along an axis, from a source at `place` in
+    its own.
 
-    parts: cells per px; tent: of a square source instead of a point.
+    parts: cells per px; tent: True for a square source instead of a point.
     """
     beside = parts + parts // 2 + 2
     at = np.arange(-beside, beside + 1.0) / parts + place
@@ -164,7 +166,7 @@ def response(parts: int, place: float, tent: bool) -> Array:
 
 
 def _below(at: Array, tent: bool) -> Array:
-    """Integral of the response of a pixel up to a place."""
+    """Integral of a pixel's response up to a position."""
     if not tent:
         return np.clip(at, -0.5, 0.5)
     at = np.clip(at, -1.0, 1.0)
@@ -172,7 +174,7 @@ def _below(at: Array, tent: bool) -> Array:
 
 
 def pixels(cells: Array, response: Array, parts: int) -> Array:
-    """Light in pixels, along the last axis, from that in cells, of which the one in the middle is the source."""
+    """Light in pixels, along the last axis, from the light in cells, the middle one of which holds the source."""
     half = cells.shape[-1] // (2 * parts) - 3
     first = cells.shape[-1] // 2 - half * parts - len(response) // 2
     windows = np.lib.stride_tricks.sliding_window_view(cells[..., first:], len(response), axis=-1)
@@ -181,7 +183,7 @@ def pixels(cells: Array, response: Array, parts: int) -> Array:
 
 @lru_cache(maxsize=4)
 def lens_points(opening: Pupil, count: int) -> tuple[Array, Array, Array]:
-    """Lens points of rays, x right and y down, and their light, which adds up to 1."""
+    """Lens points of rays, x right and y down, and their light, which sums to 1."""
     light = opening.cells(count)
     at = (np.arange(2.0 * count) + 0.5 - count) * (opening.extent / count)
     row, column = np.nonzero(light > 1e-12 * light.max())
@@ -191,8 +193,9 @@ def lens_points(opening: Pupil, count: int) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def bends(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, ...]:
-    """Bending of rays to the right and down, px, and its changes with the lens point: of x along x, of either along the
-    other axis, squared, and of y along y."""
+    """Displacement of rays to the right and down by the wavefront, px, and its derivatives by the lens point: of x
+    along x, the cross derivative, and of y along y.
+    """
     x, y, _ = lens_points(opening, count)
     (right, down), (xx, xy, yy) = wavefront.gradient(x, y), wavefront.curvature(x, y)
     return 2.0 * right, 2.0 * down, 2.0 * xx, 4.0 * xy * xy, 2.0 * yy

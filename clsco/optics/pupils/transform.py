@@ -1,9 +1,9 @@
-"""Diffraction by any opening: light of a defocused point by Fourier transforms of the pupil (float64, pure).
+"""Diffraction by any aperture: light of a defocused point by Fourier transforms of the pupil (float64, pure).
 
-Lengths are in px of the detector, Q = wavelength s0 / (D pitch). The amplitude at x is the transform of the pupil,
-U(x) = integral of A(l) exp(2 pi i W(l)) exp(-i pi l x / Q) dl, with W = R |l|^2 / (4 Q) and the wavefront's path / Q.
-All wavelengths share the grid of the image, `parts` samples per px: a window of w px then has M = w / Q samples of the
-pupil over its diameter, which need not be whole.
+Lengths are in detector px, Q = wavelength s0 / (D pitch). The amplitude at x is the transform of the pupil, U(x) =
+integral of A(l) exp(2 pi i W(l)) exp(-i pi l x / Q) dl, with W = R |l|^2 / (4 Q) plus the wavefront's path / Q. All
+wavelengths share the image grid, `parts` samples per px: a window of w px then has M = w / Q samples of the pupil over
+its diameter, not necessarily an integer.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LEAST_PARTS = 4  # samples of the image per px, for the edge of its window
 
 
 def fast_length(least: float, step: int = 1) -> int:
-    """Smallest multiple of a step, at least so large, whose transform is fast: without factors of more than 5."""
+    """Smallest multiple of `step`, at least `least`, with a fast transform: without prime factors above 5."""
     count = max(ceil(least / step - 1e-9), 1)
     while True:
         rest = count
@@ -38,16 +38,16 @@ def fast_length(least: float, step: int = 1) -> int:
 
 
 def image_parts(unit: float, extent: float) -> int:
-    """Even number of samples of the image per px that hold all frequencies of its light, of Q = unit px or more."""
+    """Even number of image samples per px that resolve all frequencies of its light for Q of `unit` px or more."""
     return fast_length(max(2.0 * extent / unit, LEAST_PARTS), 2)
 
 
 def pupil_samples(slope: float, part: float = 1.0) -> float:
-    """Samples of the pupil over its diameter for a steepest slope of its phase in waves per radius; part: of those that
-    weights to 1e-4 of the light need.
+    """Samples of the pupil over its diameter for a steepest phase slope in waves per radius; part: fraction of the
+    samples that weights to 1e-4 of the light need.
 
-    Raises SceneError where the phase would turn by more than 1/4 wave from one of MOST samples to the next, so that
-    light would go to wrong places.
+    Raises SceneError if the phase would change by more than 1/4 wave between two of MOST samples, so that light would
+    be misplaced.
     """
     if LEAST_PER_SLOPE * slope > MOST:
         rule = f"must turn the phase by at most 1/4 wave from one of {MOST} samples of the pupil to the next"
@@ -58,7 +58,7 @@ def pupil_samples(slope: float, part: float = 1.0) -> float:
 def spot_light(
     opening: Pupil, wavefront: Wavefront, unit: float, radius: float, samples: float, parts: int, width: int
 ) -> Array:  # fmt: skip
-    """Light of a defocused point in cells of 1 / parts px around it, as part of all of its light.
+    """Light of a defocused point in cells of 1 / parts px around it, as a fraction of all of its light.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def spot_light(
     parts : int
         Cells per px, see `image_parts`.
     width : int
-        px a side that the light is given of, even.
+        Side of the returned light in px, even.
 
     Returns
     -------
@@ -82,9 +82,9 @@ def spot_light(
 
     Notes
     -----
-    Cells at the rim of the pupil count by their area in it; what such a cell's squared amplitude lacks of its light is
-    beyond the window. Validated against Hopkins' transfer function, and the Hankel transform with spherical aberration
-    (benchmarks/truth/wave.py).
+    Cells at the edge of the pupil are weighted by their area in it; the light that such a cell's squared amplitude
+    lacks is outside the window. Validated against Hopkins' transfer function, and the Hankel transform with spherical
+    aberration (benchmarks/truth/wave.py).
     """
     window = fast_length(max(samples * unit, width))
     amplitude, at = _pupil(opening, wavefront, window / unit, unit)
@@ -100,8 +100,9 @@ def spot_light(
 
 @lru_cache(maxsize=4)
 def _pupil(opening: Pupil, wavefront: Wavefront, samples: float, unit: float) -> tuple[Spectrum | Array, Array]:
-    """Amplitude (y, x) in focus of each cell of a grid with so many cells over the diameter, for Q = unit px, and the
-    places in radii along either axis."""
+    """In-focus amplitude (y, x) in each cell of a grid with `samples` cells over the diameter, for Q = unit px, and the
+    cell positions in radii along either axis.
+    """
     root = opening.amplitude
     index = np.arange(-ceil(0.5 * samples * opening.extent), ceil(0.5 * samples * opening.extent) + 1.0)
     area = 0.25 * np.pi * samples**2 * root.light
@@ -113,16 +114,16 @@ def _pupil(opening: Pupil, wavefront: Wavefront, samples: float, unit: float) ->
 
 
 def spectra(light: Array) -> Spectrum:
-    """Half of the transform of light (y, x) along both axes, (frequencies of y, those of x from 0 on)."""
+    """Half spectrum of light (y, x): (frequencies of y, nonnegative frequencies of x)."""
     half = light.shape[1] // 2
     return np.fft.fft(np.fft.rfft(light, axis=1)[:, :half], axis=0)
 
 
 def pixel_weights(spectrum: Spectrum, width: int, offset: tuple[float, float], tent: bool) -> Array:
-    """Light in pixels (width, width) of a source at an offset (right, down) px in its own, in the middle.
+    """Light in pixels (width, width) of a source in the middle pixel, at an offset (right, down) px within it.
 
-    spectrum: of light in cells by `spectra`; tent: of a square source instead of a point. Sums over the response of a
-    pixel are products of frequencies, and samples at whole pixels fold them.
+    spectrum: of light in cells by `spectra`; tent: True for a square source instead of a point. Summing over a pixel's
+    response multiplies the spectrum, and sampling at whole pixels folds it.
     """
     response = 2 if tent else 1
     across = np.arange(spectrum.shape[1]) / width
@@ -134,5 +135,5 @@ def pixel_weights(spectrum: Spectrum, width: int, offset: tuple[float, float], t
 
 
 def _folded(spectrum: Spectrum, width: int) -> Spectrum:
-    """Sums of frequencies, along rows, that are alike at whole pixels."""
+    """Spectrum along rows folded: sums of frequencies that are aliases at whole pixels."""
     return np.asarray(spectrum.reshape(len(spectrum), -1, width).sum(axis=1))

@@ -1,4 +1,4 @@
-"""Wavefront errors of a lens, as Zernike polynomials and Seidel's terms (float64, pure).
+"""Wavefront errors of a lens as Zernike polynomials and Seidel's terms (float64, pure).
 
 Lengths are optical paths in px, waves times Q, so that one wavefront serves all wavelengths; a ray through l arrives at
 R l + 2 grad W, in px. Axes of an image: x to the right, y down.
@@ -20,18 +20,19 @@ STEP, BESIDE = 1e-4, 1e-3  # of the differences that slopes of polynomials are, 
 
 @dataclass(frozen=True)
 class Wavefront:
-    """Optical path through a lens, less that of a sphere around the image of a point.
+    """Optical path through a lens, minus that of a sphere around the image of a point.
 
     Attributes
     ----------
     zernike : tuple of (int, int, float)
         n, m and the rms over the lens in px of each polynomial.
     spherical : float
-        Seidel's W040 in px: of the fourth power of the distance from the middle of the lens, at its rim.
+        Seidel's W040 in px: path at the lens's edge of the term in the fourth power of the distance from its center.
     coma : tuple of float
         Seidel's W131 in px, right and down: path (x^2 + y^2) (coma . (x, y)).
     bend : tuple of float
-        xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature at a place.
+        xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature at a position in the
+        frame.
 
     Examples
     --------
@@ -48,17 +49,17 @@ class Wavefront:
 
     @property
     def is_flat(self) -> bool:
-        """True if the lens is a perfect one."""
+        """True for a perfect lens."""
         return not (self.zernike or self.spherical or any(self.coma) or any(self.bend))
 
     @property
     def is_round(self) -> bool:
-        """True if it is the same in all directions."""
+        """True if the wavefront has rotational symmetry."""
         return all(m == 0 for _, m, _ in self.zernike) and not (any(self.coma) or any(self.bend))
 
     @property
     def upright(self) -> Wavefront:
-        """One of those that it is without Zernike polynomials when it is mirrored, the same for all of them."""
+        """The wavefront without Zernike polynomials in a canonical orientation, shared by its mirror images."""
         (right, down), (xx, xy, yy) = self.coma, self.bend
         across, along = self.mirrored
         sign = -1.0 if across != along else 1.0
@@ -66,7 +67,7 @@ class Wavefront:
 
     @property
     def mirrored(self) -> tuple[bool, bool]:
-        """True if `upright` is it from right to left, and from below to above."""
+        """For `upright`: True if it is mirrored horizontally, and vertically."""
         (right, down), (_, xy, _) = self.coma, self.bend
         return right < 0.0 or (right == down == 0.0 and xy < 0.0), down < 0.0
 
@@ -77,7 +78,7 @@ class Wavefront:
         return np.asarray(total + self._polynomials(x, y) if self.zernike else total)
 
     def gradient(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Changes of the path in px per radius at lens points, to the right and down."""
+        """Derivatives of the path in px per radius at lens points, to the right and down."""
         square, (right, down), (xx, xy, yy) = x * x + y * y, self.coma, self.bend
         along = 4.0 * self.spherical * square + 2.0 * (right * x + down * y)
         across = along * x + right * square + 2.0 * (xx * x + xy * y)
@@ -89,8 +90,7 @@ class Wavefront:
         return across + more / (2.0 * STEP), below + deeper / (2.0 * STEP)
 
     def curvature(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Changes of the gradient in px per squared radius at lens points: of its right part to the right, of either to
-        the other direction, and of its lower part down."""
+        """Second derivatives of the path in px per squared radius at lens points: xx, xy and yy, x right and y down."""
         right, down = self.gradient(x, y)
         (beside, lower), (_, below) = self.gradient(x + BESIDE, y), self.gradient(x, y + BESIDE)
         return (beside - right) / BESIDE, (lower - down) / BESIDE, (below - down) / BESIDE
@@ -100,7 +100,7 @@ class Wavefront:
 
     @property
     def slope(self) -> float:
-        """Largest change of the path along the lens, px per radius."""
+        """Largest derivative of the path along the lens, px per radius."""
         return 0.0 if self.is_flat else _slope(self)
 
 
@@ -112,15 +112,15 @@ def _slope(wavefront: Wavefront) -> float:
 
 
 def zernike(n: int, m: int, x: Array, y: Array) -> Array:
-    """Zernike polynomial of the standard of OSA and ANSI Z80.28, of rms 1 over the unit circle.
+    """Zernike polynomial in the standard of OSA and ANSI Z80.28, with rms 1 over the unit circle.
 
     Parameters
     ----------
     n : int
         Radial order.
     m : int
-        Angular frequency, |m| <= n and n - m even: cosines where it is positive, sines where it is negative. Angles are
-        counter-clockwise from the right, in the image of a far light.
+        Angular frequency, |m| <= n and n - m even: cosines if positive, sines if negative. Angles are counter-clockwise
+        from the right, in the image of a far light.
     x, y : ndarray
         Lens points, in radii, right and down; they broadcast.
 

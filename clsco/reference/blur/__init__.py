@@ -1,1 +1,1 @@
-"""Scattering of sources by their PSF, as kernels/blur has it."""
+"""Scattering of sources by their PSF; counterpart of kernels/blur."""

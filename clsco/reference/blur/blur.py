@@ -1,7 +1,7 @@
 """Defocus: every source spreads its radiance over the pixels around it (2.25), in NumPy float64.
 
-Sources stand on the padded grid (H, W), which has `guard` rows and columns around the frame (m, n). Offsets
-(dx, dy) go right and down from a source to a pixel that it contributes to.
+Sources are on the padded grid (H, W), with `guard` rows and columns around the frame (m, n). Offsets (dx, dy) are right
+and down from a source to a pixel that it contributes to.
 """
 
 from __future__ import annotations
@@ -28,11 +28,10 @@ OCCLUDED_BLOCK = 2048  # the same of sources with occluders, which take more mem
 
 
 def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
-    """Gradient (H, W, 2) of the blur radius in px per px, right and down, from its differences.
+    """Gradient (H, W, 2) of the blur radius in px per px, right and down, by finite differences.
 
-    coc: (H, W) signed radius in px; valid: (H, W) there is a source. Central where both neighbors are valid,
-    one sided where one is, else 0. For forward-warped images and for depth maps, which have no analytic
-    surface.
+    coc: (H, W) signed radius in px; valid: (H, W) mask of sources. Central differences if both neighbors are valid,
+    one-sided if one is, else 0. For forward-warped images and depth maps, which have no analytic surface.
     """
 
     def along(radius: Array, there: NDArray[np.bool_]) -> Array:
@@ -51,14 +50,16 @@ def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
 def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array, limb: ArrayLike = False) -> Array:
     """Weight 1 + l . grad R of the radiance that a tilted surface sends through lens point l = (dx, dy) / R.
 
-    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, the same way, of `tilt_slope`; limb: as of
-    `tilt_share`. They broadcast. The factor is never below 0.
+    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, right and down, from `tilt_slope`; limb: as for
+    `tilt_share`. They broadcast. The factor is never negative.
     """
     return tilt_share(1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]), limb)
 
 
 def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike) -> tuple[Array, Array]:
-    """Offsets in px that stand for the places in the lens that light comes from: of waves beyond the rim, its rim."""
+    """Offsets in px, clamped to the geometric blur for waves, that represent the part of the lens that light comes
+    from.
+    """
     dx, dy = np.asarray(dx, np.float64), np.asarray(dy, np.float64)
     if not psf.diffracted:
         return dx, dy
@@ -71,10 +72,10 @@ def place_weights(
     psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64],
     subpixel: bool = False,
 ) -> Array:  # fmt: skip
-    """Weights (n,) of taps of sources at places (2, n), row and column in the frame, px: `PointSpread.weights`, or
-    `subpixel_weights`, where they vary over the field between those of four places.
+    """Weights (n,) of taps for sources at positions (2, n), row and column in the frame, px: `PointSpread.weights`, or
+    `subpixel_weights`; if they vary over the frame, blended from four grid positions.
 
-    dx, dy: px, all the same or (n,); radius: (n,) signed, px.
+    dx, dy: px, scalar or (n,); radius: (n,) signed, px.
     """
 
     def weights(spread: PointSpread, which: NDArray[np.int64] | slice) -> Array:
@@ -94,7 +95,7 @@ def place_weights(
 
 
 def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """An offset, and all that share its weight: signs changed, axes swapped; alone: none does."""
+    """An offset, with all offsets of equal weight: by sign changes and swapped axes; alone: only the offset itself."""
     if alone:
         span = range(-offset_limit, offset_limit + 1)
         yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
@@ -105,9 +106,9 @@ def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, s
 
 
 def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
-    """Groups of partly hidden sources, of nearly the same radius and so of the same taps, and their cells of the lens.
+    """Groups of partly hidden sources with nearly equal radii, and so equal taps, and their lens cells.
 
-    Numbers of the sources in a group, its part of `visibility`, and what `cell_visibility` makes of it.
+    Yields the numbers of the sources in a group, its part of `visibility`, and its `cell_visibility`.
     """
     hidden = np.flatnonzero(visibility.row >= 0)
     hidden = hidden[np.argsort(np.abs(visibility.radius[visibility.row[hidden]]), kind="stable")]
@@ -118,7 +119,8 @@ def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, 
 def _shares(
     spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For every offset: source numbers, frame pixel numbers, and the share of each source's radiance that goes there.
+    """For every offset: source numbers, frame pixel numbers, and the fraction of each source's radiance that the pixel
+    receives.
 
     Targets outside of the frame are left out.
     """
@@ -170,10 +172,10 @@ def _shares(
 def _subpixel_shares(
     spec: BlurSpec, sub: SubpixelSources, shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, share of radiance.
+    """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, fraction of radiance.
 
-    Sources are numbered in the order of `hit`; the share includes the source's weight 1/S^2. Targets outside
-    of the frame are left out.
+    Sources are numbered in the order of `hit`; the fraction includes the source's weight 1/S^2. Targets outside of the
+    frame are left out.
     """
     samples = sub.hit.shape[1]
     pixel, i, j = np.nonzero(sub.hit)
@@ -221,7 +223,7 @@ def _subpixel_shares(
 
 
 def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
-    """Pixels (H, W) with a source of their own: a surface, and no sub-pixel sources in its place."""
+    """Mask (H, W) of pixels with their own source: a surface, and no sub-pixel sources."""
     there = sources.lit.copy()
     if sub is not None:
         there[sub.row, sub.column] = False
@@ -231,11 +233,11 @@ def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bo
 def renormalize(
     spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int
 ) -> tuple[Sources, SubpixelSources | None]:
-    """Sources whose radiance, as far as it would fall outside of the frame, is given back to the frame.
+    """Sources with their radiance scaled so that light lost outside of the frame is returned to it.
 
-    Arguments as for `scatter`. The radiance is divided by the share of the source's PSF (with tilt) that falls inside
-    the frame, whatever its occluders; sources outside of the frame (the apron) are dropped. Validated: a constant image
-    stays constant in sum up to the border.
+    Arguments as for `scatter`. The radiance is divided by the fraction of the source's PSF (with tilt) inside the
+    frame, ignoring occluders; sources outside of the frame (the apron) are dropped. Validated: the sum of a constant
+    image is preserved up to the border.
     """
     m, n = shape
     inside = np.zeros(sources.label.shape, dtype=bool)
@@ -263,10 +265,10 @@ def renormalize(
 def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
     """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
 
-    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace their pixels'
-    own, or None; shape: (m, n) of the frame; guard: px. With border = "renormalize" see `renormalize`. Weights are
-    `PointSpread.weights`, and `subpixel_weights` for sub-pixel sources. Validated: energy is conserved, a constant
-    facing plane stays constant, linear, equal to direct sums.
+    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace their pixels' own, or
+    None; shape: (m, n) of the frame; guard: px. With border = "renormalize" see `renormalize`. Weights are
+    `PointSpread.weights`, and `subpixel_weights` for sub-pixel sources. Validated: energy is conserved, the image of a
+    constant frontal plane is constant, the result is linear, and equals direct sums.
     """
     m, n = shape
     if spec.border == "renormalize":

@@ -1,1 +1,1 @@
-"""Geometry and visibility, as kernels/common has it."""
+"""Geometry and visibility; counterpart of kernels/common."""

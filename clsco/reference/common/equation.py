@@ -1,5 +1,6 @@
-"""Crossings of lines to the lens with a surface: the equation of `clsco.reference.common.visibility`, and the cells of
-the lens that it is for, in NumPy float64."""
+"""Intersection of lines from a source to the lens with an occluding surface: the equation of
+`clsco.reference.common.visibility` and its lens cells, in NumPy float64.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +30,11 @@ def _dot(weights: Array, vectors: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
-    place x, y (N,) of the source in its pixel, px, the width of the sources, px, and the gradient (N, 2) of the blur
-    radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): at a limb; place (2, N):
-    row and column of the pixel in the frame, px; shared (N,): middles of pixels that are tested for all their parts."""
+    """Surface points of visibility tests: rays (N, 3); inverse depth w (N,) in 1/mm; signed blur radius (N,) in px;
+    position x, y (N,) of the source in its pixel, px; width of the sources, px; gradient (N, 2) of the blur radius, px
+    per px, right and down, 0 if surface tilt is ignored; limb (N,): True at a limb; place (2, N): row and column of the
+    pixel in the frame, px; shared (N,): True for pixel centers tested on behalf of all sub-pixels.
+    """
 
     rays: Array
     w: Array
@@ -48,11 +50,11 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Division:
-    """Division of the lens into cells for N sources.
+    """Division of the lens into cells, for N sources.
 
-    cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
-    extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius; part (N,): px
-    of a cell where they are `wide`, less than 1 in focus; bent: rays are.
+    cells (N,): per lens radius, signed as the blur radius; wide (N,): True if a cell is a pixel; blur (N,): |R| extent,
+    px; extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius; part (N,):
+    px per cell for `wide` sources, less than 1 in focus; bent: True if rays are bent.
     """
 
     cells: Array
@@ -66,12 +68,12 @@ class Division:
 
     @property
     def most(self) -> Array:
-        """Cells (N,) to the farthest tap."""
+        """Number of cells (N,) to the farthest tap."""
         return np.asarray(self.extent * np.abs(self.cells) + 1.5)
 
 
 def division_of(radius: Array, extent: float, width: Array | float, gradient: Array) -> Division:
-    """Cells for sources of blur radius (N,) px."""
+    """Lens cells for sources with blur radii (N,) px."""
     blur = np.abs(radius) * extent
     wide = blur >= WIDE_LENS
     cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
@@ -79,9 +81,10 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
 
 
 def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
-    """The same for the blur, where rims are sharp: tap by tap from TAP_LENS on, and of pixels' sources however small
-    the lens is, as what each tap sees of it goes with the place in the pixel that light comes from; by_cells (N,): but
-    for these."""
+    """The same for the blur with sharp occluder edges: individual taps from TAP_LENS on, and for sources of whole
+    pixels at any blur, because each tap's view of the lens depends on the position of the light within the pixel;
+    by_cells (N,): sources excepted from this.
+    """
     wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~by_cells
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
     part = np.where(wide, radius / cells, 1.0)
@@ -89,19 +92,21 @@ def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
 
 
 def sees_by_cells(division: Division, place: Array) -> Mask:
-    """True (N,) of pixels that look through the cells of the lens, however narrow their blur is, as all that hides it
-    is far: see kernels/common/visibility_test.clh. place (N,): least of what hides the lens, px per lens radius."""
+    """True (N,) for pixels that use lens cells however narrow their blur is, because all occluders are far: see
+    kernels/common/visibility_test.clh. place (N,): smallest image displacement of an occluder, px per lens radius.
+    """
     least = np.maximum(FAR_PLACE * np.minimum(division.blur / FOCUSED, 1.0), FAR_RADII * division.blur)
     is_pixel = (np.asarray(division.width) == 1.0) & (division.blur < WIDE_LENS)
     return np.asarray(is_pixel & (place >= least))
 
 
 def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
-    """Parts by which edges at a place (N,) follow pixels' sources aside, and narrow with what taps see of the lens, and
-    trail with what they see of the source (N,): of the variance of an edge's width, over pixels (1 - g)^2 is of the
-    first, and g^2 of the other, of those of a tent, with g half a px of the source's way over the lens; over points, 1
-    of the first, of a box. Where rays are bent, 1 is of the first, -2 g of what it has in common with the source, and
-    2 g^2 of this."""
+    """Coefficients for occluder edges displaced by `place` (N,) in the image: how far edges follow a source within its
+    pixel, how much they sharpen with each tap's part of the lens, and with its part of the source (N,). For pixels, the
+    edge's variance has the fractions (1 - g)^2 and g^2 of a tent's, with g half a px of the source's displacement over
+    the lens; for points, 1 of a box's. With bent rays: 1 of the lens part, -2 g of its covariance with the source, and
+    2 g^2 of the source part.
+    """
     g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
     width = np.asarray(division.width)
     point = np.where(width < 1.0, 1.0 / (1.0 + (width * (2.0 * g - 1.0)) ** 2), 0.0)
@@ -112,11 +117,11 @@ def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """C v^2 + 2 B v + F = 0 of one surface and N points, in the middle of the lens and with C > 0.
+    """C v^2 + 2 B v + F = 0 of one surface and N points, at the middle of the lens and with C > 0.
 
-    B, F (N,), C. point (N, 3): times w, in the canonical frame; along_x, along_y (N, 3): way of the lens point per
-    cell, right and down, of `right` (N,) mm; linear (N,): l . point; sign: by which the surface's own equation was
-    multiplied; once (N,): there is one crossing at most; flat: the surface is a plane.
+    B, F (N,), C. point (N, 3): times w, in the canonical frame; along_x, along_y (N, 3): displacement of the lens point
+    per cell, right and down, scaled by `right` (N,) mm; linear (N,): l . point; sign: factor applied to the surface's
+    own equation; once (N,): True if there is at most one intersection; flat: True if the surface is a plane.
     """
 
     B: Array
@@ -133,7 +138,7 @@ class Equation:
 
 
 def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, own: bool) -> Equation:
-    """The equation of points on rays (N, 3); own: they are on the surface, F = 0."""
+    """The equation of points on rays (N, 3); own: True if they are on the surface, F = 0."""
     q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
     p = o * w[:, None] + turned(surface.turn, rays)
     right = lens.radius / cells
@@ -147,7 +152,7 @@ def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """B, C and D = B^2 - C F, which is 0 at the outline, as polynomials of the tap (x, y); (N,) each."""
+    """B, C and D = B^2 - C F, which is 0 at the outline, as polynomials in the tap (x, y); (N,) each."""
 
     D: Array
     B_x: Array
@@ -165,7 +170,7 @@ class Slopes:
 
 
 def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
-    """Derivatives of the coefficients by the tap; d: D (N,) in the middle of the lens."""
+    """Derivatives of the coefficients by the tap; d: D (N,) at the middle of the lens."""
     q, l, o, side = surface.canonical.q, surface.canonical.l, surface.offset, e.sign  # noqa: E741
     ex, ey = e.along_x, e.along_y
     bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u)) for u in (ex, ey))
@@ -177,7 +182,9 @@ def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes
 
 
 def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
-    """Distance in the image at which the line meets the surface, or passes it, (N,), px per lens radius."""
+    """Image displacement (N,), in px per lens radius, of the point where the line meets the surface or passes
+    closest.
+    """
     root = np.sqrt(np.maximum(d, 0.0))
     # The outline itself is at sqrt(F / C): half of it keeps its edge from growing endlessly where the line passes the
     # surface next to the point.
@@ -187,6 +194,6 @@ def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
 
 
 def edge_width(division: Division, place: Array) -> Array:
-    """Half width (N,) of the edge of an occluder, in cells: over the cell, and the part that a source's width adds."""
+    """Half width (N,) of an occluder's edge in cells: from the cell size, and from the source's width."""
     away = division.cells / place
     return np.asarray(SOFT_BOX * np.hypot(1.0, division.width * np.where(division.wide, away - 1, away)))

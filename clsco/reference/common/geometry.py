@@ -1,7 +1,7 @@
-"""Rays, the one ray-surface solution, and what follows from it, in NumPy float64.
+"""Rays, the common ray-surface solution, and derived quantities, in NumPy float64.
 
-Rays are arrays (..., 3) whose third component is 1, so that a surface point is ray / w with w the inverse
-depth in 1/mm; w = 0 stands for "no surface". Every function works on arrays of any shape at once.
+Rays are arrays (..., 3) whose third component is 1, so that a surface point is ray / w with w the inverse depth in
+1/mm; w = 0 means "no surface". Every function works on arrays of any shape.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ STEEPEST_TILT = 1e6  # 1/px: far beyond where a weight is clamped, and finite on
 
 
 def _product_error(a: Array, b: Array, product: Array) -> Array:
-    """a b - product exactly (Dekker 1971), as an FMA gives it; far from the ends of float64's range."""
+    """a b - product, exactly (Dekker 1971), as by an FMA; valid far from the limits of float64's range."""
 
     def halves(value: Array) -> tuple[Array, Array]:
         scaled = 134217729.0 * value  # 2^27 + 1 (Veltkamp)
@@ -46,8 +46,8 @@ def _product_error(a: Array, b: Array, product: Array) -> Array:
 def difference_of_products(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike) -> Array:
     """a b - c d without cancellation of the products' rounding errors.
 
-    The four broadcast; unit: that of a b. The error is at most 1.5 ulp (Jeannerod, Louvet, Muller 2013),
-    except that the last sum is rounded once more here. Validated against exact rational arithmetic.
+    The four broadcast; the unit is that of a b. The error is at most 1.5 ulp (Jeannerod, Louvet, Muller 2013), apart
+    from one more rounding of the last sum. Validated against exact rational arithmetic.
     """
     a, b, c, d = (np.asarray(v, dtype=np.float64) for v in (a, b, c, d))
     subtracted = c * d
@@ -59,8 +59,8 @@ def difference_of_products(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLik
 def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
     """Rays (..., 3) through pixel positions: slopes x right, y up, and 1 (3.1, 3.2).
 
-    row, column: px, may be fractional and outside of the frame; they broadcast. The camera's resolution must
-    be known. Validated against 3.1 and 3.2 at the corners and the middle.
+    row, column: px, may be fractional and outside of the frame; they broadcast. The camera must have a resolution.
+    Validated against 3.1 and 3.2 at the corners and the middle.
     """
     x, y = ray_slopes(camera, row, column)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
@@ -69,8 +69,8 @@ def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
 def project(camera: Camera, position: Array) -> tuple[Array, Array]:
     """Row and column in px of the pinhole projection (2.4, 2.5) of points (..., 3).
 
-    position: camera frame, mm or any common multiple of the coordinates; the third is not 0.
-    Validated as the inverse of `pixel_ray`.
+    position: camera frame, mm or any common multiple of the coordinates; the third must not be 0. Validated as the
+    inverse of `pixel_ray`.
     """
     columns, rows = camera.frame_size
     right, up = places_of(camera, position[..., 0] / position[..., 2], position[..., 1] / position[..., 2])
@@ -78,17 +78,17 @@ def project(camera: Camera, position: Array) -> tuple[Array, Array]:
 
 
 def turned(matrix: Array, vector: Array) -> Array:
-    """A matrix (3, 3) times vectors (..., 3)."""
+    """Product of a matrix (3, 3) and vectors (..., 3)."""
     return np.asarray(vector @ matrix.T)
 
 
 def turned_back(matrix: Array, vector: Array) -> Array:
-    """A transposed matrix (3, 3) times vectors (..., 3): from the canonical frame back to the camera's."""
+    """Product of the transposed matrix (3, 3) and vectors (..., 3): from the canonical frame back to the camera's."""
     return np.asarray(vector @ matrix)
 
 
 def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
-    """B^2 - A C of the quadric along canonical rays d (..., 3), in the form that does not cancel.
+    """B^2 - A C of the quadric along canonical rays d (..., 3), without cancellation.
 
     With m = o x d (Lagrange's identity): k A - sum of q_i q_j m_k^2 + (l.d)^2 + 2 sum of q_i d_i l_j m_ij.
     Validated against B^2 - A C in exact rational arithmetic.
@@ -107,9 +107,9 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
 
 
 def both_roots(surface: PlacedSurface, a: Array, b: Array, root: Array) -> tuple[Array, Array]:
-    """Roots (-B + sqrt(D))/C and (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0, whose labels are 1 and 2.
+    """Roots (-B + sqrt(D))/C and (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0, with labels 1 and 2.
 
-    a, b, root: (...), A, B and the root of D. Finite or not, as D and C are.
+    a, b, root: (...), A, B and the square root of D. Roots may be infinite or NaN, depending on D and C.
     """
     # -B and -sign(B) sqrt(D) have one sign: their sum does not cancel. The other root comes from A = C w1 w2.
     t = -b - np.copysign(root, b)
@@ -121,10 +121,10 @@ def both_roots(surface: PlacedSurface, a: Array, b: Array, root: Array) -> tuple
 
 
 def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Array, w: Array) -> NDArray[np.bool_]:
-    """Mark roots (...) that are in front of the lens, on the right nappe, within the bounds, and on the disc.
+    """Mask of roots (...) that are in front of the lens, on the right nappe, within the bounds, and on the disc.
 
-    d, own: (..., 3) rays in the canonical and in the object's own frame; w: (...) 1/mm, finite or not. Nothing
-    is divided by Z: every comparison is multiplied by w.
+    d, own: (..., 3) rays in the canonical and in the object's own frame; w: (...) 1/mm, finite or not. Comparisons are
+    multiplied by w instead of divided by it.
     """
     counts = np.isfinite(w) & (w > 0.0) & (w < NEAREST_INVERSE_DEPTH)
     w = np.where(counts, w, 0.0)
@@ -154,12 +154,12 @@ def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) ->
 def solve_root(
     surface: PlacedSurface, bounds: Bounds | None, rays: Array, only: int
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and which root it is.
+    """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and its label.
 
-    bounds: box in the object's own frame, mm; only: the label of the only root that counts, 0 for both. Label: 0 no
-    surface (w = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root counts
-    when it is real, 0 < w < 1e6, on the wanted nappe, within the bounds, and on the disc; nothing is divided by Z, so
-    horizon and infinity are the sign of w. Of two equal roots the first counts. Validated against 3.10, 3.16, 3.22,
+    bounds: box in the object's own frame, mm; only: label of the only root to use, 0 for both. Labels: 0 no surface (w
+    = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root is visible if it is
+    real, 0 < w < 1e6, on the required nappe, within the bounds, and on the disc; there is no division by w, so horizon
+    and infinity are handled by the sign of w. Of two equal roots the first is used. Validated against 3.10, 3.16, 3.22,
     3.32, 3.36 and against exact arithmetic at c/rho = 1e6.
     """
     shape = surface.canonical
@@ -186,10 +186,11 @@ def solve_root(
 def nearest_surface(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup, rays: Array
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
-    """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its number.
+    """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its object number.
 
-    surfaces, bounds: of all objects; group: the occlusion group, whose members and roots count. Label: 0 no surface
-    (w = 0, number -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
+    surfaces, bounds: of all objects; group: the occlusion group, with the members and roots to use. Label: 0 no surface
+    (w = 0, number -1), else 2 k + the label of `solve_quadric` for object k. Of equally near surfaces the first is
+    used.
     """
     nearest = np.zeros(rays.shape[:-1])
     label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
@@ -204,7 +205,7 @@ def nearest_surface(
 
 
 def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:
-    """Gradient (..., 3) of the quadric at hits, times w / 2, in the canonical frame.
+    """Gradient (..., 3) of the quadric at hits, multiplied by w / 2, in the canonical frame.
 
     d: (..., 3) canonical rays; w: (...) 1/mm.
     """
@@ -213,11 +214,10 @@ def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:
 
 
 def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Change of inverse depth (..., 2) per unit of ray slope, x right and y up, in 1/mm.
+    """Derivative of inverse depth (..., 2) by ray slope, x right and y up, in 1/mm.
 
-    rays: (..., 3); w: (...) 1/mm. Implicit differentiation of the quadric. 0 where no surface is, and where
-    the quadric has no gradient along the ray (a cone's apex, an exactly tangent ray). Validated against
-    differences.
+    rays: (..., 3); w: (...) 1/mm. By implicit differentiation of the quadric. 0 without a surface, and where the
+    quadric has no gradient along the ray (a cone's apex, an exactly tangent ray). Validated against differences.
     """
     d = turned(surface.turn, rays)
     g = canonical_gradient(surface, d, w)
@@ -230,22 +230,23 @@ def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def blur_radius(lens: Lens, rays: Array, w: Array) -> Array:
-    """Signed blur radius (...) in px of inverse depths w (...) in 1/mm on rays (..., 3): that of
-    `clsco.optics.lens.Lens`."""
+    """Signed blur radius (...) in px for inverse depths w (...) in 1/mm on rays (..., 3), by
+    `clsco.optics.lens.Lens`.
+    """
     return along_rays(lens, rays).blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
 
 
 def along_rays(lens: Lens, rays: Array) -> Lens:
-    """The lens for rays (..., 3), whose numbers are arrays (...) where a distorted image has them in other sizes."""
+    """The lens for rays (..., 3); in a distorted image its numbers become arrays (...) that include the local scale."""
     return lens.along(rays[..., 0], rays[..., 1])
 
 
 def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Array) -> Array:
     """Gradient (..., 2) of the signed blur radius in px per px, right and down.
 
-    slope: (..., 2) from `surface_slope`, of w (...) on rays (..., 3). R = kappa (K - w) (2.33), so that it changes
-    against w; with a curved focus the slope of K is added. In a distorted image R is times its `stretch`, and what
-    changes per px of it changes per inverse Jacobian of the slopes.
+    slope: (..., 2) from `surface_slope`, for w (...) on rays (..., 3). R = kappa (K - w) (2.33), so R decreases with w;
+    with a curved focus the slope of K is added. In a distorted image R is multiplied by its `stretch`, and derivatives
+    per px use the inverse Jacobian of the slopes.
     """
     if lens.is_curved:
         slope = slope - lens.focus_rise((rays[..., :2] ** 2).sum(axis=-1))[..., None] * rays[..., :2]
@@ -261,10 +262,10 @@ def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Arra
 
 
 def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Unit normal (..., 3) in the camera frame, on the side of the lens; 0 where no surface is (w = 0).
+    """Unit normal (..., 3) in the camera frame, towards the lens; 0 without a surface (w = 0).
 
-    rays: (..., 3); w: (...) 1/mm. Where the quadric has no gradient (a cone's apex) the direction to the
-    lens. Validated against differences and the sphere's radius vector.
+    rays: (..., 3); w: (...) 1/mm. If the quadric has no gradient (a cone's apex), the direction to the lens. Validated
+    against differences and the sphere's radius vector.
     """
     n = turned_back(surface.turn, canonical_gradient(surface, turned(surface.turn, rays), w))
     n = np.where((n * rays).sum(axis=-1, keepdims=True) > 0.0, -n, n)
@@ -274,8 +275,8 @@ def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """w times the position (..., 3) of the surface point that a ray meets, no unit: about the object's center, in the
-    axes of the camera in the reference pose.
+    """w times the position (..., 3) of the surface point that a ray meets, so without unit: relative to the object's
+    center, in the camera's axes in the reference pose.
 
     rays: (..., 3); w: (...) 1/mm.
     """
@@ -283,18 +284,19 @@ def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """w times the position in the reference pose (..., 3) of the surface point that a ray meets, camera frame, no unit.
+    """w times the position (..., 3) of the surface point in the reference pose, in the camera frame, without unit.
 
-    rays: (..., 3); w: (...) 1/mm. The third component is positive where the point was in front of the lens.
+    rays: (..., 3); w: (...) 1/mm. The third component is positive if the point was in front of the lens.
     """
     return np.asarray(surface.rest * w[..., None] + body_point(surface, rays, w))
 
 
 def rest_pixel(surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Row and column (...) in px of the projection of surface points in the reference pose, and whether there is one.
+    """Row and column (...) in px of surface points projected in the reference pose, and a mask of points with a
+    projection.
 
-    rays: (..., 3); w: (...) 1/mm. False, and row = column = 0, where no surface is or where the point was
-    behind the lens. Validated: the pixel itself for the reference pose, 80 px for 10 mm at 250 mm.
+    rays: (..., 3); w: (...) 1/mm. False, and row = column = 0, without a surface or if the point was behind the lens.
+    Validated: the pixel itself for the reference pose, 80 px for 10 mm at 250 mm.
     """
     position = rest_position(surface, rays, w)
     valid = (w > 0.0) & (position[..., 2] > 0.0)
@@ -309,7 +311,7 @@ def mirror_index(i: NDArray[np.int64], n: int) -> NDArray[np.int64]:
 
 
 def _taps(position: Array, texture_filter: Filter) -> tuple[NDArray[np.int64], Array]:
-    """First texel and weights (..., taps) of the texels that serve a position along one axis."""
+    """First texel and weights (..., taps) of the texels used to interpolate at a position along one axis."""
     position = np.clip(position, -FARTHEST_TEXEL, FARTHEST_TEXEL)
     if texture_filter == "nearest":
         return np.floor(position + 0.5).astype(np.int64), np.ones((*position.shape, 1))
@@ -327,10 +329,10 @@ def _taps(position: Array, texture_filter: Filter) -> tuple[NDArray[np.int64], A
 
 
 def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Filter) -> Array:
-    """Texture (rows, columns[, channels]) at positions (...) in px, mirrored outside: (...[, channels]).
+    """Texture (rows, columns[, channels]) interpolated at positions (...) in px, mirrored outside: (...[, channels]).
 
-    texture_filter: "nearest" (halves go up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may
-    overshoot, is not clamped). Validated: texels are kept, bilinear keeps linear, bicubic quadratic signals.
+    texture_filter: "nearest" (halves are rounded up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may overshoot,
+    is not clamped). Validated: all keep texel values, bilinear reproduces linear and bicubic quadratic signals.
     """
     (first_row, row_weights), (first_column, column_weights) = (
         _taps(row, texture_filter),
@@ -349,12 +351,12 @@ def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Fi
 def table_coordinate(
     psf: PointSpread, radius: Array, subpixel: bool, first: int, count: int, turned: int = 0
 ) -> NDArray[np.float32]:
-    """Coordinates (...) in a device's table of PSF weights; their integer part names the interval.
+    """Coordinates (...) in a device's table of PSF weights; their integer part is the interval's number.
 
-    radius: (...) px; `count` intervals from `first` on are for such radii, and others are clamped to them; turned: how
-    much larger the coordinates of negative radii are, of a signed shape, by default `count`. Rounded to
-    float32, that of a sampled PSF without crossing into the next interval, where it may jump. Only the device reads
-    tables; the reference has the weights.
+    radius: (...) px; the table has `count` intervals from `first` on, to which other radii are clamped; turned: offset
+    of the coordinates of negative radii, for a signed shape, by default `count`. Rounded to float32; for a sampled PSF
+    without crossing into the next interval, where weights may jump. Only the device reads tables; the reference
+    computes weights directly.
     """
     u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
     rounded = u.astype(np.float32)
@@ -370,12 +372,11 @@ def table_coordinate(
 
 
 def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array:
-    """Gradient of the signed blur radius over that radius, (..., 2) in 1/px: l . grad R per px of offset.
+    """Gradient of the signed blur radius divided by the radius, (..., 2) in 1/px: l . grad R per px of offset.
 
-    gradient: (..., 2) px per px, right and down; radius: (...) signed, px. Below 1 px the disc is smaller
-    than a pixel, and the offset of a pixel that it touches overstates l: a radius counts as at least 1 px
-    there. By waves light that arrives beside the image of a point in focus comes from all of the lens: there the slope
-    falls to 0 with R.
+    gradient: (..., 2) px per px, right and down; radius: (...) signed, px. Below 1 px the disc is smaller than a pixel,
+    and a touched pixel's offset overestimates l: |radius| is then taken as at least 1 px. With waves, light beside the
+    image of a point in focus comes from the whole lens: the slope then tends to 0 with R.
     """
     radius = np.asarray(radius, dtype=np.float64)
     if waves:
@@ -386,17 +387,17 @@ def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array
 
 
 def tilt_share(factor: ArrayLike, limb: ArrayLike = False) -> Array:
-    """Share (...) of a source's radiance that its tilt leaves, where f = 1 + l . grad R (...) is never below 0.
+    """Fraction (...) of a source's radiance that remains after tilt, where f = 1 + l . grad R (...) is clamped to 0.
 
-    limb: of sub-pixel sources at the outline of a surface that turns away from the lens there: ((1 + f) / 2)^2, 0 below
-    f = -1, which has what the lens sees of the back as well (kernels/common/geometry.clh). They broadcast.
+    limb: for sub-pixel sources at an outline where the surface turns away from the lens: ((1 + f) / 2)^2, 0 below f =
+    -1, which includes the lens's view of the back (kernels/common/geometry.clh). They broadcast.
     """
     factor = np.asarray(factor)
     return np.where(limb, 0.25 * np.maximum(factor + 1.0, 0.0) ** 2, np.maximum(factor, 0.0))
 
 
 def pixel_reach(radius: ArrayLike, waves: bool = False) -> Array:
-    """Divisor of the gradient of R in a whole pixel (...), px, see kernels/common/geometry.clh."""
+    """Divisor of the gradient of R for a whole pixel (...), px, see kernels/common/geometry.clh."""
     size = np.abs(np.asarray(radius, dtype=np.float64))
     if waves:
         return np.maximum(size, np.minimum(2.0 * size, 1.0))
@@ -404,13 +405,13 @@ def pixel_reach(radius: ArrayLike, waves: bool = False) -> Array:
 
 
 def pixel_tilt(gradient: Array, radius: ArrayLike, waves: bool = False) -> tuple[Array, Array]:
-    """Slope (..., 2) in 1/px of sources that are whole pixels, and the signed radius (...) in px of their weights.
+    """Slope (..., 2) in 1/px for sources that are whole pixels, and the signed radius (...) in px for their weights.
 
-    Arguments as for `tilt_slope`. From 1 px on it is the gradient over `pixel_reach`. Below, neighbors alone are lit,
-    and over each edge goes what is in proportion to |R| there. It is taken as the mean of |R| at its two ends,
-    so that the same goes over it from both sides, even where R changes its sign within the pixel, and constant radiance
-    stays constant: the mean of all corners is the radius, half of the differences of opposite edges over it the slopes.
-    Weights by waves are smooth there.
+    Arguments as for `tilt_slope`. From 1 px on, the slope is the gradient over `pixel_reach`. Below, only neighbors are
+    lit, and the light that crosses each edge is proportional to |R| there, taken as the mean of |R| at the edge's two
+    ends. So equal light crosses it from both sides, even if R changes its sign within the pixel, and constant radiance
+    stays constant: the radius is the mean over all corners, and the slopes are half of the differences of opposite
+    edges divided by it. Weights by waves are smooth there.
     """
     radius = np.asarray(radius, dtype=np.float64)
     if waves:

@@ -1,7 +1,7 @@
-"""One occluder: which share of the lens it hides from single taps.
+"""One occluder: the fraction of the lens that it hides from single taps.
 
-Of a surface without limits that is a cubic step of h = -B - sqrt(C F) over the width of the soft edge, else of the
-conditions on its crossings; B, C and F as in `visibility`.
+For an unbounded surface, a cubic step of h = -B - sqrt(C F) over the width of the soft edge; for a bounded one, from
+the conditions on its intersections; B, C and F as in `visibility`.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ LEAST_WIDTH = 0.001  # square of an edge's width, of what it is without a rim
 class Occluder:
     """One surface between N points and the lens; x, y: offset of a tap in cells, right and down.
 
-    h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
-    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are h and a part of `two_boxes`; else
-    b (N, 3), f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
-    limit + v (limit_0 + limit_x x + limit_y y) >= 0; needed: (N,) each, where the limit matters. follows, narrows,
-    trails (N,): see `clsco.reference.common.equation.source_ways`.
+    h (N, 3): constant, x, y, divided by the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx,
+    xy, yy under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are h and a part of `two_boxes`;
+    else b (N, 3), f0 (N,), c, d (N, 6), soft (N,): 1 / width of the edge; limits: (N, 4) each, limit + v (limit_0 +
+    limit_x x + limit_y y) >= 0; needed: (N,) each, True if the limit matters. follows, narrows, trails (N,): see
+    `clsco.reference.common.equation.source_ways`.
     """
 
     h: Array
@@ -48,7 +48,7 @@ class Occluder:
     trails: Array | float = 1.0
 
     def of(self, chosen: NDArray[Any]) -> Occluder:
-        """Arrays of the chosen points."""
+        """Arrays of the selected points."""
         arrays = {k: v[chosen] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         limits, needed = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.needed))
         return Occluder(**arrays, limits=limits, needed=needed)
@@ -56,10 +56,10 @@ class Occluder:
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Part of wide lenses that the rim leaves to taps: from the middle of what they see to the tap itself, px; by which
-    part less it varies than without a rim, along both axes; and the same of the source, for each place in the lens;
-    (N,) each; both (3, N): where rays are bent, the covariance of the place in the source and in the lens
-    (`clsco.optics.ray_means.RayMeans`)."""
+    """Effect of an aperture's edge on taps of wide lenses: displacement in px from the tap to the middle of its visible
+    part; the reduction of its variance along both axes; and the same for the source, for each lens position; (N,) each;
+    both (3, N): with bent rays, the covariance of the positions in source and lens (`clsco.optics.ray_means.RayMeans`).
+    """
 
     aside_x: Array
     aside_y: Array
@@ -71,12 +71,12 @@ class Cut:
     both: Array | None = None
 
     def of(self, chosen: NDArray[Any]) -> Cut:
-        """Arrays of the chosen taps."""
+        """Arrays of the selected taps."""
         return Cut(**{name: array[..., chosen] for name, array in vars(self).items() if array is not None})
 
 
 def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float:
-    """Factor (N,) by which edges with normals x, y (N,) of any length are steeper."""
+    """Factor (N,) by which edges with normals x, y (N,), of any length, become steeper."""
     if cut is None:
         return 1.0
     square = x * x + y * y + TINY
@@ -99,7 +99,9 @@ def soft_step(t: Array) -> Array:
 
 
 def two_boxes(t: Array, part: Array) -> Array:
-    """Step from 0 at t = -1/2 to 1 at 1/2: a sharp one blurred by boxes of widths `part`, at most 1/2, and 1 - part."""
+    """Step from 0 at t = -1/2 to 1 at 1/2: a sharp step blurred by boxes of widths `part`, at most 1/2, and 1 -
+    part.
+    """
     left = np.maximum(0.5 - np.abs(t), 0.0)
     least = np.minimum(left, part)
     beyond = least * (2.0 * left - least) / (2.0 * part * (1.0 - part))
@@ -108,15 +110,14 @@ def two_boxes(t: Array, part: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Share (N,) of taps' cells of the lens, and the direction x, y (N,) across its edge, of any length, in which more
-    is hidden."""
+    """Hidden fraction (N,) of taps' lens cells, and the direction x, y (N,), of any length, in which more is hidden."""
 
     share: Array
     x: Array
     y: Array
 
     def where(self, chosen: Mask, other: Part) -> Part:
-        """This one where it is chosen (N,), else the other."""
+        """This part where `chosen` (N,) is True, else the other."""
         pairs = ((self.share, other.share), (self.x, other.x), (self.y, other.y))
         return Part(*(np.where(chosen, own, others) for own, others in pairs))
 
@@ -127,11 +128,11 @@ def part_slope(part: Part) -> Array:
 
 
 def leave_free(left: Part, hidden: Part) -> Part:
-    """Add one more surface that hides the part `hidden` of cells to what is `left` of them.
+    """Combine the free part `left` of cells with one more surface that hides the part `hidden` of them.
 
-    If their edges are perpendicular, the product of what each leaves; if they are parallel, the less of it where both
-    hide the same side, and what lies between the edges where they hide opposite sides: nothing, if the surfaces share
-    that edge.
+    For perpendicular edges, the product of the free fractions; for parallel edges, the smaller one if both surfaces
+    hide the same side, and the strip between the edges if they hide opposite sides: nothing, if the surfaces share that
+    edge.
     """
     free = 1 - hidden.share
     product = left.share * free
@@ -149,7 +150,7 @@ def leave_free(left: Part, hidden: Part) -> Part:
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """One of the crossings with the lines to taps: w + v, and how v changes with the tap, (N,) each."""
+    """One intersection with the lines to taps: w + v, and the derivatives of v by the tap, (N,) each."""
 
     v: Array
     x: Array
@@ -157,10 +158,10 @@ class Crossing:
 
 
 def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, least: Array) -> Crossing:
-    """The crossing at w + v (N,); b, c, x, y: (N,), at the taps.
+    """The intersection at w + v (N,); b, c, x, y: (N,), at the taps.
 
-    least: of C v + B = sqrt(D) or -sqrt(D), with its sign: without it v changes endlessly at the outline, where no
-    condition would ever be clear.
+    least: signed lower bound of C v + B = sqrt(D) or -sqrt(D): without it the derivative of v is infinite at the
+    outline, where every condition would be uncertain.
     """
     steep = c * v + b
     scale = -v / np.where(np.abs(steep) > np.abs(least), steep, least)
@@ -171,7 +172,7 @@ def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, l
 
 
 def limit_part(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array, cut: Cut | None = None) -> Part:
-    """Part (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
+    """Part (N,) of the taps' cells for which an intersection satisfies one condition (N, 4)."""
     slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
     gx, gy = at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y
     steep = m.soft * sharpened(m, cut, gx, gy) / (np.hypot(gx, gy) + TINY)
@@ -179,7 +180,7 @@ def limit_part(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array, cut:
 
 
 def crossing_part(m: Occluder, at: Crossing, x: Array, y: Array, cut: Cut | None) -> Part:
-    """Part (N,) of them from which a crossing occludes: the least that any condition leaves."""
+    """Part (N,) of the taps' cells for which an intersection occludes: the smallest over all conditions."""
     least = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))
     for limit, needed in zip(m.limits, m.needed, strict=True):
         part = limit_part(m, limit, at, x, y, cut)
@@ -196,7 +197,7 @@ def outline_part(m: Occluder, x: Array, y: Array) -> Part:
 
 
 def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple[Crossing, Crossing]:
-    """Both crossings at taps x, y (N,), or the one; width: 0 to leave no condition clear at an outline."""
+    """Both intersections at taps x, y (N,), or the only one; width: 0 to keep conditions uncertain at an outline."""
     b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
     c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
     root = np.sqrt(np.maximum(d, 0.0))
@@ -209,7 +210,7 @@ def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple
 
 
 def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
-    """h (N,) of a surface without limits at taps x, y (N,), over the width of the soft edge."""
+    """h (N,) of an unbounded surface at taps x, y (N,), divided by the width of the soft edge."""
     fx, fy, fxx, fxy, fyy = m.f.T
     f = x * (fx + fxx * x + fxy * y) + y * (fy + fyy * y)
     under = np.sqrt(np.maximum(m.root * m.root + f, 0.0))
@@ -217,17 +218,20 @@ def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
 
 
 def strip_share(thin: Array | float) -> Array:
-    """Addition to h, over twice the width of the edge, with which a strip hides as much as it is wide.
+    """Correction for a thin strip, such that it hides exactly its own width: the number to add to h, divided by twice
+    the width of the edge.
 
-    thin (N,): curvature of h across the outline less that along it, times the width of the edge over the slope; to 15.
+    thin (N,): curvature of h across the outline minus that along it, times the edge's width divided by the slope; up to
+    15.
     """
     return np.asarray(np.minimum(0.05 * thin, np.maximum(0.073 - 0.02 * thin, 0.03 - 0.0105 * thin)))
 
 
 def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Part:
-    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides; cut: where it is wide.
+    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides; cut: for wide lenses.
 
-    Where rims cut what a tap sees, a pixel's source that it comes from is aside of its own middle as well.
+    If rims cut the view of a tap, the part of a pixel's source that it receives light from is also displaced from its
+    middle.
     """
     if cut is not None:
         x, y = x + m.follows * cut.aside_x, y + m.follows * cut.aside_y
@@ -259,11 +263,11 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
 
 
 def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
-    """Mark sources (N,) for which a surface hides the lens at 16 points all over it, a little beyond its rim, `most`
-    (N,), among them.
+    """Mask of sources (N,) for which a surface hides the lens at all of 16 points, including some slightly beyond its
+    edge, at `most` (N,).
 
-    Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped, but for one where
-    there is one crossing.
+    Also a mask (N,) per condition that some intersection does not fully satisfy; other conditions can be dropped,
+    except one if there is a single intersection.
     """
     hidden, needed = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
     needed[0] |= m.crossings == 1

@@ -1,11 +1,10 @@
 """Visibility of the lens from surface points: the factor V(x, l) of the physics, in NumPy float64.
 
-The line from a point at inverse depth w to lens point l meets a quadric Q at inverse depths w + v, v > 0, with
-C v^2 + 2 B v + F = 0, C = Q(lens point), F = w^2 Q(point). F does not depend on l. Where its sign differs from C's
-there is one crossing for every l; else two or none, and two exactly where h = -B - sqrt(C F) > 0, with signs such that
-C > 0.
-Taps stand for cells of the lens; over them the edge of what is hidden is softened by a cubic step of the same
-variance as the boxes that overlap there, so that V is continuous.
+The line from a point at inverse depth w to lens point l meets a quadric Q at inverse depths w + v, v > 0, with C v^2 +
+2 B v + F = 0, C = Q(lens point), F = w^2 Q(point). F does not depend on l. If its sign differs from C's there is one
+intersection for every l; otherwise two or none, and two exactly if h = -B - sqrt(C F) > 0, with signs such that C > 0.
+Taps represent cells of the lens; over a cell, the edge of the hidden part is softened by a cubic step with the variance
+of the boxes that overlap there, so that V is continuous.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 
 
 def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
-    """Conditions on a crossing: on the right nappe and within the bounds."""
+    """Conditions on an intersection: the right nappe, and the bounds."""
     p, e = equation.point, np.stack([equation.right, -equation.right], axis=-1)  # e: mm per cell, right and down
     found = []
     nappe, o = float(surface.canonical.nappe), surface.offset
@@ -81,7 +80,7 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """h = -B - sqrt(C F) as `Occluder` keeps it, and the state of the lens by it."""
+    """h = -B - sqrt(C F) in the form of `Occluder`, and the resulting state of the lens."""
 
     h: Array
     root: Array
@@ -92,14 +91,15 @@ class Outline:
 
 
 def outline_slope(m: Slopes) -> Array:
-    """Steepest slope (N,) of D per cell where it is 0, across which it curves by twice its lower eigenvalue."""
+    """Steepest slope (N,) of D per cell where D is 0; its curvature across is twice its lower eigenvalue."""
     curve = 0.5 * (m.D_xx + m.D_yy - np.hypot(m.D_xx - m.D_yy, m.D_xy))
     return np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0))
 
 
 def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
-    """Outline of a surface with two crossings, or none: h over the width `soft` (N,) of the edge; most (N,): cells to
-    the farthest tap."""
+    """Outline of a surface with two intersections or none: h divided by the width `soft` (N,) of the edge; most (N,):
+    cells to the farthest tap.
+    """
     under = np.sqrt(e.C * e.F)
     change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
     reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
@@ -126,9 +126,9 @@ def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
 def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Array, most: Array) -> Outline:
     """Outline of a disc of radius r about the third axis; arguments as for `outline_of`.
 
-    The line to the lens crosses its plane at v = -p_z / o_z, within the radius where
-    h = r |w o_z - p_z| - |p o_z - p_z o|_xy >= 0,
-    with p the point times w and o the lens point, linear in the tap: h is of the same form as that of other outlines.
+    The line to the lens intersects the disc's plane at v = -p_z / o_z, within the radius if h = r |w o_z - p_z| - |p
+    o_z - p_z o|_xy >= 0, with p the point times w and o the lens point, linear in the tap: h has the form of other
+    outlines.
     """
     radius, o, p = surface.canonical.radius, surface.offset, e.point
     d = turned(surface.turn, points.rays)  # p = o w + d
@@ -161,7 +161,7 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
 
 
 def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits: Sequence[Array]) -> Occluder:
-    """Collect the terms that taps are tested by: the outline, and the equation for those that have limits."""
+    """Collect the terms of taps' tests: the outline, and the equation for surfaces with limits."""
     zero = np.zeros_like(e.B)
     return Occluder(
         h=outline.h,
@@ -180,8 +180,9 @@ def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits:
 
 
 def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, extent: float) -> Mask:
-    """Mark points (N,) that nothing of a surface can be before: the line to lens point l goes over the image by
-    lens_radius l per inverse depth."""
+    """Mask of points (N,) that a surface cannot occlude: the line to lens point l moves in the image by lens_radius l
+    per inverse depth.
+    """
     way = lens.radius * extent * (surface.seen.w[1] - w)
     far = way <= 0
     for axis, (low, high) in enumerate((surface.seen.x, surface.seen.y)):
@@ -192,11 +193,11 @@ def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, ex
 def meet_occluder(
     lens: Lens, surface: PlacedSurface, bounds: Bounds | None, points: Points, division: Division, own: bool = False
 ) -> tuple[NDArray[np.uint8], Mask, Occluder, Array]:
-    """Find how a surface hides the lens from N points.
+    """Compute how a surface hides the lens from N points.
 
-    own: the points are on the surface itself, of which another part may be between them and the lens. Returns whether
-    the lens is CLEAR, PARTLY or all HIDDEN (N,), which points are on the surface's other side than the lens or near an
-    outline of it that has hardly any width (N,), what is to be tested per tap, and `crossing_place` (N,).
+    own: True if the points are on the surface itself, another part of which may be between them and the lens. Returns
+    the state CLEAR, PARTLY or HIDDEN (N,), a mask of points on the far side of the surface or near an outline with
+    almost no width (N,), the data for tests per tap, and `crossing_place` (N,).
     """
     rays, w = points.rays, points.w
     far = out_of_the_way(lens, surface, rays, w, division.extent)
@@ -235,11 +236,11 @@ def meet_occluder(
 def flatten_limits(
     lens: Lens, limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], division: Division
 ) -> tuple[NDArray[np.uint8], list[Array], tuple[Mask, ...]]:
-    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), h of each and a part of
-    `two_boxes` (N, 4), and where (N,) each is needed.
+    """Conditions on the single intersection with a plane, linear in the tap: state of the lens (N,); h of each
+    condition and a part of `two_boxes` (N, 4); and for each condition a mask (N,) of points that need it.
 
-    The crossing is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each. h: constant, x, y, over the width
-    of the edge. A condition that is met all over the lens is not needed.
+    The intersection is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each. h: constant, x, y, divided by
+    the width of the edge. A condition satisfied all over the lens is not needed.
     """
     clear, found, needed = np.zeros(near.shape, dtype=bool), [], []
     side = -1.0 if far[0] < 0 else 1.0
@@ -272,7 +273,7 @@ def flatten_limits(
 
 
 def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
-    """A plane: of its `limits` each is (N, 4), an h and a part of `two_boxes`."""
+    """A plane; each of its `limits` is (N, 4), an h and a part of `two_boxes`."""
     none, zero = np.zeros((points, 6)), np.zeros(points)
     crossings = np.zeros(points, dtype=np.int64)
     return Occluder(
@@ -282,9 +283,9 @@ def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> O
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A rim as sources see the lens through it: which of them (M,) it cuts, x, y and radius (M,) from the middle of the
-    lens, right and down, in px where weights are by chords, else in cells; scale (M,): 1 over half the width of its
-    edge."""
+    """A rim as sources see it in the lens: a mask (M,) of those that it cuts; x, y and radius (M,) relative to the
+    middle of the lens, right and down, in px for weights by chords, else in cells; scale (M,): 2 / width of its edge.
+    """
 
     cuts: Mask
     x: Array
@@ -293,15 +294,16 @@ class Circle:
     scale: Array
 
     def of(self, chosen: NDArray[Any]) -> Circle:
-        """Arrays of the chosen sources."""
+        """Arrays of the selected sources."""
         return Circle(*(getattr(self, name)[chosen] for name in ("cuts", "x", "y", "radius", "scale")))
 
 
 def meet_rims(
     lens: Lens, psf: PointSpread, points: Points, division: Division
 ) -> tuple[NDArray[np.uint8], list[Circle]]:  # fmt: skip
-    """Find how rims (`rim_circle`) cut the light from N points: HIDDEN, CLEAR or PARTLY (N,), and what is to be tested
-    per tap."""
+    """Compute how rims (`rim_circle`) cut the light from N points: HIDDEN, CLEAR or PARTLY (N,), and the data for tests
+    per tap.
+    """
     state, circles = np.full(points.w.shape, CLEAR), []
     cells, margin = division.cells, RIM_MARGIN
     if psf.cut_by_chords:
@@ -321,18 +323,18 @@ def meet_rims(
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """Occluders of the lens for each source; made by `check_visibility`.
+    """Occluders of the lens for each source; create it with `check_visibility`.
 
-    row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
-    radius px; wide; point: smaller than a pixel; x, y: place of the source in its pixel, px; occluders: per surface
-    which of them it concerns, and how. extent: of the lens in lens radii; cells: weights (L, L) of its cells; mask:
-    straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a narrow
-    lens, part of which is behind the surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of
-    what hides it in part; circles: rims that cut its light; waves: light goes beyond the rim; signed: cells turn over
-    where R < 0; round: the rim is a circle; pupil: of which weights have the rims; bent (M, 3): xx, xy, yy from taps to
-    an ellipse's disc, or from a narrow lens' cells to it; None: discs. rays: mean lens points of
-    wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, with the cells of the blur;
-    near (M,): a pixel's source near the focus; part (M,): px of its cells.
+    row: (sources,) index of a source in the other arrays, -1 if it is fully visible or fully hidden. For the M others:
+    radius px; wide; point: True if smaller than a pixel; x, y: position of the source in its pixel, px; occluders: per
+    surface, a mask of sources and the data. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
+    mask: straight edges (n, 3) of the lens, empty if round; lean (M, 2): change of the tilt per cell of a narrow lens,
+    part of which is behind the surface, else 0; limb (M,): True at a limb; nearest (M,): smallest `crossing_place` of
+    partial occluders; circles: rims that cut its light; waves: True if light spreads beyond the geometric blur; signed:
+    True if cells are mirrored for R < 0; round: True for a circular aperture; pupil: if weights include the rims; bent
+    (M, 3): xx, xy, yy of the map from taps to an ellipse's disc, or from a narrow lens's cells to it; None for discs.
+    rays: mean lens points of wide lenses, and their indices from `RayMeans.around` (M, k); behind (M,): True if fully
+    hidden, judged by the blur's cells; near (M,): True for a pixel's source near the focus; part (M,): px per cell.
     """
 
     row: NDArray[np.int64]
@@ -363,7 +365,7 @@ class Visibility:
     part: Array | None = None
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
-        """Arrays of the chosen sources."""
+        """Arrays of the selected sources."""
         row = self.row[chosen]
         there = row[row >= 0]
         occluders = tuple(
@@ -381,8 +383,8 @@ def check_visibility(
     """Visibility of the lens from N points.
 
     surfaces, bounds: of all objects; group: the occlusion group, whose occluders are tested. Returns CLEAR, PARTLY or
-    HIDDEN (N,); what changes where two surfaces meet, and at outlines of occluders close to the point (N,); and what is
-    to be tested for taps.
+    HIDDEN (N,); a mask that changes where two surfaces meet, and at outlines of occluders close to the point (N,); and
+    the data for tests per tap.
     """
     lens = along_rays(lens, points.rays)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
@@ -425,7 +427,7 @@ def _meet_occluders(
     lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
     points: Points, division: Division,
 ) -> tuple[NDArray[np.uint8], Mask, list[tuple[Mask, Occluder]], Array]:  # fmt: skip
-    """State of the lens (N,), where an edge is (N,), what hides it in part, and least `crossing_place` of that (N,)."""
+    """State of the lens (N,), a mask of edges (N,), the partial occluders, and their smallest `crossing_place` (N,)."""
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
     found, nearest = [], np.full(points.w.shape, np.inf)
     for k, surface in enumerate(surfaces):
@@ -441,7 +443,9 @@ def _meet_occluders(
 
 
 def _by_rays(psf: PointSpread, points: Points, division: Division) -> tuple[Division, dict[str, Any]]:
-    """Cells of wide lenses by the scale of their rays, and what `Visibility` has of these; aberrated ones are wide."""
+    """Cells of wide lenses at the scale of their rays, and the ray fields of `Visibility`; lenses with aberrations
+    count as wide.
+    """
     rays, count = ray_means(psf, ceil(float(np.abs(points.radius).max()))), len(points.w)
     places, shares = np.zeros((1, count), dtype=np.int64), np.ones((1, count))
     if psf.varying is not None and points.place is not None:

@@ -1,4 +1,4 @@
-"""Share of the lens that is free as seen from single taps: V(x, l) of what `visibility.check_visibility` has found."""
+"""Fraction of the lens visible from single taps: V(x, l) from the results of `visibility.check_visibility`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide s
 
 
 def bend_visibility(visibility: Visibility, shape: Array) -> Visibility:
-    """Visibility for sources that blur to ellipses; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
+    """Visibility for sources whose blurs are ellipses; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
     across = across_of(shape)
     bent = np.where(visibility.wide[:, None], across, across[:, ::-1] * (1.0, -1.0, 1.0))
     return replace(visibility, bent=bent, lean=np.stack(_bent(bent, *visibility.lean.T), axis=-1))
@@ -39,10 +39,10 @@ def _bent(by: Array, x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
 
 
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing hides.
+    """Fraction (M,) of the lens, over the cells of taps x, y (M,) from the sources, that is visible.
 
-    Where the lens is wide, only the inside of it is visible from a tap at the rim of the blur, see `inwards_of`. Of
-    waves, from a tap beyond, the rim.
+    With a wide lens, a tap at the edge of the blur sees only the inner part of its cell, see `inwards_of`. With waves,
+    a tap beyond the edge is moved to it.
     """
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     if visibility.bent is not None:
@@ -78,7 +78,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
-    """Share of the lens that all occluders leave free, with taps moved to the middle of what they see."""
+    """Fraction of the lens that all occluders leave free, with taps moved to the middle of their visible part."""
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         left = Part(share[mask], across[mask], down[mask])
@@ -89,11 +89,11 @@ def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
 
 
 def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
-    """Distance (M,) in px from taps to the middle of what is left of their response, cut s (M,) px further out, and by
-    which part (M,) its variance is less.
+    """Displacement (M,) in px from taps to the middle of the remaining part of their response, cut off s (M,) px
+    further out, and the reduction (M,) of its variance.
 
-    Of a pixel's source, a tent, whose mean is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3, with a variance of
-    (1 + 2 s) / 18, and (1 + s)^2 / 18; of a point, a box, -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
+    For a pixel's source, a tent with mean -(1 - s)^2 / 3, below s = 0 (2 s - 1) / 3, and variance (1 + 2 s) / 18, and
+    (1 + s)^2 / 18; for a point, a box with -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
     """
     t, b = np.clip(s, -1.0, 1.0), np.clip(s, -0.5, 0.5)
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
@@ -102,9 +102,10 @@ def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
 
 
 def near_focus(visibility: Visibility, t: Array) -> Array:
-    """Mean place in the lens along one axis, in cells, of light that taps t (M,) px from pixels' sources near the focus
-    get, and what else `Cut` has of that axis: square, trail and aside, (4, M). A place v is seen as much as
-    1 - |t - v| is above 0."""
+    """Mean lens position along one axis, in cells, of light from pixels' sources near the focus at taps t (M,) px, and
+    the other numbers of `Cut` for that axis: square, trail and aside, (4, M). A position v has the weight max(0, 1 - |t
+    - v|).
+    """
     assert visibility.part is not None
     size = np.abs(visibility.radius) * visibility.extent
     cells = visibility.extent * np.where(visibility.part < 1.0, PIXEL_CELLS, np.abs(visibility.radius))
@@ -118,15 +119,16 @@ def near_focus(visibility: Visibility, t: Array) -> Array:
 
 
 def response(t: Array, width: Array) -> Array:
-    """Response of a pixel, up to a factor, to what arrives t px from its middle: to a cell of the lens that is `width`
-    px wide, of a point, and with a width of 1 px to the middle of a cell, of a pixel."""
+    """Response of a pixel, up to a factor, to light t px from its middle: for a point, to a lens cell `width` px wide;
+    for a pixel with a width of 1 px, to the middle of a cell.
+    """
     return np.clip(0.5 * (1.0 + width) - np.abs(t), 0.0, width)
 
 
 def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """The same of cells x, y (M,) of narrow lenses, times the tilt of surfaces that show their other sides to some.
+    """The same for cells x, y (M,) of narrow lenses, times the tilt of surfaces that partly face away.
 
-    A round rim at the distance s from the middle of a cell leaves of it what has its mean at (s - 1/2) / 2 from there.
+    A round edge at the distance s from the middle of a cell leaves a part whose mean is (s - 1/2) / 2 from the middle.
     """
     if visibility.round:
         away = np.hypot(x, y)
@@ -137,8 +139,9 @@ def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Share (M,) of the light of taps that the rims let through, over an edge as soft as the response of a pixel; all
-    where `cut_weights` have it."""
+    """Fraction (M,) of the light of taps that passes the rims, with an edge as soft as the response of a pixel; 1 if
+    `cut_weights` includes the rims.
+    """
     share = np.ones_like(x)
     for circle in visibility.circles * (visibility.pupil is None):
         t = np.clip((circle.radius - np.hypot(x - circle.x, y - circle.y)) * circle.scale, -1.0, 1.0)
@@ -148,7 +151,7 @@ def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
-    """Taps of wide lenses, moved to the means of the lens points that light comes from, and xx, xy, yy of a `Cut`."""
+    """Taps of wide lenses, moved to the mean lens points of their light, and xx, xy, yy of a `Cut`."""
     rays, numbers, parts, scale = visibility.rays, visibility.ray_numbers, visibility.ray_parts, visibility.ray_scale
     assert rays is not None and numbers is not None  # noqa: PT018
     assert parts is not None and scale is not None  # noqa: PT018
@@ -158,8 +161,7 @@ def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
 
 
 def _sheets(visibility: Visibility, x: Array, y: Array) -> list[tuple[Array, tuple[Array, Array], Cut]]:
-    """Part of the light of taps, means of the lens points that it comes from, and what of these it is, of each sheet of
-    rays that are bent."""
+    """For each sheet of bent rays: fraction of the light of taps, mean lens points of that light, and its `Cut`."""
     rays, numbers, parts, scale = visibility.rays, visibility.ray_numbers, visibility.ray_parts, visibility.ray_scale
     assert rays is not None and numbers is not None  # noqa: PT018
     assert parts is not None and scale is not None  # noqa: PT018
@@ -173,8 +175,9 @@ def _sheets(visibility: Visibility, x: Array, y: Array) -> list[tuple[Array, tup
 
 
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
-    """Weights (M,) of the tap (dx, dy) px off each source's pixel: where rims cut them by chords, those of what they
-    leave open. point: sources are points."""
+    """Weights (M,) of the tap (dx, dy) px from each source's pixel; if rims cut by chords, weights of the remaining
+    opening. point: True for point sources.
+    """
     cut = np.zeros(weight.shape, np.bool_)
     pupil = visibility.pupil
     for circle in visibility.circles * (pupil is not None):
@@ -201,8 +204,9 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
-    """Taps of wide lenses, moved to the mean of the part that each edge of the lens mask leaves of them, and xx, xy, yy
-    of a `Cut`."""
+    """Taps of wide lenses, moved to the mean of the part that each edge of the lens mask leaves, and xx, xy, yy of a
+    `Cut`.
+    """
     right, down, xx, xy, yy = np.zeros((5, *x.shape))
     turn = np.where(visibility.radius < 0, -1.0, 1.0)
     for nx, ny, distance in visibility.mask:
@@ -216,8 +220,9 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
 
 
 def cell_visibility(visibility: Visibility) -> Array:
-    """Share (N, L, L) of each cell of the lens that nothing hides, of the N sources that the lens is not wide for,
-    times the tilt where `lean` has it."""
+    """Visible fraction (N, L, L) of each cell of the lens, for the N sources with a narrow lens, times the tilt
+    according to `lean`.
+    """
     narrow = np.flatnonzero(~visibility.wide)
     at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
     share = np.ones((narrow.size, at.size, at.size))
@@ -231,10 +236,10 @@ def cell_visibility(visibility: Visibility) -> Array:
 
 
 def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float | Array) -> Array:
-    """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
+    """Visible fraction (M,) of the lens for the tap (dx, dy) px from each source's pixel.
 
-    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's response weighs its cells; of waves a
-    tap beyond the rim is moved to it, that of a pixel's source to BEYOND px outside of it.
+    cells: (N, L, L) from `cell_visibility`. With a narrow lens, cells are weighted by the tap's response. With waves, a
+    tap beyond the blur's edge is moved to the edge, or for a pixel's source to BEYOND px outside of it.
     """
     limit = NARROW_MIDDLE if visibility.waves or visibility.bent is not None else np.inf
     share = (
@@ -270,8 +275,9 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
 
 
 def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: list[Array], width: Array) -> Array:
-    """Share (N,) that the responses of taps, `away` px from N sources, give of cells (N, L, L) of narrow lenses,
-    `width` (N,) px wide, which are bent (N, 3) to ellipses, px."""
+    """Visible fraction (N,) from cells (N, L, L) of narrow lenses, `width` (N,) px wide, weighted by the responses of
+    taps `away` px from N sources, where `bent` (N, 3) maps cells to ellipses, px.
+    """
     at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
     places = _bent(bent[:, None, None], at, at[:, None])
     parts = [response(one - d[:, None, None], width[:, None, None]) for one, d in zip(places, away, strict=True)]

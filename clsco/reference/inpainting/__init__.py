@@ -1,1 +1,1 @@
-"""Filling of missing pixels, as kernels/inpainting has it."""
+"""Filling of missing pixels; counterpart of kernels/inpainting."""

@@ -1,10 +1,10 @@
-"""Missing pixels: which there are, adaptive interpolation (thesis, 4.3.5), and whole fillings of either kind.
+"""Missing pixels: their definition, adaptive interpolation (thesis, 4.3.5), and complete fillings by either method.
 
-Values are arrays (H, W, K) of any channels, radiance and inverse depth alike. A pixel filled in a sweep
-serves others from the next sweep on, so the order of pixels within a sweep does not matter.
+Values are arrays (H, W, K) with any channels, for radiance and inverse depth. A pixel filled in a sweep is used for
+others from the next sweep on, so the order of pixels within a sweep does not matter.
 
-What a moving edge uncovers lies behind it. Where a scene has surfaces at several depths, a hole is therefore filled
-from its farther side only: every missing pixel has a bound on the inverse depth of neighbors that may serve it
+A moving edge uncovers the surface behind it. If a scene has surfaces at several depths, a hole is therefore filled from
+its farther side only: every missing pixel has a bound on the inverse depth of neighbors that it may be filled from
 (`far_bounds`).
 """
 
@@ -33,7 +33,7 @@ KNOWN, FILLED, UNFILLED = np.uint8(0), np.uint8(1), np.uint8(2)
 
 @dataclass(frozen=True)
 class FillReport:
-    """Missing pixels within the frame: all, filled, left, filled in the first sweep; number of sweeps."""
+    """Counts of missing pixels within the frame: all, filled, left, filled in the first sweep; and number of sweeps."""
 
     missing_pixels: int = 0
     filled_pixels: int = 0
@@ -43,7 +43,7 @@ class FillReport:
 
 
 def find_spans(known: Mask) -> NDArray[np.int64]:
-    """First and last known pixel (H + W, 2) of each row and then of each column; (H + W, -1) for none.
+    """First and last known pixel (H + W, 2) of each row, then of each column; (H + W, -1) for none.
 
     known: (H, W).
     """
@@ -58,7 +58,7 @@ def find_spans(known: Mask) -> NDArray[np.int64]:
 
 
 def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
-    """Missing pixels (H, W): unknown, strictly between the first and last known of their row, else column.
+    """Mask of missing pixels (H, W): unknown, strictly between the first and last known of their row, else column.
 
     known: (H, W); allowed: (H, W), only these may be missing (domain "surface"), or None (domain "span").
     """
@@ -71,16 +71,16 @@ def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
 
 
 def far_bounds(w: Array, known: Mask, wanted: Mask) -> NDArray[np.float32]:
-    """Largest inverse depth (H, W) in 1/mm of neighbors that may serve the wanted pixels; infinite elsewhere.
+    """Largest inverse depth (H, W) in 1/mm of neighbors that the wanted pixels may be filled from; infinite elsewhere.
 
-    w: (H, W) 1/mm; known, wanted: (H, W). Of the row, the column and the two diagonals through a pixel the one decides
-    that meets known pixels on both sides first, that is within the fewest steps, and of equals the first: the bound
-    is 1.02 times the smaller inverse depth of the two. Beside an edge that has moved away that is the far side; in a
-    gap that a growing surface leaves, at most WIDEST_GAP px to each side, its own. A wider hole whose two sides are
-    equally deep may lie between two near things: there the pair decides whose surface is the farthest at the pixel,
-    where that is farther by more than the slack, the ends' inverse depths being interpolated. Compared in float32 on
-    every device.
-    Validated on a card that moves before a plane, and on a gap between two cards.
+    w: (H, W) 1/mm; known, wanted: (H, W). For each wanted pixel, known pixels on both sides are searched along its row,
+    its column and both diagonals. The line that finds both within the fewest steps is used, of equal lines the first:
+    the bound is 1.02 times the smaller inverse depth of its two pixels. Beside an edge that has moved away, this is the
+    inverse depth of the far side; in a gap that a growing surface leaves, at most WIDEST_GAP px to each side, it is
+    that of the surface itself. A wider hole with equally deep sides may lie between two near objects: then the line is
+    used whose inverse depth, interpolated between its ends, is the farthest at the pixel, if the difference exceeds the
+    slack. Compared in float32 on every device. Validated on a card that moves in front of a plane, and on a gap between
+    two cards.
     """
     height, width = known.shape
     bound = np.full(known.shape, np.inf, dtype=np.float32)
@@ -113,7 +113,7 @@ def far_bounds(w: Array, known: Mask, wanted: Mask) -> NDArray[np.float32]:
 
 
 def settle_sweep(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask]:
-    """Known and missing pixels (H, W) after a sweep that has filled some.
+    """Known and missing pixels (H, W) after a sweep that filled some.
 
     known, missing: (H, W), before the sweep; filled: (H, W).
     """
@@ -121,10 +121,10 @@ def settle_sweep(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask]:
 
 
 def mark_grown(known: Mask, missing: Mask, allowed: Mask | None) -> Mask:
-    """Missing pixels (H, W) after known pixels were added to those between which `missing` (H, W) were.
+    """Missing pixels (H, W) after known pixels were added to those that enclosed `missing` (H, W).
 
-    known, allowed: as for `mark_missing`. There are new ones where a pixel was filled for the sake of its row,
-    which lies beyond what was known of its column, or the other way round.
+    known, allowed: as for `mark_missing`. New missing pixels arise if a pixel was filled because of its row, but is
+    beyond the known pixels of its column, or vice versa.
     """
     return missing | mark_missing(known, allowed)
 
@@ -139,9 +139,10 @@ def _nearest_known(known: Mask) -> tuple[Pixels, Pixels]:
 
 
 def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, Pixels]:
-    """Linear interpolation along each row between the nearest known pixels; where both exist; the left one's column.
+    """Linear interpolation along each row between the nearest known pixels; a mask of where both exist; and the left
+    one's column.
 
-    far: the farther one alone where the other is nearer by more than the slack.
+    far: use only the farther one if the other is nearer by more than the slack.
     """
     left, right = _nearest_known(known)
     both = (left >= 0) & (right < known.shape[1])
@@ -159,15 +160,14 @@ def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, 
 
 
 def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -> tuple[Array, Mask, Pixels]:
-    """One sweep of AIT: values (H, W, K) with what could be filled, which pixels those are (H, W), and from where.
+    """One sweep of AIT: values (H, W, K) with newly filled pixels, the mask of these (H, W), and their source pixels.
 
     values: (H, W, K), inverse depth last; known: (H, W), before the sweep; missing: (H, W), not yet filled; bounds: on
-    the inverse depth of those that serve a missing pixel. Inside: the mean of the first opposite pair of known
-    neighbors (horizontal, vertical, the two diagonals), else a copy of the first known neighbor. On the outermost
-    rows and columns: linear between the nearest known pixels of the row, else of the column; with bounds a copy of
-    the farther one where the other is more than 1.02 times nearer. From where: (H, W), number of the first pixel that
-    served, its own number elsewhere.
-    Validated on the thesis' figures 4.14 and 4.15 and on random masks.
+    the inverse depth of neighbors to fill from. Inside: the mean of the first opposite pair of known neighbors
+    (horizontal, vertical, the two diagonals), else a copy of the first known neighbor. On the outermost rows and
+    columns: linear between the nearest known pixels of the row, else of the column; with bounds, a copy of the farther
+    one if the other is more than 1.02 times nearer. Source pixels: (H, W), number of the first neighbor used, for other
+    pixels their own number. Validated on the thesis' figures 4.14 and 4.15 and on random masks.
     """
     inside = missing.copy()
     inside[[0, -1], :] = inside[:, [0, -1]] = False
@@ -210,12 +210,10 @@ def fill(
 ) -> tuple[Array, NDArray[np.uint8], FillReport]:  # fmt: skip
     """Fill pixels that a forward warp left missing: values (H, W, K), status (H, W) and the report.
 
-    values: (H, W, K), radiance and then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard:
-    px of the padded grid that do not count in the report; far, brightest: as for `fill_objects`. Status: 0 known or
-    outside, 1 filled, 2 missing but could not be filled. "mean_median" scores on the radiance and fills inverse depth
-    by the same rule.
-    Before each sweep missing pixels are those between known or filled ones. Sweeps that fill nothing do not
-    count.
+    values: (H, W, K), radiance, then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard: px of the
+    padded grid not counted in the report; far, brightest: as for `fill_objects`. Status: 0 known or outside, 1 filled,
+    2 missing but not filled. "mean_median" is scored on the radiance and fills inverse depth by the same rule. Before
+    each sweep, missing pixels are those between known or filled ones. Sweeps that fill nothing do not count.
     """
     objects = np.zeros(known.shape, dtype=np.uint8)
     values, _, status, report = fill_objects(values, objects, known, allowed, method, guard, far, brightest)
@@ -226,10 +224,10 @@ def fill_objects(
     values: Array, objects: NDArray[np.uint8], known: Mask, allowed: Mask | None, method: Method, guard: int,
     far: bool = True, brightest: float = 1.0,
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint8], FillReport]:  # fmt: skip
-    """As `fill`, with the number of the visible object (H, W), which follows the first pixel that serves.
+    """As `fill`, with the number of the visible object (H, W), copied from the first source pixel.
 
-    far: holes are filled from their farther side (`far_bounds`, when a pixel becomes a missing one). Where that fills
-    nothing more, the nearer ones serve for one sweep as well. brightest: what radiance is at most, for scores.
+    far: fill holes from their farther side (`far_bounds`, computed when a pixel becomes missing). If that fills no more
+    pixels, nearer ones are allowed for one sweep. brightest: largest radiance, for scores.
     """
     left, valid = mark_missing(known, allowed), known
     frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))

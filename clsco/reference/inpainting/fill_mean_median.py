@@ -1,7 +1,7 @@
 """Mean/median filling of warped frames (thesis, chapter 5); mean_median.py fills images with a mask.
 
-Values are arrays (H, W, K) of any channels, radiance and inverse depth alike, in float32 or float64, in which all is
-computed: in float32 every step is rounded as on a device.
+Values are arrays (H, W, K) with any channels, for radiance and inverse depth, in float32 or float64; all computation is
+in this type, and in float32 every step is rounded as on a device.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from clsco.reference.inpainting.neighbors import Bounds, Mask, Pixels, known_nei
 def fill_mean_median(
     values: Array, known: Mask, missing: Mask, median_wins: Mask, minimum: int, bounds: Bounds = None
 ) -> tuple[Array, Mask, Pixels]:
-    """Stage 1: one sweep; values (H, W, K) with what could be filled, which pixels those are (H, W), and from where.
+    """Stage 1: one sweep; values (H, W, K) with newly filled pixels, the mask of these (H, W), and their source pixels.
 
-    values: (H, W, K), inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), per count of
-    known neighbors; minimum: known neighbors that a pixel needs; bounds: on the inverse depth of those. Below 4 of
-    them the mean is taken. From where: (H, W), number of the first of them, the pixel's own elsewhere.
+    values: (H, W, K), inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), by number of
+    known neighbors; minimum: known neighbors that a pixel needs; bounds: on the inverse depth of neighbors. Below 4
+    neighbors the mean is used. Source pixels: (H, W), number of the first neighbor used, for other pixels their own.
     """
     row, column = np.nonzero(missing)
     near, near_known = known_neighbors(values, known, row, column, bounds)
@@ -38,9 +38,8 @@ def fill_mean_median(
 def smooth_median(values: Array, filled: Mask, valid: Mask, bounds: Bounds = None) -> Array:
     """Stage 2: one round of the 3x3 median without the center over the filled pixels.
 
-    values: (H, W, K), inverse depth last; filled: (H, W), only these change; valid: (H, W), known or filled, only
-    these serve, with bounds on their inverse depth.
-    All pixels read the former round.
+    values: (H, W, K), inverse depth last; filled: (H, W), pixels to change; valid: (H, W), known or filled pixels to
+    read, with bounds on their inverse depth. All pixels read the previous round.
     """
     row, column = np.nonzero(filled)
     near, near_known = known_neighbors(values, valid, row, column, bounds)

@@ -1,4 +1,4 @@
-"""Texture across holes: frequency-selective extrapolation, coarse to fine.
+"""Inpainting with texture by frequency-selective extrapolation, coarse to fine.
 
 Method and sources: clsco/inpainting/fse.py.
 """
@@ -15,7 +15,9 @@ from clsco.reference.inpainting.neighbors import Mask, Pixels
 
 
 def fill_texture(image: Array, missing: Mask) -> Array:
-    """An image (H, W, K) of about 0 to 1 with its holes (H, W) filled, unclipped; some of it is known."""
+    """Fill the holes (H, W) of an image (H, W, K) with values of about 0 to 1; not clipped. At least one pixel must be
+    known.
+    """
     if not missing.any():
         return image
     turns = block_turns(missing, FSE_BLOCK)
@@ -33,7 +35,7 @@ def fill_texture(image: Array, missing: Mask) -> Array:
 def extrapolate_blocks(value: Array, weight: Array, blocks: Pixels) -> Array:
     """Values (N, FSE_BLOCK, FSE_BLOCK, K) of blocks from the windows around them.
 
-    value: (H, W, K), about 0 to 1; weight: (H, W), 0 where there is none; blocks: (N, 2), row and column of their first
+    value: (H, W, K), about 0 to 1; weight: (H, W), 0 for unknown pixels; blocks: (N, 2), row and column of their first
     pixels.
     """
     table = [t.astype(np.float64) for t in tables()[:2]]
@@ -47,7 +49,7 @@ def extrapolate_blocks(value: Array, weight: Array, blocks: Pixels) -> Array:
 
 
 def settle_blocks(filled: Array, blocks: Pixels, value: Array, weight: Array) -> tuple[Array, Array]:
-    """Values (H, W, K) and weights (H, W) after unknown pixels have taken those of blocks."""
+    """Values (H, W, K) and weights (H, W) after unknown pixels were set from blocks."""
     value, weight = value.copy(), weight.copy()
     for block, (row, column) in zip(filled, blocks, strict=True):
         at = np.s_[row : row + FSE_BLOCK, column : column + FSE_BLOCK]
@@ -58,7 +60,7 @@ def settle_blocks(filled: Array, blocks: Pixels, value: Array, weight: Array) ->
 
 
 def _extrapolated(f: Array, w: Array, preference: Array) -> Array:
-    """The middle (FSE_BLOCK, FSE_BLOCK, K) of a window of values f (FSE_SIDE, FSE_SIDE, K).
+    """Extrapolated middle (FSE_BLOCK, FSE_BLOCK, K) of a window with values f (FSE_SIDE, FSE_SIDE, K).
 
     w: its weights (FSE_SIDE, FSE_SIDE).
     """

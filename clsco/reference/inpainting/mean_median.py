@@ -1,6 +1,6 @@
-"""Images with a mask: mean/median filling of their holes, all stages (thesis, chapter 5), over whole images.
+"""Mean/median filling of the holes of an image with a mask, all stages (thesis, chapter 5), over whole images.
 
-Values are arrays (H, W, K) in float32, in which all is computed, rounded step by step as on a device.
+Values are arrays (H, W, K) in float32; all steps are rounded as on a device.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from clsco.reference.inpainting.score import score_mean_median
 
 
 def fill_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, Mask]:
-    """Stage 1: one sweep; values (H, W, K) with what could be filled, and which pixels those are (H, W).
+    """Stage 1: one sweep; values (H, W, K) with newly filled pixels, and the mask of these (H, W).
 
-    known, missing: (H, W), before the sweep; wins: (9,), where the median is taken; minimum: known neighbors that a
-    pixel needs.
+    known, missing: (H, W), before the sweep; wins: (9,), True to use the median; minimum: known neighbors that a pixel
+    needs.
     """
     swept, filled, _ = fill_mean_median(values, known, missing, wins, minimum)
     return swept, filled
 
 
 def settle_holes(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, NDArray[np.uint8]]:
-    """Known and missing pixels (H, W) after a sweep that has filled some, and how many known neighbors each has (H, W).
+    """Known and missing pixels (H, W) after a sweep that filled some, and the number of known neighbors of each (H, W).
 
     known, missing: (H, W), before the sweep; filled: (H, W).
     """
@@ -41,11 +41,10 @@ def settle_holes(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, 
 
 
 def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, int]:
-    """Stage 1: sweeps until nothing is missing; values (H, W, K), and how many have filled something.
+    """Stage 1: sweeps until no pixel is missing; values (H, W, K), and the number of sweeps that filled pixels.
 
-    Arguments as of `fill_holes`; from every missing pixel a way through others leads to a known one. Where a sweep
-    fills nothing, the next one relaxes the minimum by one, and the first that does takes it back; after `most_sweeps`
-    it is one.
+    Arguments as for `fill_holes`; every missing pixel must be connected to a known one. If a sweep fills nothing, the
+    minimum is reduced by one until a sweep fills pixels; after `most_sweeps` it is one.
     """
     sweeps, least, limit = 0, minimum, most_sweeps(*missing.shape)
     known, missing, near = settle_holes(known, missing, np.zeros_like(missing))
@@ -58,9 +57,9 @@ def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: 
 
 
 def blend_border(values: Array, border: Mask) -> tuple[Array, Array]:
-    """Stage 3: squared magnitude of Sobel's gradient (N,), of the channels the largest, and 3x3 medians (N, K).
+    """Stage 3: squared magnitude of Sobel's gradient (N,), the largest over channels, and 3x3 medians (N, K).
 
-    values: (H, W, K), border: (H, W), N pixels of it, in the order of rows. Beyond the image its edge goes on.
+    values: (H, W, K), border: (H, W), mask of N pixels, row by row. Edge pixels are repeated beyond the image.
     Validated against scipy.ndimage.
     """
     row, column = np.nonzero(border)
@@ -74,8 +73,9 @@ def blend_border(values: Array, border: Mask) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Inpainted:
-    """Images (H, W, K) after stages 1, 2 and 3, and what they were made by; border: (H, W), known pixels beside holes;
-    histogram: None where there are none."""
+    """Images (H, W, K) after stages 1, 2 and 3, and intermediate results; border: (H, W), known pixels beside holes;
+    histogram: None without such pixels.
+    """
 
     filled: Array
     smoothed: Array
@@ -89,8 +89,8 @@ class Inpainted:
 def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedian) -> Inpainted:
     """Fill missing pixels of an image.
 
-    image: (H, W, K) float32, what missing pixels hold does not matter; missing: (H, W), not all of it; span: range of
-    the values (`clsco.inpainting.rules.value_span`).
+    image: (H, W, K) float32, with any values at missing pixels; missing: (H, W), not all True; span: range of the
+    values (`clsco.inpainting.rules.value_span`).
     """
     values = np.where(missing[..., None], np.float32(0), image)
     score = score_mean_median(values, ~missing, score_scale(span))
@@ -111,7 +111,7 @@ def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedi
 
 
 def border_pixels(missing: Mask) -> Mask:
-    """Known pixels (H, W) with a missing one among their 8 neighbors."""
+    """Mask (H, W) of known pixels with a missing one among their 8 neighbors."""
     padded, (rows, columns) = np.pad(missing, 1), missing.shape
     near = [padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBORS]
     return np.logical_or.reduce(near) & ~missing

@@ -1,4 +1,4 @@
-"""The eight neighbors of a pixel, from which missing ones are filled."""
+"""The eight neighbors of a pixel, which missing pixels are filled from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1
 def known_neighbors(
     values: Array, known: Mask, row: Pixels, column: Pixels, bounds: Bounds = None
 ) -> tuple[Array, Mask]:
-    """Values (8, N, K) of the neighbors of N pixels, and which are known (8, N), within the array and the bounds.
+    """Values (8, N, K) of the neighbors of N pixels, and a mask (8, N) of known ones within the array and the bounds.
 
     values: (H, W, K), inverse depth last; known: (H, W); row, column: (N,); bounds: on the neighbors' inverse depth.
     """
@@ -34,7 +34,7 @@ def known_neighbors(
 
 
 def neighbor_numbers(k: Pixels, row: Pixels, column: Pixels, width: int) -> Pixels:
-    """Numbers (N,) in row order of the neighbors k (N,) of N pixels of an array so many columns wide.
+    """Pixel numbers (N,), row by row, of the neighbors k (N,) of N pixels in an array `width` columns wide.
 
     row, column: (N,).
     """

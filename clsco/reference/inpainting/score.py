@@ -1,4 +1,4 @@
-"""Score of mean and median of neighbors as estimates of known pixels (thesis, chapter 5)."""
+"""Scores of the neighbors' mean and median as estimates of known pixels (thesis, chapter 5)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from clsco.reference.inpainting.neighbors import NEIGHBORS, Mask, known_neighbor
 
 
 def score_mean_median(values: Array, known: Mask, scale: float) -> Score:
-    """Stage 0: squared errors of mean and of median, estimating the center from k neighbors.
+    """Stage 0: squared errors of mean and of median of k neighbors as estimates of the center.
 
-    values: (H, W, K), times `scale` rounded to whole numbers; known: (H, W). Over all known pixels whose 8 neighbors
-    exist and are known, all channels and all 163 subsets of k = 4..8 neighbors.
-    Validated against plain enumeration with numpy.mean and numpy.median.
+    values: (H, W, K), multiplied by `scale` and rounded to integers; known: (H, W). Summed over all known pixels whose
+    8 neighbors exist and are known, all channels and all 163 subsets of k = 4..8 neighbors. Validated against plain
+    enumeration with numpy.mean and numpy.median.
     """
     whole = known.copy()
     whole[[0, -1], :] = whole[:, [0, -1]] = False

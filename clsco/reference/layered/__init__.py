@@ -1,1 +1,1 @@
-"""Layered occlusion, as kernels/layered has it."""
+"""Layered occlusion; counterpart of kernels/layered."""

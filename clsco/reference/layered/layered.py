@@ -1,8 +1,7 @@
 """Layered occlusion in NumPy float64: depth layers, each blurred with its coverage, composited front to back.
 
-All that is known is the pinhole image: the radiance and the signed blur radius of each pixel of the padded grid (H, W).
-A smaller signed radius is nearer. A depth layer is a range of it; they are numbered from 1, the nearest; 0
-stands for no surface.
+The input is only the pinhole image: radiance and signed blur radius of each pixel of the padded grid (H, W). A smaller
+signed radius is nearer. A depth layer is a range of radii; layers are numbered from 1, the nearest; 0 means no surface.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
 
 
 def _bin(coc: Array, low: float, bins: int) -> Integers:
-    """Number of the bin of a radius."""
+    """Bin number of a radius."""
     return np.clip(np.floor((coc - low) / LAYER_BIN), 0, bins - 1).astype(np.int64)
 
 
 def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
-    """Discontinuities of the radius: (DISCONTINUITY_CLASSES, bins), 1 + the largest bin of the near side, 0 for none.
+    """Discontinuities of the radius: (DISCONTINUITY_CLASSES, bins), 1 + the largest bin of the near side, 0 for none;
+    and the largest sum of the two |radii| at a discontinuity, px, rounded up.
 
-    And the largest sum of the two radii of a discontinuity, without their signs, px, rounded up. coc: (H, W) px; valid:
-    (H, W); low px, bins: from `bins_of`; far: px. A discontinuity is between two valid pixels of a row or a column with
-    none between them, at most `far` px apart. Entry (k, b): those of class k, beyond DISCONTINUITY 2^k px, whose far
-    side is in bin b.
+    coc: (H, W) px; valid: (H, W); low px, bins: from `bins_of`; far: px. A discontinuity is between two valid pixels of
+    a row or a column with no valid pixel between them, at most `far` px apart. Entry (k, b): discontinuities of class
+    k, larger than DISCONTINUITY 2^k px, whose far side is in bin b.
     """
     latest, largest_sum = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64), 0
     for radius, there in ((coc, valid), (coc.T, valid.T)):
@@ -64,8 +63,9 @@ def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: l
 
 
 def seed_hidden(coc: Array, layer: Labels) -> Labels:
-    """The depth layer (H, W) that is extrapolated behind a pixel at an edge: the nearest of those of its four neighbors
-    that are beyond a discontinuity."""
+    """The depth layer (H, W) that is extrapolated behind a pixel at an edge: the nearest layer among its four neighbors
+    beyond a discontinuity.
+    """
     padded, radius = np.pad(layer, 1), np.pad(coc, 1)
     seed = np.zeros_like(layer)
     rows, columns = layer.shape
@@ -77,7 +77,7 @@ def seed_hidden(coc: Array, layer: Labels) -> Labels:
 
 
 def column_seeds(seed: Labels) -> Integers:
-    """Rows (H, W) to the nearest seed of the same column, NO_SEED for none; of two the upper one."""
+    """Row offsets (H, W) to the nearest seed of the same column, NO_SEED for none; of two the upper one."""
     rows = np.arange(len(seed))[:, None]
     above = np.maximum.accumulate(np.where(seed > 0, rows, -NEVER), axis=0) - rows
     below = np.minimum.accumulate(np.where(seed > 0, rows, NEVER)[::-1], axis=0)[::-1] - rows
@@ -86,12 +86,13 @@ def column_seeds(seed: Labels) -> Integers:
 
 
 def reach_hidden(layer: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:
-    """The depth layer that is extrapolated behind each pixel, that of its nearest seed, 0 for none; where edges count.
+    """The depth layer extrapolated behind each pixel, that of its nearest seed, 0 for none; and a mask of pixels near
+    edges.
 
-    Both (H, W). offset: (H, W) from `column_seeds`; deep: px, no seed is farther. Of seeds at the same distance the one
-    of the nearest column counts, of two such columns the left one. Only layers behind the pixel's own one count.
-    Edges count up to 2 `deep` px away, rows and columns counted separately: sources beyond do not reach pixels where
-    hidden surface may be visible.
+    Both (H, W). offset: (H, W) from `column_seeds`; deep: px, largest distance of a seed. Of seeds at the same
+    distance, the one in the nearest column is used, of two such columns the left one. Only layers behind the pixel's
+    own one are used. Pixels up to 2 `deep` px from an edge, in rows and in columns, count as near: sources beyond do
+    not reach pixels where the hidden surface may be visible.
     """
     columns, wide = layer.shape[1], 2 * deep
     best, found = np.full(layer.shape, deep * deep + 1), np.zeros_like(layer)
@@ -108,15 +109,15 @@ def reach_hidden(layer: Labels, seed: Labels, offset: Integers, deep: int) -> tu
 
 
 def open_depth_layer(radiance: Array, coc: Array, layer: Labels, which: int) -> Array:
-    """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one depth layer, and whether they are known."""
+    """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one depth layer, and 1 where they are known."""
     known = layer == which
     return np.concatenate([radiance, coc[..., None], known[..., None]], axis=-1) * known[..., None]
 
 
 def push(fine: Array, last: bool = False) -> Array:
-    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of known pixels, under a tent of 4 x 4.
+    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of known pixels, weighted by a 4 x 4 tent.
 
-    last: there is no coarser one, so what is known in part is taken as it is.
+    last: True for the coarsest level, where partly known pixels are normalized.
     """
     rows, columns = -(-fine.shape[0] // 2), -(-fine.shape[1] // 2)
     known = fine[..., -1:]
@@ -143,7 +144,7 @@ def _between(coarse: Array, count: int, axis: int) -> Array:
 
 
 def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
-    """Means (H, W, C + 1) of a pulled level around each pixel of the finer one, and a mask where it has any."""
+    """Means (H, W, C + 1) of a coarser level around each pixel of the finer one, and a mask of where they exist."""
     known = coarse[..., -1:]
     sums = _between(_between(np.concatenate([coarse[..., :-1] * known, known], axis=-1), shape[0], 0), shape[1], 1)
     share = sums[..., -1:]
@@ -151,7 +152,7 @@ def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
 
 
 def pull(fine: Array, coarse: Array) -> Array:
-    """A level (H, W, C + 2) with its unknown pixels, in part or whole, filled from the next coarser one."""
+    """A level (H, W, C + 2) with its unknown and partly known pixels filled from the next coarser one."""
     known = fine[..., -1:]
     other, found = _around(coarse, fine.shape)
     values = np.where(found, known * fine[..., :-1] + (1.0 - known) * other, fine[..., :-1])
@@ -161,9 +162,10 @@ def pull(fine: Array, coarse: Array) -> Array:
 def take_depth_layer(
     radiance: Array, coc: Array, layer: Labels, hidden: Labels, coarse: Array, which: int
 ) -> tuple[Array, Array, Mask]:
-    """One depth layer to be blurred: radiance with coverage (H, W, C + 1), radius (H, W), and where it is (H, W).
+    """One depth layer for the blur: radiance with coverage (H, W, C + 1), radius (H, W), and a mask of its pixels (H,
+    W).
 
-    coarse: the pulled second level of the layer's pyramid, from which the hidden part comes.
+    coarse: the second level of the layer's pyramid, filled, which gives the hidden part.
     """
     behind, _ = _around(coarse, layer.shape)
     own, extended = layer == which, hidden == which
@@ -174,16 +176,16 @@ def take_depth_layer(
 
 
 def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
-    """Only the sources near edges, or only the others. edge: (H, W) from `reach_hidden`."""
+    """Keep only the sources near edges, or only the others. edge: (H, W) from `reach_hidden`."""
     return replace(sources, lit=sources.lit & (edge == near_edges))
 
 
 def composite(total: Array, covered: Array, blurred: Array, most: Array | float = 1.0) -> tuple[Array, Array]:
-    """Frame (m, n, C) and the coverage so far (m, n) with one more depth layer behind those before.
+    """Frame (m, n, C) and coverage so far (m, n), with one more depth layer composited behind the previous ones.
 
-    blurred: (m, n, C + 1), irradiance and coverage of the layer; most (m, n): share of the light that rims let through.
-    It gets the room that nearer layers have left, all of
-    it: at a cut through a continuous surface the two coverages add up to that of the whole, and nothing is lost.
+    blurred: (m, n, C + 1), irradiance and coverage of the layer; most (m, n): fraction of the light that passes rims.
+    The layer is weighted by the coverage that nearer layers leave: at a cut through a continuous surface the two
+    coverages sum to that of the whole, and no light is lost.
     """
     coverage = blurred[..., -1]
     seen = np.maximum(np.minimum(coverage, np.maximum(coverage, most) - covered), 0.0)
@@ -194,10 +196,10 @@ def composite(total: Array, covered: Array, blurred: Array, most: Array | float 
 def extend_depth_layer(
     radiance: Array, coc: Array, layer: Labels, hidden: Labels, which: int, deep: int
 ) -> tuple[Array, Array, Mask]:
-    """One depth layer with its hidden part; result as of `take_depth_layer`.
+    """One depth layer extended by its hidden part; result as for `take_depth_layer`.
 
-    Push-pull over a pyramid (Gortler et al. 1996). It has as few levels as show each pixel what is deep +
-    1 px away: hidden pixels are no farther from their layer. So strips of a frame need no more than what is near by.
+    Push-pull over a pyramid (Gortler et al. 1996), with just enough levels that each pixel depends on pixels deep + 1
+    px away: hidden pixels are no farther from their layer. So strips of a frame need only nearby rows.
     """
     levels, count = [open_depth_layer(radiance, coc, layer, which)], level_count(deep)
     for level in range(1, count + 1):
@@ -211,20 +213,21 @@ def extend_depth_layer(
 def layered(
     spec: BlurSpec, radiance: Array, coc: Array, valid: Mask, shape: tuple[int, int], guard: int
 ) -> tuple[Array, int]:
-    """Defocused image (m, n, C) with occlusion from the pinhole's view alone, and its number of depth layers.
+    """Defocused image (m, n, C) with occlusion derived from the pinhole image, and its number of depth layers.
 
-    radiance: (H, W, C) on the padded grid, linear; coc: (H, W) signed blur radius in px; valid: (H, W) there is
-    surface; shape: (m, n) of the frame; guard: px; no |coc| is larger than `spec.largest`. Without a discontinuity it
-    is `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane is its closed
-    form, one brightness stays so, and against the ray tracer.
+    radiance: (H, W, C) on the padded grid, linear; coc: (H, W) signed blur radius in px; valid: (H, W) mask of
+    surfaces; shape: (m, n) of the frame; guard: px; |coc| must not exceed `spec.largest`. Without a discontinuity it
+    equals `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge in front of a plane matches
+    its closed form, constant brightness is preserved, and against the ray tracer.
     """
     labels, deep = cluster(spec, coc, valid)
     return spread_depth_layers(spec, radiance, coc, labels, shape, guard, deep)
 
 
 def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> tuple[Labels, int]:
-    """Depth layers (H, W) of an image by its radii, and px behind an edge up to which surface may be seen; arguments as
-    for `layered`."""
+    """Depth layers (H, W) of an image by its radii, and the distance in px behind an edge within which surfaces may be
+    visible; arguments as for `layered`.
+    """
     low, bins = bins_of(spec.largest)
     latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(spec.largest) + 1)
     labels = label_depth_layers(coc, valid, low, bins, layer_bounds(latest.astype(np.int32)))
@@ -235,9 +238,9 @@ def spread_depth_layers(
     spec: BlurSpec, radiance: Array, coc: Array, layer: Labels, shape: tuple[int, int], guard: int, deep: int,
     rims: tuple[Callable[[Sources], Sources], Array] | None = None,
 ) -> tuple[Array, int]:  # fmt: skip
-    """As `layered`, for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge.
+    """`layered` for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge.
 
-    rims: gives sources of which rims cut the light; and `most` of `composite`.
+    rims: function that cuts the light of sources by rims; and `most` of `composite`.
     """
     behind_rims, most = rims or (lambda sources: sources, 1.0)
 

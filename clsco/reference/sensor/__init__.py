@@ -1,1 +1,1 @@
-"""Image sensor in NumPy float32: the bits of kernels/sensor."""
+"""Image sensor in NumPy float32, with the bits of kernels/sensor."""

@@ -1,5 +1,6 @@
-"""Random numbers of the pixels of a sensor in NumPy float32, with the bits of kernels/sensor/noise.clh: operations and
-their order are the kernel's, and each is rounded as IEEE 754 says. Words are uint32, results float32 and int64."""
+"""Random numbers of a sensor's pixels in NumPy float32, with the bits of kernels/sensor/noise.clh: the same operations
+in the same order, each rounded by IEEE 754. Words are uint32, results float32 and int64.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ NORMAL = (
 
 
 def philox(first: ArrayLike, second: int, third: int, fourth: int, key: tuple[int, int]) -> tuple[Words, ...]:
-    """Philox4x32-10 (Salmon et al. 2011): four random words for each counter (first, second, third, fourth), by a key
+    """Philox4x32-10 (Salmon et al. 2011): four random words for each counter (first, second, third, fourth) and a key
     of two words.
 
     Examples
@@ -45,13 +46,13 @@ def philox(first: ArrayLike, second: int, third: int, fourth: int, key: tuple[in
 
 
 def uniform_of(word: Words) -> Floats:
-    """Number in (0, 1] of a random word: (word + 1/2) / 2^32, rounded; never 0."""
+    """Number in (0, 1] from a random word: (word + 1/2) / 2^32, rounded; never 0."""
     found: Floats = (np.asarray(word).astype(np.float32) + np.float32(0.5)) * np.float32(2.0**-32)
     return found
 
 
 def square_root(x: Floats) -> Floats:
-    """Square root of x >= 0, to 5e-6 of it, from 1 / sqrt(x) by Newton's method."""
+    """Square root of x >= 0 with relative error 5e-6, from 1 / sqrt(x) by Newton's method."""
     half = np.float32(0.5)
     y = (np.uint32(0x5F375A86) - (x.view(np.uint32) >> np.uint32(1))).view(np.float32)
     for _ in range(2):
@@ -60,7 +61,7 @@ def square_root(x: Floats) -> Floats:
 
 
 def minus_log(x: Floats) -> Floats:
-    """-ln x of x in (0, 1], to 3e-7: of the exponent, and of the rest by a polynomial."""
+    """-ln x for x in (0, 1], to 3e-7: from the exponent, and a polynomial in the mantissa."""
     bits = x.view(np.int32)
     exponent = ((bits >> 23) - 127).astype(np.float32)
     m = ((bits & 0x7FFFFF) | 0x3F800000).view(np.float32) - np.float32(1.0)
@@ -68,7 +69,7 @@ def minus_log(x: Floats) -> Floats:
 
 
 def exp_minus(x: Floats) -> Floats:
-    """exp(-x) of x in [0, 80], to 2e-7 of it at small x, and by the rounding of x to 1e-6 at 30."""
+    """exp(-x) for x in [0, 80], with relative error 2e-7 at small x and, because x is rounded, 1e-6 at 30."""
     y = x * np.float32(-1.44269504)
     whole = np.floor(y).astype(np.int32)
     rest = y - whole.astype(np.float32)
@@ -85,8 +86,9 @@ def _polynomial(coefficients: tuple[float, ...], x: Floats) -> Floats:
 
 
 def normal_of(word: Words) -> Floats:
-    """Number of the standard normal distribution by its inverse, to 4e-5: a polynomial in sqrt(-ln p), where p <= 1/2
-    is the probability beyond it. |z| < 6.4."""
+    """Standard normal number by the inverse distribution function, to 4e-5: a polynomial in sqrt(-ln p), where p <= 1/2
+    is the tail probability. |z| < 6.4.
+    """
     word = np.asarray(word, np.uint32)
     upper = word >= np.uint32(2**31)
     tail = np.where(upper, ~word, word)
@@ -95,8 +97,9 @@ def normal_of(word: Words) -> Floats:
 
 
 def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
-    """Count of a Poisson distribution of a small mean, by its inverse: the number of k whose probability of more than
-    k is above u. reciprocals: 1 / k from k = 0 on (the first is not used), FEW_ELECTRONS of them."""
+    """Poisson count for a small mean, by the inverse distribution function: the number of k with a probability of more
+    than k above u. reciprocals: 1 / k for k = 0, 1, ... (entry 0 is unused), FEW_ELECTRONS of them.
+    """
     u = uniform_of(word)
     term = exp_minus(mean)
     one, sixth, small = np.float32(1.0), np.float32(0.166666672), np.float32(0.0416666679)
@@ -115,8 +118,9 @@ def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
 
 
 def many_electrons(mean: Floats, word: Words) -> Counts:
-    """Count of a Poisson distribution of a large mean: the normal one with the first correction of Cornish and Fisher,
-    which gives it its skewness. Whole and fractional part of the mean are apart, as floats have no half beyond 2^23."""
+    """Poisson count for a large mean: a normal number with the first correction of Cornish and Fisher for skewness.
+    Integer and fractional part of the mean are separate, as float32 has no halves beyond 2^23.
+    """
     z = normal_of(word)
     whole = mean.astype(np.int64)
     rest = mean - whole.astype(np.float32)
@@ -126,7 +130,7 @@ def many_electrons(mean: Floats, word: Words) -> Counts:
 
 
 def poisson(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
-    """Count of a Poisson distribution of this mean, in [0, 2^24], where u is that of a random word."""
+    """Poisson count for a mean in [0, 2^24], from a random word."""
     least = np.float32(LEAST_NORMAL)
     few = mean < least
     many = many_electrons(np.where(few, least, mean), word)

@@ -1,5 +1,4 @@
-"""An image sensor in NumPy float32: the codes that its pixels give for the light of an exposure, with the bits of
-kernels/sensor/sensor.cl."""
+"""Image sensor in NumPy float32: codes from irradiance, with the bits of kernels/sensor/sensor.cl."""
 
 from __future__ import annotations
 
@@ -17,13 +16,13 @@ from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poiss
 
 
 def photoelectrons(light: Floats, scale: Floats) -> Floats:
-    """Mean electrons of pixels, without those of the dark: no light is less than none, and NaN is none."""
+    """Mean photoelectrons of pixels, without dark electrons; negative light and NaN count as 0."""
     with np.errstate(over="ignore", invalid="ignore"):  # there pixels are full
         return np.where(light > 0, light * scale, np.float32(0.0))
 
 
 def codes_of(electrons: Floats, added: Floats, sensor: Any) -> NDArray[np.int64]:
-    """Codes of electrons that pixels have collected, and of what the read-out adds to them."""
+    """Codes for collected electrons, plus the electrons that the read-out adds."""
     code = sensor["gain"] * (electrons + added) + (sensor["black"] + np.float32(0.5))
     return np.clip(code, np.float32(0.0), sensor["largest"]).astype(np.int64)
 
@@ -31,7 +30,9 @@ def codes_of(electrons: Floats, added: Floats, sensor: Any) -> NDArray[np.int64]
 def sensor_outputs(
     sensor_model: SensorModel, light: NDArray[np.floating], camera: int, names: Collection[str]
 ) -> dict[str, Any]:
-    """Image and outputs of a sensor, by their names in `Frame`, for the light (m, n, C) of a frame; else as `sense`."""
+    """Image and outputs of a sensor, named as in `Frame`, for the irradiance (m, n, C) of a frame; otherwise as
+    `sense`.
+    """
     raw, saturated = sense(sensor_model, light, camera)
     return {"color": develop(raw, sensor_model)} | sensor_truth(names, raw, saturated, light, sensor_model)
 
@@ -39,13 +40,13 @@ def sensor_outputs(
 def sense(
     sensor_model: SensorModel, light: NDArray[np.floating], camera: int
 ) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Codes of a frame for its light (m, n, C), and where the full well or the largest code was reached.
+    """Codes of a frame for its irradiance (m, n, C), and a mask of pixels at the full well or the largest code.
 
     Parameters
     ----------
     sensor_model : SensorModel
     light : ndarray (m, n, C)
-        Rounded to float32 first.
+        Rounded to float32 at the beginning.
     camera : int
         `clsco.optics.sensor.camera_word` of the frame.
 
@@ -81,7 +82,9 @@ def sense(
 
 
 def _patterned(mean: Floats, word: tuple[Words, ...], sensor: Any) -> tuple[Floats, Floats, Floats]:
-    """Mean electrons of pixels that differ, their electrons of the dark, and what they add at the read-out."""
+    """Mean electrons of pixels with individual differences, their dark electrons, and the electrons added at the
+    read-out.
+    """
     response: Floats = np.float32(1.0) + sensor["prnu"] * normal_of(word[0])
     with np.errstate(over="ignore", invalid="ignore"):
         mean = np.where(response > 0, mean * response, np.float32(0.0))

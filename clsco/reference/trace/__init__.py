@@ -1,1 +1,1 @@
-"""Rays to surfaces, as kernels/trace has it."""
+"""Rays to surfaces; counterpart of kernels/trace."""

@@ -1,6 +1,6 @@
-"""Sub-pixel sources of pixels that show finer texture than one source can stand for, in NumPy float64.
+"""Sub-pixel sources for pixels whose texture is too fine for one source, in NumPy float64.
 
-The formulas stand at the head of kernels/trace/detail.clh.
+The formulas are at the head of kernels/trace/detail.clh.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ def detailed_texture(
     texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, radius: Array,
     samples: int, parts: int,
 ) -> Array:  # fmt: skip
-    """Values (n, parts, parts, channels) of parts of pixels where rays (n, 3) hit a surface at inverse depths w (n,).
+    """Values (n, parts, parts, channels) of the parts of pixels whose rays (n, 3) hit a surface at inverse depths w
+    (n,).
 
     radius: (n,) signed, px; samples: sub-pixel sources per axis.
     """
@@ -64,8 +65,8 @@ def detailed_texture(
 
 
 def is_shared(radius: Array, extent: float, gradient: Array) -> NDArray[np.bool_]:
-    """True (N,) if all sub-pixel sources of one surface in a pixel see the lens as its middle does: their blur radius
-    changes little, and the lens is not wide for any of them.
+    """True (N,) if all sub-pixel sources of one surface in a pixel can share the visibility test at its middle: their
+    blur radius changes little, and the lens is narrow for all of them.
 
     radius (N,), px, and gradient (N, 2) of the pixel, px per px.
     """

@@ -1,6 +1,6 @@
-"""Textures on surfaces, filtered over the footprints of pixels, in NumPy float64.
+"""Textures on surfaces, averaged over the footprints of pixels, in NumPy float64.
 
-How the mean over a pixel is formed, and what detail is, stands at the head of kernels/trace/footprint.clh.
+The head of kernels/trace/footprint.clh explains how the mean over a pixel is computed, and what detail means.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ GAUSS_PLACE = 0.5 / np.sqrt(3.0)  # of two places of equal weight, which give th
 
 
 def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
-    """Indices of texels as they are stored along an axis, -1 for none."""
+    """Indices of stored texels along an axis, -1 for none."""
     if wrap == WRAP_REPEAT:
         return np.asarray(i % count)
     if wrap == WRAP_MIRROR:
@@ -63,7 +63,7 @@ def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
 
 
 def filter_weights(t: Array, texture_filter: Filter) -> Array:
-    """Weights (n, taps) of the texels around places t (n,) beyond one of them."""
+    """Weights (n, taps) of the texels around positions t (n,) relative to one of them."""
     if texture_filter == "nearest":
         return np.ones((*t.shape, 1))
     if texture_filter == "bilinear":
@@ -79,8 +79,9 @@ def filter_weights(t: Array, texture_filter: Filter) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Taps:
-    """Weights (n, taps) of texels from `first` (n,) on along an axis: of the mean over a width, and by what they change
-    per texel that its middle moves by."""
+    """Weights (n, taps) of texels from `first` (n,) on along an axis: for the mean over a width, and their derivatives
+    by the position of its middle, per texel.
+    """
 
     first: Indices
     mean: Array
@@ -88,8 +89,9 @@ class Taps:
 
 
 def taps_of(middle: Array, width: Array, texture_filter: Filter) -> Taps:
-    """Texels for means over widths (n,) around places (n,), in texels; the filter is a polynomial between texels, of
-    which one or two places give the mean of each piece."""
+    """Weights for means over widths (n,) around positions (n,), in texels; the filter is a polynomial between texels,
+    so one or two points give the exact mean of each piece.
+    """
     low, high = middle - 0.5 * width, middle + 0.5 * width
     begin, last = np.floor(low), (np.floor(high) - np.floor(low)).astype(np.intp)
     reach = {"nearest": 1, "bilinear": 2, "bicubic": 4}[texture_filter]
@@ -107,7 +109,7 @@ def taps_of(middle: Array, width: Array, texture_filter: Filter) -> Taps:
 
 
 def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps, columns: Taps, skew: Array) -> Array:
-    """Means (n, channels) of a level (sides, rows, columns, channels) over cells of its sides (n,).
+    """Means (n, channels) over cells of a mipmap level (sides, rows, columns, channels), on its sides (n,).
 
     skew: covariance (n,) of columns and rows in a cell.
     """
@@ -123,8 +125,9 @@ def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps,
 
 
 def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
-    """Cells (n,) along an axis of a pixel, for squares (n,) of the number of texels there, and products (n,) of columns
-    and rows; of bent ones pairs, or one that is small."""
+    """Number of cells (n,) along an axis of a pixel, from the squared number of texels (n,) there and the product (n,)
+    of columns and rows; for bent pixels pairs, or one if small.
+    """
     widest = np.where(bent, BENT_TEXELS, CELL_TEXELS) ** 2
     enough = np.maximum(square / widest, np.where(bent, 0.0, np.abs(shear) / MOST_SHEAR)) / APART
     cells = np.ones(square.shape, np.intp)
@@ -134,8 +137,9 @@ def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
 
 
 def _places(cells: int, bent: bool) -> Array:
-    """Middles (cells,) of cells along an axis of a part, from its middle, in parts; of pairs of points the places of
-    Gauss and Legendre."""
+    """Middles (cells,) of cells along an axis of a part, relative to its middle, in parts; for pairs of points the
+    Gauss-Legendre nodes.
+    """
     at = np.arange(cells)
     aside = (2.0 * GAUSS_PLACE - 0.5) * np.where(at % 2, 1.0, -1.0) * (bent and cells > 1)
     return np.asarray((at + 0.5 + aside) / cells - 0.5)
@@ -143,8 +147,9 @@ def _places(cells: int, bent: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Reads of a texture for n pixels or parts of them: kinds (n, 4): level, cells to the right and down, and whether
-    it is bent; changes: of column and row from part to part, right and down."""
+    """Texture reads for n pixels or their parts. kinds (n, 4): mipmap level, numbers of cells to the right and down,
+    and 1 if bent; changes: of column and row per part, right and down.
+    """
 
     kinds: Indices
     changes: tuple[tuple[Array, Array], tuple[Array, Array]]
@@ -153,7 +158,7 @@ class Footprint:
 def footprint_of(
     texture: MappedTexture, changes: tuple[tuple[Array, Array], tuple[Array, Array]], bent: NDArray[np.bool_]
 ) -> Footprint:
-    """The level of the mipmap, and cells in it, for changes of column and row."""
+    """Footprints: the mipmap level and the cells in it, from changes of column and row."""
     (rc, rr), (dc, dr) = changes
     across, along = rc * rc + rr * rr, dc * dc + dr * dr
     narrow, both = 2.0 * (rc * dr - rr * dc) ** 2, across + along
@@ -176,9 +181,10 @@ def footprint_of(
 def mean_texture(
     texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, aside: float = 0.0, below: float = 0.0
 ) -> Array:
-    """Means (n, channels) of a texture over parts so many parts to the right and below those of footprints.
+    """Means (n, channels) of a texture over parts of pixels, displaced by `aside` parts to the right and `below` parts
+    down from the footprints.
 
-    Validated against means of many samples.
+    Validated against means over many samples.
     """
     result = np.empty((len(footprint.kinds), texture.levels[0].shape[3]))
     for kind in np.unique(footprint.kinds, axis=0):
@@ -191,7 +197,7 @@ def _mean_of_kind(
     texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, here: NDArray[np.bool_],
     shift: tuple[float, float],
 ) -> Array:  # fmt: skip
-    """`mean_texture` of pixels `here`, which have one level and as many cells."""
+    """`mean_texture` for pixels `here`, which share one level and number of cells."""
     level, cells_x, cells_y, bent = (int(n) for n in footprint.kinds[here][0])
     texture_map, stored = texture.map, texture.levels[level]
     border = CUBE_BORDER if texture_map.kind == MAP_CUBE else 0
@@ -228,14 +234,17 @@ def _mean_of_kind(
 
 
 def sharpening(texture: MappedTexture, radius: Array) -> Array:
-    """Shares c (n,) of their differences to neighbors that sources of signed radii in px take."""
+    """Sharpening coefficients c (n,) for sources of signed radii in px: factor of the differences to neighbors that is
+    added.
+    """
     u = np.minimum(texture.spread * np.abs(radius), 1.0)
     return np.asarray(0.125 * u * (16.0 / (3.0 * np.pi) - u))
 
 
 def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int) -> Indices:
-    """Parts per axis of pixels (n,) with so many texels, squared, and a signed radius in px, 0 where one source is
-    enough; samples: sub-pixel sources per axis."""
+    """Number of parts per axis for pixels (n,), 0 if one source is enough. texels: squared number of texels; radius:
+    signed, px; samples: sub-pixel sources per axis.
+    """
     spread = (texture.spread * np.abs(radius)).astype(np.float32)
     return cut_parts(texels.astype(np.float32), spread, samples, texture.least)
 
@@ -243,8 +252,9 @@ def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int)
 def surface_texture(
     texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, sources: int
 ) -> tuple[Array, Array]:
-    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and squares
-    (n,) of the texels of the wider axes of their footprints; sources: per axis of a pixel."""
+    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and squared
+    numbers (n,) of texels along the wider axes of their footprints; sources: per axis of a pixel.
+    """
     point = mapped_point(surface, texture.map, camera, rays, w)
     point = Mapped(point.at, point.right / sources, point.down / sources)
     three = texture.map.kind == MAP_TRIPLANAR

@@ -10,9 +10,10 @@ from clsco.reference.common.geometry import Array, surface_normal
 
 
 def shade(light: PlacedLight, surface: PlacedSurface, number: int, rays: Array, w: Array) -> Array:
-    """Share (...) of the texture that hits on an object show, on the side of the lens; 1 where the light does not fall.
+    """Fraction (...) of a texture's radiance at hits on an object, on the side facing the lens; 1 for objects that the
+    light does not affect.
 
-    rays: (..., 3); w: (...) 1/mm, 0 where nothing is hit. Validated against the closed forms of a sphere.
+    rays: (..., 3); w: (...) 1/mm, 0 without a hit. Validated against the closed forms of a sphere.
     """
     if not light.members >> number & 1:
         return np.ones(w.shape)

@@ -1,4 +1,4 @@
-"""Ground truth under a rolling shutter: each row, or column, at its own time."""
+"""Ground truth under a rolling shutter, with each row or column at its own time."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ NEARER = 1.0 + 1e-5  # as in clsco.optics.line_truth: a depth that is nearer by 
 
 
 def line_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:
-    """Ground truth (rows, columns[, ...]) of a frame, as `ground_truth`, each line at the middle of its exposure.
+    """Ground truth (rows, columns[, ...]) of a frame, as `ground_truth`, with each line at the middle of its exposure.
 
-    Flow goes to the line that shows the point in the other frame; inf where there is none, or not one alone.
+    Flow ends on the line that shows the point in the other frame; inf if no single line does.
     """
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     times, axis, (rows, columns) = (
@@ -58,7 +58,7 @@ def line_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Points of surfaces in pixels (m, n), each at the time of its line: inverse depth, object, and `body_point`."""
+    """Surface points in pixels (m, n), each at the time of its line: inverse depth, object, and `body_point`."""
 
     scene: Scene
     w: Array
@@ -66,8 +66,9 @@ class _Points:
     body: Array
 
     def _places(self, camera: Camera, poses: tuple[Pose, ...]) -> Array:
-        """Row, column and depth in parts of that now (3, m, n), 0 behind the lens, of all points in other poses before
-        a camera."""
+        """Row, column and depth relative to the present depth (3, m, n), 0 behind the lens, of all points in other
+        poses relative to a camera.
+        """
         found = np.zeros((3, *self.w.shape))
         for k, (item, pose) in enumerate(zip(self.scene.objects, poses, strict=True)):
             position = (rest_center(item) + pose.shift) * self.w[..., None] + turned(pose.rotation, self.body)
@@ -77,9 +78,9 @@ class _Points:
         return found
 
     def seen(self, frame: int, eye: Eye) -> tuple[Array, NDArray[np.bool_]]:
-        """Flow to the lines of a frame, and which points are not visible there, by a look through all lines.
+        """Flow to the lines of a frame, and a mask of points that are not visible there, by a search through all lines.
 
-        The first line that a point does not lie beyond when it is exposed, and the one before, have it between them.
+        A point lies between the first line that it is not beyond at that line's exposure, and the line before.
         """
         scene, axis, surface = self.scene, int(self.scene.sequence.by_columns), self.number >= 0
         views = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in line_times(scene, frame).tolist()]

@@ -1,4 +1,4 @@
-"""Places of surface points in the images that lie on them, in NumPy float64.
+"""Positions of surface points in their texture images, in NumPy float64.
 
 Coordinates are those of `clsco.optics.texture_mapping`.
 """
@@ -46,9 +46,9 @@ Indices = NDArray[np.intp]
 class MappedTexture:
     """An image on a surface.
 
-    levels: of its mipmap, (sides, rows, columns, channels) float64; map: how it lies; spread: radius of the disc whose
-    moments a PSF with R = 1 has, 0 where sources are no squares; least: of `detail_least`, px;
-    texture_filter: between texels.
+    levels: of its mipmap, (sides, rows, columns, channels) float64; map: mapping to the surface; spread: radius of the
+    disc with the second moments of the PSF for R = 1, 0 if sources are not squares; least: of `detail_least`, px;
+    texture_filter: interpolation between texels.
     """
 
     levels: tuple[Array, ...]
@@ -61,14 +61,14 @@ class MappedTexture:
 def mapped_texture(
     images: Sequence[NDArray[np.float32]], texture_map: TextureMap, psf: PointSpread, texture_filter: Filter
 ) -> MappedTexture:
-    """A `MappedTexture` of images (rows, columns, channels): one, or the six of a cube map."""
+    """A `MappedTexture` from images (rows, columns, channels): one, or the six of a cube map."""
     levels = tuple(level.astype(np.float64) for level in mipmap(images))
     return MappedTexture(levels, texture_map, texture_spread(psf), detail_least(psf), texture_filter)
 
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """q of hits (n, 3) in the frame of a texture, and its changes per pixel to the right and down."""
+    """q of hits (n, 3) in the frame of a texture, and its derivatives per pixel to the right and down."""
 
     at: Array
     right: Array
@@ -77,7 +77,7 @@ class Mapped:
 
 @dataclass(frozen=True, eq=False)
 class Texel:
-    """Column and row (n,) in texels, with their edges at whole numbers, and side of a cube map."""
+    """Column and row (n,) in texels, with texel edges at integers, and side of a cube map."""
 
     column: Array
     row: Array
@@ -85,7 +85,7 @@ class Texel:
 
 
 def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera, rays: Array, w: Array) -> Mapped:
-    """Points of rays (n, 3) at inverse depths w (n,) in 1/mm, in the frame of a texture."""
+    """Points on rays (n, 3) at inverse depths w (n,) in 1/mm, in the frame of a texture."""
     d = turned(surface.turn, rays)
     gradient = canonical_gradient(surface, d, w)
     n, facing = turned_back(surface.turn, gradient), (gradient * d).sum(axis=-1)
@@ -101,13 +101,13 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
 
 
 def square_from_axis(q: Array) -> Array:
-    """Square of the distance (n,) from the axis, never quite 0."""
+    """Squared distance (n,) from the axis, never exactly 0."""
     least = np.maximum(TINY * (q * q).sum(axis=-1), 1e-30)
     return np.asarray(np.maximum(q[..., 0] ** 2 + q[..., 2] ** 2, least))
 
 
 def cube_side(q: Array) -> tuple[Indices, Array]:
-    """Side of a cube that directions (n, 3) meet, and these in its axes: right, up and out."""
+    """Side of a cube that directions (n, 3) meet, and the directions in its axes: right, up and out."""
     side, _, _ = side_of(q)
     return side, on_side(q, side)
 
@@ -120,13 +120,13 @@ def on_side(q: Array, side: Indices) -> Array:
 
 
 def texels_of(texture_map: TextureMap, x: Array, y: Array) -> tuple[Array, Array]:
-    """Columns and rows of coordinates, or of their changes."""
+    """Columns and rows in texels from coordinates, or their changes from changes of coordinates."""
     (a, b), (c, d) = texture_map.scale
     return a * x + b * y, c * x + d * y
 
 
 def wrapped_position(position: Array, count: int, wrap: int) -> Array:
-    """Positions within one period of what repeats, and not far beyond what does not."""
+    """Positions reduced to one period for repeating textures, and clamped near the image for others."""
     if wrap in (WRAP_REPEAT, WRAP_MIRROR):
         period = 2.0 * count if wrap == WRAP_MIRROR else float(count)
         position = position - period * np.floor(position / period)
@@ -135,7 +135,7 @@ def wrapped_position(position: Array, count: int, wrap: int) -> Array:
 
 
 def texel_at(texture_map: TextureMap, q: Array) -> Texel:
-    """The texels at q (n, 3), before any wrapping."""
+    """Texel coordinates at q (n, 3), before any wrapping."""
     x, y, side = q[..., 0], q[..., 1], np.zeros(q.shape[:-1], np.intp)
     angle = np.arctan2(x, q[..., 2])
     if texture_map.kind == MAP_CYLINDER:
@@ -153,7 +153,7 @@ def texel_at(texture_map: TextureMap, q: Array) -> Texel:
 
 
 def texel_change(texture_map: TextureMap, q: Array, dq: Array) -> tuple[Array, Array]:
-    """Change of column and row where q changes by dq, (n, 3)."""
+    """Change of column and row for a change dq of q, (n, 3)."""
     x, y = dq[..., 0], dq[..., 1]
     if texture_map.kind in (MAP_CYLINDER, MAP_LONGITUDE, MAP_CONE):
         square = square_from_axis(q)
@@ -177,7 +177,7 @@ def texel_change(texture_map: TextureMap, q: Array, dq: Array) -> tuple[Array, A
 
 
 def is_bent(texture_map: TextureMap, point: Mapped) -> NDArray[np.bool_]:
-    """Mark pixels (n,) within whose footprints coordinates are far from linear."""
+    """Mask of pixels (n,) in whose footprints coordinates are far from linear."""
     q, right, down = point.at, point.right, point.down
     if texture_map.kind in (MAP_LONGITUDE, MAP_CONE):
         least = (q[..., 0] ** 2 + q[..., 2] ** 2) / BENT
@@ -189,7 +189,7 @@ def is_bent(texture_map: TextureMap, point: Mapped) -> NDArray[np.bool_]:
 
 
 def blend_shares(normal: Array) -> Array:
-    """Shares (n, 3) of the three images of a triplanar mapping, for unit normals (n, 3)."""
+    """Blending weights (n, 3) of the three images of a triplanar mapping, for unit normals (n, 3)."""
     above = np.maximum(normal**2 - 0.1, 0.0) ** 2
     return np.asarray(above / above.sum(axis=-1, keepdims=True))
 
@@ -200,12 +200,14 @@ def own_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def along_axis(q: Array, axis: int) -> Array:
-    """Points or changes (n, 3) as seen along an axis."""
+    """Points or changes (n, 3) projected along an axis."""
     return np.asarray(q[..., ((2, 1, 0), (0, 2, 1), (0, 1, 2))[axis]])
 
 
 def texture_coordinates(surface: PlacedSurface, texture: MappedTexture, camera: Camera, rays: Array, w: Array) -> Array:
-    """(right, up) from the lower left corner of the image (n, 2), in images; of a cube map in a row of its six."""
+    """Texture coordinates (n, 2), right and up from the lower left corner of the image, in images; for a cube map, in a
+    row of its six images.
+    """
     texture_map = texture.map
     at = mapped_point(surface, texture_map, camera, rays, w).at
     if texture_map.kind == MAP_TRIPLANAR:

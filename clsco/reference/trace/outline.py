@@ -1,7 +1,8 @@
-"""Coverage of outlines, in NumPy float64: cells, and parts of those beside them, that sub-pixel sources stand for.
+"""Coverage at outlines, in NumPy float64: the areas that sub-pixel sources represent, of their own cells and of
+neighboring ones.
 
-The formulas stand at the head of kernels/trace/outline.clh. Arrays of cells have those of a pixel in rows and columns
-1 to S of S + 2, and one cell of each neighbor around them.
+The formulas are at the head of kernels/trace/outline.clh. Arrays of cells have those of a pixel in rows and columns 1
+to S of S + 2, surrounded by one cell of each neighbor.
 """
 
 from __future__ import annotations
@@ -34,9 +35,11 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Cells (M, S + 2, S + 2) that each source covers, and where its radius, tilt and radiance are taken, cells to the
-    right and down of its middle; whole for the cells of the pixel itself. label: of each, of empty ones as well that a
-    surface covers in part; part, way_x, way_y: of these, which part, and the way to the middle of one that is not."""
+    """Area in cells (M, S + 2, S + 2) covered by each source, and the position where its radius, tilt and radiance are
+    evaluated, in cells to the right and down of its middle; whole for the cells of the pixel itself. label: of each
+    cell, including empty cells that a surface covers in part; part, way_x, way_y: for the latter, the covered part, and
+    the displacement to the middle of a full cell.
+    """
 
     covered: Array
     right: Array
@@ -50,8 +53,8 @@ class Coverage:
 def root_margins(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, rays: Array
 ) -> tuple[Array, Array]:
-    """Inverse depth (n,) of a root along rays (n, 3), and what decides whether it counts (conditions, n): below 0 where
-    it does not. Where a ray misses the surface, that where it passes it.
+    """Inverse depth (n,) of a root along rays (n, 3), and the conditions of its visibility (conditions, n), negative
+    where violated. If a ray misses the surface, the values at the closest approach.
 
     label: of the root and its object, from 1.
     """
@@ -74,15 +77,15 @@ def root_margins(
 
 
 def is_curved(surface: PlacedSurface) -> bool:
-    """True of a surface that is no plane."""
+    """True for a surface that is not a plane."""
     return bool(surface.canonical.q.any())
 
 
 def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, rays: Array, samples: int) -> Array:
-    """True (n,) of rays (n, 3) that hit the front of a curved surface less than half a cell from where it turns away
+    """True (n,) for rays (n, 3) that hit the front of a curved surface less than half a cell from where it turns away
     from the lens, by the discriminant and its slopes.
 
-    label: of the root and its object; samples: cells of a pixel, per axis.
+    label: of the root and its object; samples: cells per pixel along each axis.
     """
     surface = surfaces[(label - 1) // 2]
     if not is_curved(surface) or (label % 2 == 1) != (surface.constant > 0.0):
@@ -96,7 +99,7 @@ def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, ra
 def end_of_root(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, start: Array, stop: Array
 ) -> Array:
-    """Share (n,) of the way from rays (n, 3), where a root counts, to others at which it ends; 1: beyond.
+    """Fraction (n,) of the way from rays (n, 3), where a root is visible, to other rays, at which it ends; 1: beyond.
 
     label: of the root and its object.
     """
@@ -109,7 +112,9 @@ def outline_place(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], first: int, second: int,
     start: Array, stop: Array,
 ) -> Array:  # fmt: skip
-    """Share (n,) of the way from rays (n, 3) to others at which the label changes from the first to the second."""
+    """Fraction (n,) of the way from rays (n, 3) to other rays at which the label changes from the first to the
+    second.
+    """
     end, begin = np.ones(len(start)), np.ones(len(start))
     if first:
         end = end_of_root(surfaces, bounds, first, start, stop)
@@ -128,7 +133,7 @@ def outline_place(
 
 
 def labels_around(row: Index, column: Index, label: Labels, shape: tuple[int, int]) -> Labels:
-    """Labels (M, S + 2, S + 2) of the cells (M, S, S) of pixels and of those around them.
+    """Labels (M, S + 2, S + 2) of the cells (M, S, S) of pixels and of the surrounding cells.
 
     row, column: (M,); shape: of the grid of pixels.
     """
@@ -148,7 +153,7 @@ def crossing_between(
     camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index, column: Index,
     label: Labels, first: Index, second: Index,
 ) -> Array:  # fmt: skip
-    """Shares (M, sides) of the way from cells to others at which outlines cross it, -1 without one.
+    """Fractions (M, sides) of the way between cells at which outlines cross it, -1 without a crossing.
 
     row, column: (M,) of the pixels; label: (M, S + 2, S + 2); first, second: (sides,), indices of cells.
     """
@@ -172,33 +177,36 @@ def crossing_between(
 
 
 def place_of_source(curved: NDArray[np.bool_], more: Array, inwards: int) -> Array:
-    """Places (n,) at which the sources of cells are taken, cells from their middles on.
+    """Positions (n,) at which the sources of cells are evaluated, in cells from their middles.
 
-    curved: (n,), of the surface of the cell; more: (n,), of the outline, from halfway to the next cell on; inwards: -1
-    for the cell in front of it, 1 for that behind.
+    curved: (n,), True if the cell's surface is curved; more: (n,), position of the outline relative to halfway to the
+    next cell; inwards: -1 for the cell in front of it, 1 for the one behind.
     """
     return np.where(curved, 0.75 * more - inwards * 0.25, 0.5 * more)
 
 
 def mean_above(first: Array, last: Array) -> Array:
-    """Mean (n,) of lines from `first` to `last` (n,), where they are above 0."""
+    """Mean (n,) of the positive parts of lines from `first` to `last` (n,)."""
     low, high = np.minimum(first, last), np.maximum(first, last)
     above = 0.5 * high * high / np.maximum(high - low, 1e-30)
     return np.where(low >= 0.0, 0.5 * (low + high), np.where(high <= 0.0, 0.0, above))
 
 
 def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-    """Area (n,) of a quarter of squares, in row and column 0 or 1 (n,), left of lines from x = top to bottom (n,)."""
+    """Area (n,) of a quarter of unit squares, in row and column 0 or 1 (n,) of 2 x 2, on the left of straight lines
+    from x = top to x = bottom (n,).
+    """
     way = 0.5 * (bottom - top)
     first = top + row * way - 0.5 * column
     return np.asarray(0.5 * (mean_above(first, first + way) - mean_above(first - 0.5, first + way - 0.5)))
 
 
 def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, own: Labels) -> None:
-    """Give what a surface covers of the part of squares (n,) that is in the pixel to its cells there, or to empty ones.
+    """Distribute the area that a surface covers of squares (n,), as far as it is in the pixel, to the surface's cells
+    there, or to empty ones.
 
     label: (n, S + 2, S + 2); i, j: the upper left cell; place: (4, n), where an outline crosses the sides, top, bottom,
-    left and right; own: (n,), the surface's label, 0 where nothing is to be done.
+    left and right; own: (n,), the surface's label, 0 to skip a square.
     """
     side, index = label.shape[1], np.arange(len(own))
     along = (place[2] >= 0.0) & (place[3] >= 0.0)
@@ -234,9 +242,9 @@ def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, 
 def cut_label(
     lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], corners: Labels, rays: Array
 ) -> Labels:
-    """Labels (n,) of surfaces near the focus that squares are cut for, 0 without one or where there is another.
+    """Labels (n,) of surfaces near the focus whose squares are cut, 0 without one or if there is another surface.
 
-    corners: (n, 2, 2), labels of the cells; rays: (n, 3), through the middles of the squares.
+    corners: (n, 2, 2), labels of the cells; rays: (n, 3), through the centers of the squares.
     """
     own = corners.max(axis=(1, 2))
     alone = ((corners == 0) | (corners == own[:, None, None])).all(axis=(1, 2))
@@ -250,10 +258,11 @@ def cut_label(
 def share_square(
     coverage: Coverage, curved: NDArray[np.bool_], i: int, j: int, place: Array, cut: NDArray[np.bool_]
 ) -> None:
-    """Give what is more than their quarters of squares (n,) between four cells to the cells of one surface.
+    """Assign the area that one surface covers in squares (n,) between four cells, beyond the quarters of its cells, to
+    its cells.
 
-    curved: (n, S + 2, S + 2), of the surfaces of cells; i, j: the upper left one; place: (4, n), where an outline
-    crosses the sides, top, bottom, left and right, two of them; cut: (n,), squares that `cut_square` gives.
+    curved: (n, S + 2, S + 2), True if a cell's surface is curved; i, j: the upper left cell; place: (4, n), where an
+    outline crosses two of the sides top, bottom, left and right; cut: (n,), squares that `cut_square` handles.
     """
     top, bottom, left, right = place
     sides = {
@@ -285,7 +294,7 @@ def cell_coverage(
     camera: Camera, lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index,
     column: Index, label: Labels,
 ) -> Coverage:  # fmt: skip
-    """Coverage of the cells of pixels (M,), with labels as of `labels_around`."""
+    """Coverage of the cells of pixels (M,), with labels from `labels_around`."""
     side = label.shape[1]
     cell = np.arange(side * side).reshape(side, side)
     across, along = (

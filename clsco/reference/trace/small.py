@@ -1,7 +1,7 @@
-"""Coverage of cells by surfaces whose images are narrow, in NumPy float64.
+"""Coverage of cells by surfaces with narrow images, in NumPy float64.
 
-The formulas stand at the head of kernels/trace/small.clh. A conic is an array (6, ...) of its coefficients of 1, x, y,
-x^2, x y, y^2 about the middles of pixels, px right and down.
+The formulas are at the head of kernels/trace/small.clh. A conic is an array (6, ...) of its coefficients of 1, x, y,
+x^2, x y, y^2 relative to the middles of pixels, px right and down.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Index = NDArray[np.intp]
 
 
 def conditions(surface: PlacedSurface, bounds: Bounds | None) -> list[Callable[[Array], Array]]:
-    """Functions of rays (..., 3) that are >= 0 where these hit a surface, as far as they are of second degree."""
+    """Functions of rays (..., 3) that are >= 0 where rays hit a surface, for conditions of second degree."""
     shape = surface.canonical
     if shape.q.any():
         return [lambda rays: quarter_discriminant(surface, turned(surface.turn, rays))]
@@ -64,7 +64,7 @@ def conditions(surface: PlacedSurface, bounds: Bounds | None) -> list[Callable[[
 
 
 def conics_of(camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: Index, column: Index) -> Array:
-    """Conics (conditions, 6, ...) of a surface about pixels, rows and columns (...)."""
+    """Conics (conditions, 6, ...) of a surface relative to pixels, rows and columns (...)."""
     found = []
     for form in conditions(surface, bounds):
         places = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0), (1, 1))
@@ -81,8 +81,9 @@ def is_small(
     camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: NDArray[np.int64], column: NDArray[np.int64],
     reach: float = 0.5,
 ) -> Mask:  # fmt: skip
-    """True of pixels about which the image of a surface is narrow, and of whose middles it may be within `reach` px;
-    rows and columns broadcast, px."""
+    """True for pixels near which a surface's image is narrow, and whose middles may be within `reach` px of it; rows
+    and columns broadcast, px.
+    """
     row, column = np.broadcast_arrays(row, column)
     if not surface.width < NARROW_IMAGE * ray_step(camera):
         return np.zeros(row.shape, dtype=bool)
@@ -105,7 +106,9 @@ def small_members(
     camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
     row: NDArray[np.int64], column: NDArray[np.int64],
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """True (objects, ...) of the members of an occlusion group that are small in pixels; rows and columns broadcast."""
+    """Mask (objects, ...) of the members of an occlusion group whose images are small at pixels; rows and columns
+    broadcast.
+    """
     none = np.zeros(np.broadcast(row, column).shape, dtype=bool)
     each = zip(surfaces, bounds, strict=True)
     return np.stack(
@@ -117,8 +120,9 @@ def hidden_by_small(
     camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
     row: NDArray[np.int64], column: NDArray[np.int64], inverse_depth: Array,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """True (...) of pixels that a small occluder before their sources is in, or so near that whole pixels would see an
-    edge of it; inverse_depth (...): of the sources, 0 without one, 1/mm."""
+    """Mask (...) of pixels that contain a small occluder of their sources, or are so near one that whole pixels would
+    see its edge; inverse_depth (...): of the sources, 0 without one, 1/mm.
+    """
     rays, found = pixel_ray(camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
     for k, (surface, ends) in enumerate(zip(surfaces, bounds, strict=True)):
         if group.occluders >> k & 1:
@@ -128,7 +132,7 @@ def hidden_by_small(
 
 
 def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Intervals narrowed to where a + 2 b x + c x^2 >= 0, if that is one."""
+    """Intervals narrowed to where a + 2 b x + c x^2 >= 0, if that is an interval."""
     square, bent = b * b - a * c, c < 0.0
     root, c = np.sqrt(np.maximum(square, 0.0)), np.where(bent, c, -1.0)
     begin = np.maximum(low, (root - b) / c)
@@ -139,8 +143,10 @@ def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array
 def small_cover(
     view: View, bounds: Sequence[Bounds | None], group: OcclusionGroup, k: int, place: tuple[Index, Index], samples: int
 ) -> Array:  # fmt: skip
-    """Parts of the cells of pixels (M,), of these rows and columns, that the image of member k covers: (M, S, S, 4) of
-    each cell that size, the size times the place in px right and down, and times what light leaves of the texture."""
+    """Area in the cells of pixels (M,), at these rows and columns, covered by the image of member k: (M, S, S, 4) for
+    each cell the area, the area times the position in px right and down, and the area times the shaded fraction of the
+    texture.
+    """
     camera, (row, column) = view.scene.camera, place
     each = conics_of(camera, view.surfaces[k], bounds[k], row, column)
     bend = -(each[:, 3] + each[:, 5])
@@ -203,7 +209,7 @@ def small_cover(
 
 
 def outline_plane(surface: PlacedSurface, rays: Array) -> tuple[Array, Array]:
-    """Inverse depth (...) along rays (..., 3) of the plane of the outline of a surface, and its slope (..., 2)."""
+    """Inverse depth (...) along rays (..., 3) of the plane through a surface's outline, and its slope (..., 2)."""
     shape = surface.canonical
     normal = (shape.q * surface.offset + shape.l) @ surface.turn
     normal = normal * ((-1.0 if shape.q.any() else -2.0) / surface.constant)
@@ -211,7 +217,7 @@ def outline_plane(surface: PlacedSurface, rays: Array) -> tuple[Array, Array]:
 
 
 def small_depth(surface: PlacedSurface, bounds: Bounds | None, group: OcclusionGroup, rays: Array) -> Array:
-    """The same depth, or where bounds cut a curved surface its own."""
+    """The same depth, or the surface's own where bounds cut a curved surface."""
     plane, _ = outline_plane(surface, rays)
     if bounds is None or not surface.canonical.q.any():
         return plane
@@ -223,7 +229,7 @@ def cast_behind(
     cast: Callable[..., Cast], view: View, group: OcclusionGroup, small: Mask, row: Array, column: Array,
     texel: tuple[Index, Index], samples: int,
 ) -> Cast:  # fmt: skip
-    """`cast` at cells (M, S, S) with what is not small in their pixels; small: (objects, M)."""
+    """`cast` at cells (M, S, S) without the objects that are small in their pixels; small: (objects, M)."""
     found = cast(view, group, row, column, texel, samples)
     for number in {*map(tuple, small.T.tolist())} - {(False,) * len(small)}:
         behind = replace(group, members=group.members & ~sum(1 << k for k, one in enumerate(number) if one))
@@ -237,8 +243,8 @@ def cast_behind(
 def with_small(
     cast: Callable[..., Cast], view: View, group: OcclusionGroup, hit: Cast, small: Mask, place: tuple[Index, Index]
 ) -> tuple[Cast, Index]:  # fmt: skip
-    """Hits of cells (M, S, S), less what small surfaces cover of them, and after them those of each small surface in
-    each of its pixels: (N, S, S), and the number (N,) of the pixel of each.
+    """Hits of cells (M, S, S), reduced by the area that small surfaces cover, followed by the hits of each small
+    surface in each of its pixels: (N, S, S), and the pixel number (N,) of each.
 
     small: (objects, M); place: rows and columns (M,).
     """

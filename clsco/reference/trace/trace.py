@@ -1,6 +1,6 @@
-"""Rays cast at the surface: sources, and sub-pixel sources at silhouettes.
+"""Rays cast at surfaces: sources, and sub-pixel sources at silhouettes.
 
-The padded grid has `guard` rows and columns on each side of the frame: surface outside the frame contributes to it.
+The padded grid has `guard` rows and columns on each side of the frame: surfaces there contribute light to the frame.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pi
 class Sources:
     """Sources, one per pixel of the padded grid (H, W).
 
-    radiance (H, W, C) linear; inverse_depth (H, W) 1/mm; label (H, W): 0 no source, else which root of
-    which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
-    radius, px per px, right and down; lit (H, W): some of its radiance reaches the lens; visibility:
-    its occluders, None for none at all; parts (H, W): per axis into which its texture cuts its pixel, 0 none; share
-    (H, W): of the difference to its neighbors that its texture takes, see `sharpen`; shape (H, W, 3): of the ellipses
-    that the blur is, None for discs; widening (H, W, 2): relative change of their size per px, right and down.
+    radiance: (H, W, C), linear. inverse_depth: (H, W), 1/mm. label: (H, W), 0 for no source, else root and object, with
+    a different value where two surfaces meet. radius: (H, W), signed blur radius in px. gradient: (H, W, 2), of the
+    radius, px per px, right and down. lit: (H, W), True if any of its radiance reaches the lens. visibility: occluders
+    of the sources, None if there are none. parts: (H, W), number of parts per axis that the texture needs, 0 for none.
+    share: (H, W), sharpening coefficient of the texture, see `sharpen`. shape: (H, W, 3), of elliptic blurs, None for
+    discs. widening: (H, W, 2), relative change of their size per px, right and down.
     """
 
     radiance: Array
@@ -79,13 +79,13 @@ class Sources:
 
 @dataclass(frozen=True, eq=False)
 class SubpixelSources:
-    """S x S sources in each of M pixels, which replace the pixel's own; each has the weight 1/S^2.
+    """S x S sources in each of M pixels, which replace the pixel's own source; each has the weight 1/S^2.
 
-    row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
-    occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
-    radiance (M, S, S, C), times the cells that each covers; limb (M, S, S): at a limb, None for none at all.
-    shape (M, 3), of the pixels, and widening (M, S, S, 2): as of `Sources`.
-    Source (i, j) is spread from its cell, `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
+    row, column (M,): padded-grid pixel; hit (M, S, S): True for a surface visible from the lens; visibility: the
+    occluders of these, in order, None if there are none; radius (M, S, S) px; gradient (M, S, S, 2) px per px; radiance
+    (M, S, S, C), times the cells that each covers; limb (M, S, S): True at a limb, None if there is none. shape (M, 3),
+    of the pixels, and widening (M, S, S, 2): as for `Sources`. Source (i, j) is blurred from its cell,
+    `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
     """
 
     row: NDArray[np.int64]
@@ -111,7 +111,7 @@ def view_at(
     scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None,
     color: int | None = None,
 ) -> View:  # fmt: skip
-    """The objects after `time` seconds, and the lens, for light of one color or all; other arguments as for `View`."""
+    """The objects and the lens at `time` seconds, for light of one color or all; other arguments as for `View`."""
     reference, lens, lenses = reference_camera(scene), lens_at(scene, time, color), lenses_at(scene, time)
     shifted = scene.shifts_colors and color is not None
     if scene.lens is not None and (scene.lens.moves or scene.lens.distorts or shifted):
@@ -136,7 +136,7 @@ def cast(
     texel: tuple[NDArray[Any], NDArray[Any]],
     sources: int = 1,
 ) -> Cast:
-    """The nearest of some objects along rays through (row, column) px, 0 where none is.
+    """The nearest surface of an occlusion group along rays through (row, column) px, 0 without a hit.
 
     texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel.
     """
@@ -176,15 +176,16 @@ def gradient_of(view: View, surface: PlacedSurface, rays: Array, w: Array) -> Ar
 def _mapped_radiance(
     scene: Scene, surface: PlacedSurface, texture: MappedTexture, rays: Array, w: Array, sources: int
 ) -> tuple[Array, Array]:
-    """Radiance (..., channels) of a texture on a surface, and the squares (...) of texels per pixel; 0 where w is.
-    sources: as for `cast`."""
+    """Radiance (..., channels) of a texture on a surface, and squared numbers (...) of texels per pixel; 0 where w is.
+    sources: as for `cast`.
+    """
     found, texels, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape), w > 0.0
     found[hit], texels[hit] = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], sources)
     return found, texels
 
 
 def _moved_radiance(view: View, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
-    """Texture at the projections of the surface points in the reference pose; 0 where they were behind the lens."""
+    """Texture at the surface points' projections in the reference pose; 0 where they were behind the lens."""
     row, column, valid = rest_pixel(surface, view.reference, rays, w)
     radiance = sample_texture(texture, row, column, view.scene.motion.texture_filter)
     return np.where(valid[..., None], radiance, 0.0)
@@ -198,8 +199,8 @@ def _texels(texture: Array, row: NDArray[np.int64], column: NDArray[np.int64]) -
 def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     """Sources on the padded grid, from one ray through each pixel's center to the objects of an occlusion group.
 
-    guard: px. In the reference pose the radiance is the texel itself, else the texture is sampled at the projection of
-    the point in the reference pose. Validated against the thesis' depth formulas and the texture itself.
+    guard: px. In the reference pose the radiance is the texel itself, otherwise the texture is interpolated at the
+    point's projection in the reference pose. Validated against the thesis' depth formulas and the texture itself.
     """
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
@@ -236,7 +237,7 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
 
 
 def _tilted(view: View, radius: Array, gradient: Array, widening: Array | None) -> Array:
-    """Gradient (N, 2) of the blur radius of whole pixels, as far as the tilt counts, for visibility tests."""
+    """Gradient (N, 2) of the blur radius of whole pixels for visibility tests, 0 if tilt is ignored."""
     tilt, _ = pixel_tilt(gradient, radius, view.psf.diffracted)
     tilt = tilt if widening is None else tilt + widening
     size = pixel_reach(radius, view.psf.diffracted) * np.where(radius < 0.0, -1.0, 1.0)
@@ -244,7 +245,7 @@ def _tilted(view: View, radius: Array, gradient: Array, widening: Array | None) 
 
 
 def _ellipses(view: View, row: NDArray[Any], column: NDArray[Any]) -> tuple[Array | None, Array | None]:
-    """Shape (..., 3) and widening (..., 2) of blur on the rays through pixels, where ellipses are made."""
+    """Shape (..., 3) and widening (..., 2) of elliptic blurs on the rays through pixels; None for discs."""
     distortion = view.lens.distortion
     if not view.psf.stretched or distortion is None:
         return None, None
@@ -255,14 +256,14 @@ def _ellipses(view: View, row: NDArray[Any], column: NDArray[Any]) -> tuple[Arra
 
 
 def spread_sources(sources: Sources) -> Sources:
-    """Sources with radius and gradient of what `scatter` makes of each: those of a whole pixel, see `pixel_tilt`."""
+    """Sources with the radius and gradient that `scatter` uses: those of whole pixels, see `pixel_tilt`."""
     tilt, radius = pixel_tilt(sources.gradient, sources.radius)
     size = np.maximum(np.abs(radius), SMALLEST_RADIUS) * np.where(radius < 0.0, -1.0, 1.0)
     return replace(sources, radius=radius, gradient=size[..., None] * tilt)
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels (H, W) with a different label anywhere within 2 px, rows and columns counted separately.
+    """Mask (H, W) of pixels with a different label within 2 px, in rows and in columns.
 
     label: (H, W) from `trace`. There the blur radius is steep or discontinuous.
     """
@@ -273,8 +274,9 @@ def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
-    """Sources whose neighbors have exchanged what makes squares of what textures on surfaces show, see
-    kernels/trace/footprint.clh; marked (H, W): pixels with sub-pixel sources, which take no part."""
+    """Sharpen the sources of textures on surfaces by differences to neighbors, so that they represent squares, see
+    kernels/trace/footprint.clh; marked (H, W): pixels with sub-pixel sources, which are excluded.
+    """
     assert sources.share is not None
     share = np.where(marked, 0.0, sources.share)
     radiance = sources.radiance.copy()
@@ -293,11 +295,11 @@ def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
 def trace_subpixels(
     view: View, group: OcclusionGroup, guard: int, marked: NDArray[np.bool_], sources: Sources | None = None
 ) -> SubpixelSources:
-    """Sub-pixel sources of the pixels (H, W) of the padded grid that are marked, and of those of `sources` with parts.
+    """Sub-pixel sources for the marked pixels (H, W) of the padded grid, and for pixels of `sources` with parts.
 
-    Their number per axis is psf.silhouette_samples; beside outlines each stands for what its surface covers.
-    In the reference pose those of marked pixels share their pixel's own texel, else each samples the texture at its own
-    position. Other arguments as for `trace`.
+    Their number per axis is psf.silhouette_samples; at outlines each represents the area that its surface covers. In
+    the reference pose, those of marked pixels share their pixel's texel, otherwise each interpolates the texture at its
+    own position. Other arguments as for `trace`.
     """
     scene = view.scene
     samples = scene.psf.silhouette_samples
@@ -366,9 +368,9 @@ def _from_middles(
     view: View, points: Points, sources: Sources, pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
     cut: NDArray[np.intp], lit: NDArray[np.bool_], guard: int,
 ) -> Points:  # fmt: skip
-    """Points of which those in pixels that are cut into parts are the middles of these, where `is_shared`.
+    """Points for visibility tests; in pixels cut into parts, replaced by the pixel's middle if `is_shared`.
 
-    pixel: rows and columns (M,); cut: parts (M,) per axis; lit: (M, S, S), where `points` are.
+    pixel: rows and columns (M,); cut: parts (M,) per axis; lit: (M, S, S), mask of the `points`.
     """
     radius, gradient = sources.radius[pixel], sources.gradient[pixel]
     shared = (cut > 0) & is_shared(radius, view.psf.extent, gradient)
@@ -389,10 +391,10 @@ def _covering(
     view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_],
     pixel: tuple[NDArray[np.intp], NDArray[np.intp]], guard: int,
 ) -> tuple[Cast, NDArray[np.bool_]]:  # fmt: skip
-    """Replace radius, gradient and radiance of hits of rays (M, S, S) beside outlines by those of what they cover.
+    """Replace radius, gradient and radiance of ray hits (M, S, S) at outlines by those of the areas that they cover.
 
-    Returns hits, and which are at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns
-    (M,), of which those that are not marked keep theirs.
+    Returns hits, and a mask of those at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns (M,); pixels that
+    are not marked keep their hits.
     """
     samples, bounds = view.scene.psf.silhouette_samples, [cutting_bounds(item) for item in view.scene.objects]
     label = np.where(marked[pixel][:, None, None], hit.label, UNMARKED).astype(np.uint8)
@@ -429,10 +431,9 @@ def _with_parts(
     view: View, hit: Cast, sources: Sources, pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
     cut: NDArray[np.intp], guard: int,
 ) -> Cast:  # fmt: skip
-    """Replace hits of rays (M, S, S) in pixels that are cut into parts: they are linear in the pixel but for the
-    texture.
+    """Replace ray hits (M, S, S) in pixels cut into parts: all values except the texture are linear within the pixel.
 
-    pixel: rows and columns (M,); cut: parts (M,) per axis, 0 where `hit` stays.
+    pixel: rows and columns (M,); cut: parts (M,) per axis, 0 to keep `hit`.
     """
     camera, samples = view.scene.camera, view.scene.psf.silhouette_samples
     below, right = np.meshgrid(*2 * (subpixel_offsets(samples),), indexing="ij")

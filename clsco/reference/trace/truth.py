@@ -1,4 +1,4 @@
-"""Ground truth of a frame: surfaces that rays of a pinhole meet at pixel centers, at the middle of the exposure."""
+"""Ground truth of a frame: surfaces at pixel centers, seen through a pinhole at the middle of the exposure."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from clsco.scene.model import Camera, Scene
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Ground truth at the middle of the shutter: see `clsco.frame.frame.Frame`, whose names and units these are."""
+    """Ground truth at the middle of the shutter, with the names and units of `clsco.frame.frame.Frame`."""
 
     sharp: Array
     depth: Array
@@ -59,7 +59,7 @@ def outside_frame(camera: Camera, row: Array, column: Array) -> NDArray[np.bool_
 
 
 def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array) -> NDArray[np.bool_]:
-    """Points of an object's surface that were not visible in its reference pose."""
+    """Mask of points of an object's surface that were not visible in its reference pose."""
     scene, surface = view.scene, view.surfaces[number]
     row, column, valid = rest_pixel(surface, view.reference, rays, w)
     w_rest, _ = solve_quadric(rest, cutting_bounds(scene.objects[number]), pixel_ray(view.reference, row, column))
@@ -71,8 +71,9 @@ def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array)
 def moved_pixel(
     surface: PlacedSurface, camera: Camera, other: Pose, rays: Array, w: Array
 ) -> tuple[Array, Array, Array]:
-    """Row and column in px of hits in the pose `other` before a camera, and their depth there over that here (0 behind
-    the lens)."""
+    """Row and column in px of hits moved to the pose `other` relative to a camera, and the ratio of their depths there
+    and here (0 behind the lens).
+    """
     body = turned(other.rotation, body_point(surface, rays, w))
     position = (surface.rest + other.shift) * w[..., None] + body
     before_lens = (w > 0.0) & (position[..., 2] > 0.0)
@@ -88,8 +89,7 @@ def moved_pixel(
 def occluded_among(
     scene: Scene, camera: Camera, surfaces: tuple[PlacedSurface, ...], pixel: tuple[Array, Array, Array], w: Array
 ) -> NDArray[np.bool_]:
-    """Mark points at inverse depth w that are not visible, between surfaces, in the pixels that `moved_pixel` gives of
-    a camera."""
+    """Mask of points at inverse depth w that other surfaces hide in the pixels given by `moved_pixel` for a camera."""
     row, column, ratio = pixel
     bounds = [cutting_bounds(item) for item in scene.objects]
     seen, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(camera, row, column))
@@ -98,7 +98,7 @@ def occluded_among(
 
 
 def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Array:
-    """Coordinates of hits (rows, columns) in an object's texture: (right, up) from the lower left corner, in images."""
+    """Texture coordinates (right, up) of hits (rows, columns) on an object, from the lower left corner, in images."""
     surface, texture, camera = view.surfaces[number], view.textures[number], view.scene.camera
     found, hit = np.zeros((*w.shape, 2)), w > 0.0
     if isinstance(texture, MappedTexture):
@@ -115,7 +115,7 @@ def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Arra
 def _stereo(
     scene: Scene, textures: tuple[Texture, ...], view: View, eye: Eye, time: float, hit: Cast, rays: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Disparity in px, and which points are not visible in the other view."""
+    """Disparity in px, and a mask of points that are not visible in the other view."""
     opposite: Eye = "left" if eye == "right" else "right"
     other, poses = view_at(scene, textures, time, opposite, True), poses_at(scene, time, opposite)
     disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
@@ -130,7 +130,7 @@ def _stereo(
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Surfaces at pixels (m, n): hits of their rays, and the ground truth of one time, by its names."""
+    """Surfaces at pixels (m, n): ray hits, and the ground truth of one time, by name."""
 
     hit: Cast
     rays: Array
@@ -170,10 +170,10 @@ def surface_truth(view: View, rest: list[PlacedSurface], row: NDArray[np.int64],
 def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:
     """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
 
-    textures: as for `View`. `flow` goes from a pixel to where its surface point is at the middle of the next
-    frame's shutter; 0 where that is behind the lens. `hidden`: in the reference pose the point is outside of the frame,
-    or another point of its object hides it there (nearer by more than 1e-6 of its depth); never of a texture that lies
-    on the surface. Validated: flow against the thesis' 80 and 70 px, normals and radius against closed forms.
+    textures: as for `View`. `flow` goes from a pixel to the position of its surface point at the middle of the next
+    frame's shutter; 0 if that is behind the lens. `hidden`: in the reference pose the point is outside of the frame, or
+    another point of its object hides it there (nearer by more than 1e-6 of its depth); always False for a texture on a
+    surface. Validated: flow against the thesis' 80 and 70 px, normals and radius against closed forms.
     """
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     moves, camera = scene.moves, scene.camera

@@ -1,4 +1,4 @@
-"""Surfaces that rays are cast at, and their hits."""
+"""Surfaces to cast rays at, and the hits."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ Texture = Array | MappedTexture
 class View:
     """All objects at one time, in the frame of the camera.
 
-    surfaces: one per object; textures: one per object, with so many channels; moved: an
-    object or the camera is not exactly in its reference pose, or zooms; light: of the scene, if it has one; psf: of the
-    lens; reference: the camera in its reference pose; lens: for the light that is wanted; lenses: of the colors that
-    differ.
+    surfaces: one per object; textures: one per object, with equal channels; moved: True if an object or the camera is
+    not exactly in its reference pose, or the lens zooms; light: of the scene, if it has one; psf: of the lens;
+    reference: the camera in its reference pose; lens: for the selected light; lenses: of the colors, if they differ.
     """
 
     scene: Scene
@@ -49,8 +48,8 @@ class View:
 @dataclass(frozen=True, eq=False)
 class Cast:
     """Hits of rays (...): inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; parts:
-    number along each axis into which the texture cuts a pixel, 0 for none; share: of the difference to the neighbors
-    that it takes."""
+    number per axis of the parts that the texture needs, 0 for none; share: sharpening coefficient of the texture.
+    """
 
     w: Array
     label: NDArray[np.uint8]

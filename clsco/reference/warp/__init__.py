@@ -1,1 +1,1 @@
-"""Reprojection, as kernels/warp has it."""
+"""Reprojection; counterpart of kernels/warp."""

@@ -1,4 +1,4 @@
-"""Forward warp: the pixels of the frame in its reference pose move and are projected to the nearest pixel (4.3.3)."""
+"""Forward warp: moves the pixels of the reference pose and projects them to the nearest pixel (4.3.3)."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ Maps = Sequence[Array | None]
 class Reprojected:
     """Pixels of the padded grid (H, W) after a move.
 
-    known: some source came there; radiance (H, W, C); inverse_depth (H, W) 1/mm; object (H, W): number of the
-    visible object. All 0, and object 255, where nothing is known. entered: (H, W), of scenes with a depth map, by
+    known: True if a source was moved there; radiance (H, W, C); inverse_depth (H, W) 1/mm; object (H, W): number of the
+    visible object. All 0, and object 255, in unknown pixels. entered: (H, W), for scenes with a depth map, from
     `mark_entered`.
     """
 
@@ -44,7 +44,7 @@ class Reprojected:
 def nearest_pixel(position: Array) -> NDArray[np.int64]:
     """Pixel of a position in px: snapped to 1/4096 px, then rounded half up in integers.
 
-    Plain rounding lets the error in the last digit decide at half-pixel shifts, where it loses pixels.
+    Plain rounding would let errors in the last digit decide at half-pixel shifts, and lose pixels.
     """
     snapped = np.floor(np.clip(position, -1e9, 1e9) * SNAP + 0.5).astype(np.int64)
     return (snapped + SNAP // 2) >> 12
@@ -53,8 +53,8 @@ def nearest_pixel(position: Array) -> NDArray[np.int64]:
 def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array, NDArray[np.uint8]]:
     """Inverse depth (rows, columns) in 1/mm and object of the pixels of the frame, the sources of the warp.
 
-    Of every object of the scene: surfaces: at t = 0, None for a depth map; maps: its inverse depth (rows, columns) in
-    1/mm, None for others. The nearest counts, of equals the first. Where there is none, both are 0.
+    surfaces: of every object at t = 0, None for a depth map; maps: its inverse depth (rows, columns) in 1/mm, None for
+    other objects. The nearest object is used, of equal ones the first. Both are 0 without a surface.
     """
     rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
     nearest, whose = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], dtype=np.uint8)
@@ -71,9 +71,9 @@ def reproject_targets(
 ) -> tuple[NDArray[np.int64], Array]:
     """Target (sources,) on the padded grid and inverse depth (sources,) in 1/mm after the objects' move to `poses`.
 
-    Each object turns about its center and is then shifted, both in any way. w, whose: (rows, columns) from
-    `reproject_rest`; guard: px; camera: that of the scene by default. Targets are numbers of pixels in row order; -1,
-    and inverse depth 0, for what has none: no surface, behind the lens, outside.
+    Each object first rotates about its center, then is shifted. w, whose: (rows, columns) from `reproject_rest`; guard:
+    px; camera: by default the scene's. Targets are pixel numbers, row by row; -1, and inverse depth 0, for sources
+    without a target: no surface, behind the lens, or outside.
     """
     rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
     point = rays / np.where(w > 0.0, w, 1.0)[..., None]
@@ -91,10 +91,10 @@ def reproject_targets(
 
 
 def reproject_depth(target: NDArray[np.int64], key: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
-    """Largest inverse depth (pixels,) in 1/mm that any source brings to each target, 0 where none comes.
+    """Largest inverse depth (pixels,) in 1/mm of the sources moved to each target, 0 without one.
 
-    target: (sources,) pixel number, -1 for none; key: (sources,) inverse depth > 0, rounded to float32: that
-    is what is compared, on every device.
+    target: (sources,) pixel number, -1 for none; key: (sources,) inverse depth > 0, rounded to float32, in which every
+    device compares it.
     """
     depth = np.zeros(pixels, dtype=np.float32)
     used = target >= 0
@@ -105,9 +105,9 @@ def reproject_depth(target: NDArray[np.int64], key: NDArray[np.float32], pixels:
 def reproject_winner(
     target: NDArray[np.int64], key: NDArray[np.float32], depth: NDArray[np.float32]
 ) -> NDArray[np.int64]:
-    """Lowest number of a source (pixels,) that brings the largest inverse depth to each target, or NO_WINNER.
+    """Lowest number (pixels,) of the sources with the largest inverse depth at each target, or NO_WINNER.
 
-    target, key: as for `reproject_depth`, whose result `depth` is.
+    target, key: as for `reproject_depth`; depth: its result.
     """
     winner = np.full(depth.shape, NO_WINNER, np.int64)
     source = np.flatnonzero(target >= 0)
@@ -117,20 +117,16 @@ def reproject_winner(
 
 
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
-    """Mark known pixels (H, W): winners, but for those that only show through a nearer surface, which has grown and
-    left gaps.
+    """Mask of targets (pixels,) with a winner, and the winner's values (pixels, channels), 0 without one.
 
-    winner, depth: (H, W), from `reproject_winner` and `reproject_depth`; columns: of the frame. On opposite
-    sides of such a pixel, in its row, its column or on a diagonal, and at most 3 px away, the first winners that are
-    more than 1.02 times nearer were neighbors in the reference pose and differ by less: the surface was closed between
-    them. Validated on a card that comes nearer before a plane.
+    values: (sources, channels).
     """
     height, width = winner.shape
     known = winner != NO_WINNER
     bound = SAME_DEPTH * depth
 
     def nearer(down: int, right: int) -> NDArray[np.int64]:
-        """Number of the first pixel on the way that is nearer, -1 for none."""
+        """Number of the first pixel in this direction that is nearer, -1 for none."""
         found = np.full(winner.shape, -1)
         for step in range(WIDEST_GAP, 0, -1):  # the last one stays: the first on the way
             i, j = (np.arange(n) + step * way for n, way in ((height, down), (width, right)))
@@ -166,9 +162,9 @@ def reproject(
 
     textures: (rows, columns, C) of the frame's size, one per object; surfaces, maps: as for `reproject_rest`; guard,
     camera: as for `reproject_targets`. Sources are the pixels of the frame itself, with its pinhole image; the nearest
-    wins, of equals the first in row order. With several objects, or a depth map, what only shows through a surface that
-    has grown is not known. Validated: a shift by half a pixel leaves no holes; 19680 and 36993 missing pixels (thesis,
-    figures 4.14 and 4.15); a depth map made from a surface moves as the surface does.
+    wins, of equal ones the first, row by row. With several objects, or a depth map, pixels visible only through gaps of
+    a surface that has grown are unknown. Validated: a shift by half a pixel leaves no holes; 19680 and 36993 missing
+    pixels (thesis, figures 4.14 and 4.15); a depth map made from a surface moves as the surface does.
     """
     rows, columns, channels = textures[0].shape
     height, width = rows + 2 * guard, columns + 2 * guard
@@ -193,11 +189,11 @@ def reproject(
 
 
 def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int) -> NDArray[np.bool_]:
-    """Pixels (H, W) of the frame that show surface from outside of it in the reference pose.
+    """Mask (H, W) of the frame's pixels that show surfaces from outside of it in the reference pose.
 
-    winner, known: (H, W). They lie beyond the outermost known pixel of their row of the frame, which was within EDGE_PX
-    of the frame's edge on that side; and likewise in columns, where such a pixel counts as known, with the source of
-    that outermost one.
+    winner, known: (H, W). They lie beyond the outermost known pixel of their row in the frame, if its source was within
+    EDGE_PX of the frame's edge on that side; then likewise in columns, where such pixels count as known, with the
+    source of that outermost one.
     """
     rows, columns = (n - 2 * guard for n in known.shape)
     inside = (slice(guard, guard + rows), slice(guard, guard + columns))
@@ -211,10 +207,10 @@ def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int
 
 
 def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Mark pixels beyond the first or last known pixel of each line (L, N), where its place was at that end.
+    """Mask of pixels beyond the first or last known pixel of each line (L, N), if that pixel's source was at this end.
 
-    lines: (L, N), known; place: (L, N), px, of each source along its line. Besides, the number (L, N) of the nearer one
-    of these two pixels.
+    lines: (L, N), known; place: (L, N), px, source position of each pixel along its line. Also returns the number (L,
+    N) of the nearer of these two known pixels.
     """
     length = lines.shape[1]
     at, some = np.arange(length), lines.any(axis=1)
@@ -228,11 +224,12 @@ def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[ND
 def fill_entered(
     values: Array, objects: NDArray[np.uint8], valid: NDArray[np.bool_], entered: NDArray[np.bool_], guard: int
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:
-    """Values (H, W, K), objects (H, W) and validity (H, W) with the image mirrored into pixels that have entered it.
+    """Values (H, W, K), objects (H, W) and validity (H, W) with the image mirrored into pixels that have entered the
+    frame.
 
     values, objects, valid: (H, W, K), (H, W) and (H, W), with missing pixels filled; entered: (H, W), from
-    `mark_entered`. Each takes the mirror image about the outermost valid pixel of its row of the frame, else of its
-    column; what has none there stays as it is.
+    `mark_entered`. Each pixel takes the mirror image about the outermost valid pixel of its row in the frame, else of
+    its column; without one it stays unchanged.
     """
     values, objects, valid = values.copy(), objects.copy(), valid.copy()
     rows, columns = (n - 2 * guard for n in valid.shape)
@@ -255,8 +252,8 @@ def fill_entered(
 def extend_border(values: Array, valid: NDArray[np.bool_], guard: int) -> tuple[Array, NDArray[np.bool_]]:
     """Values (H, W, K) and validity (H, W) of the padded grid with the frame mirrored into its apron.
 
-    values, valid: (H, W, K) and (H, W). A depth map knows nothing there; its image goes on as its mirror image, as
-    textures do. Only pixels that are not valid change.
+    values, valid: (H, W, K) and (H, W). A depth map has no data there; its image continues as its mirror image, as
+    textures do. Only invalid pixels change.
     """
     row, column = (mirror_index(np.arange(-guard, n - guard), n - 2 * guard) + guard for n in valid.shape)
     take = ~valid & valid[np.ix_(row, column)]

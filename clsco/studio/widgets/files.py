@@ -26,9 +26,9 @@ class Tile(NamedTuple):
 
 
 def draw_tiles(groups: Mapping[str, list[Tile]], chosen: Callable[[str, int], object], search: str) -> None:
-    """Draw scenes as pictures, in groups, with a box that leaves those whose names or groups have its words.
+    """Draw scenes as pictures in groups, with a search box that filters them by words in their names or groups.
 
-    groups: by their headings, "" for none; chosen: takes the group and the number of a scene in it.
+    groups: scenes by heading, "" for none; chosen: called with the group and the number of a scene in it.
     """
     with say("label", class_="box"):
         say("span", search)
@@ -50,7 +50,7 @@ def draw_tiles(groups: Mapping[str, list[Tile]], chosen: Callable[[str, int], ob
 
 
 def open_dialog(session: Document, studio: Studio) -> Callable[[], None]:
-    """A dialog with the scenes of the studio's folder; returns what opens it."""
+    """A dialog with the scenes of the studio's folder; returns a function that opens it."""
     dialog = Dialog("Open a scene", wide=True)
 
     def show() -> None:
@@ -72,7 +72,7 @@ def open_dialog(session: Document, studio: Studio) -> Callable[[], None]:
 
 
 def recover_dialog(session: Document, studio: Studio) -> Callable[[], None]:
-    """A dialog with the scenes of studios that ended before these were saved; returns what opens it."""
+    """A dialog with unsaved scenes of former studios; returns a function that opens it."""
     dialog = Dialog("Recover a scene that was not saved", wide=True)
 
     def show() -> None:
@@ -91,7 +91,7 @@ def recover_dialog(session: Document, studio: Studio) -> Callable[[], None]:
 
 
 def _kept_name(path: Path) -> str:
-    """Title of a scene that was kept, and when."""
+    """Title of a recoverable scene, with its time."""
     try:
         title = str(read_kept(path)[0].get("title") or "untitled")
     except (SceneError, AttributeError):
@@ -100,7 +100,9 @@ def _kept_name(path: Path) -> str:
 
 
 def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A dialog to save under a name; returns what saves at once if there is a file, and what always asks."""
+    """A dialog to save under a name; returns a function that saves at once if there is a file, and one that always
+    asks.
+    """
     dialog = Dialog("Save the scene")
     typed = {"name": ""}
 
@@ -149,7 +151,7 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
 
 
 def share_dialog(session: Document) -> Callable[[], None]:
-    """A dialog with the link of the scene, and with a box for that of another; returns what opens it."""
+    """A dialog with the link of the scene, and a box for another link; returns a function that opens it."""
     dialog = Dialog("Share the scene")
     typed = {"link": ""}
 
@@ -178,7 +180,7 @@ def share_dialog(session: Document) -> Callable[[], None]:
 
 
 def preset_dialog(session: Document) -> Callable[[], None]:
-    """A dialog with the examples and the figures of the thesis; returns what opens it."""
+    """A dialog with the examples and the figures of the thesis; returns a function that opens it."""
     dialog = Dialog("Presets", wide=True)
     groups = {heading: list(each) for heading, each in groupby(presets(), lambda preset: preset.group)}
 

@@ -1,4 +1,4 @@
-"""Elements of HTML as they are: text that is never read as markup, buttons, boxes, dialogs, and parts that change."""
+"""HTML elements: text that is always escaped, buttons, boxes, dialogs, and parts that can be redrawn."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _PAGE: ContextVar[Page] = ContextVar("page")  # that is drawn, or in which somet
 
 
 class Page:
-    """A page in a browser: what was drawn of it, what its elements do, and what it is to be told.
+    """A page in a browser: its HTML, the handlers of its elements, and queued messages.
 
     Parameters
     ----------
     address : str
-        Address of the page, as the browser has it.
+        URL of the page.
     told : function
-        Is called when there is something to tell.
+        Called when messages are queued.
 
     Attributes
     ----------
     key : str
-        Tells it from pages that were loaded before.
+        Distinguishes it from pages loaded earlier.
     endings : list of functions
-        Called when the page is gone.
+        Called when the page is closed.
     """
 
     def __init__(self, address: str = "", told: Callable[[], object] = lambda: None) -> None:
@@ -48,7 +48,7 @@ class Page:
 
     @contextmanager
     def current(self) -> Iterator[None]:
-        """Have elements and notices be of this page."""
+        """Make this the page for elements and notices created in the block."""
         token = _PAGE.set(self)
         try:
             yield
@@ -56,42 +56,42 @@ class Page:
             _PAGE.reset(token)
 
     def hear(self, number: int, value: Any) -> None:
-        """Do what an element is for, if it is still there; what is refused is shown."""
+        """Call the handler of an element that still exists; errors are shown."""
         if number in self.handlers:
             with self.current():
                 tried(lambda: self.handlers[number](value))
 
     def tell(self, **said: Any) -> None:
-        """Have the browser told something, as soon as it listens."""
+        """Queue a message for the browser."""
         if "part" in said:
             self.forget(said["part"], said["part"] + 1)
         self._messages.append(said)
         self._told()
 
     def forget(self, first: int, last: int) -> None:
-        """Forget what elements and parts do whose numbers are from `first` to below `last`."""
+        """Remove the handlers of elements and parts numbered from `first` to below `last`."""
         for number in range(first, last):
             self.handlers.pop(number, None)
         self._messages = [message for message in self._messages if not first <= message.get("part", -1) < last]
 
     def taken(self) -> list[dict[str, Any]]:
-        """Messages that are to be told, which then were."""
+        """Take the queued messages."""
         messages, self._messages = self._messages, []
         return messages
 
     def end(self) -> None:
-        """Let go of what the page follows."""
+        """Call the handlers for closing."""
         for end in self.endings:
             end()
 
 
 def page() -> Page:
-    """The page that is drawn, or in which something was pressed."""
+    """The page being drawn, or whose event is being handled."""
     return _PAGE.get()
 
 
 class Element:
-    """An element that was written; what is said within it is written before its end."""
+    """An element; elements created in its block are nested in it."""
 
     def __init__(self, out: list[str]) -> None:
         self._out = out
@@ -104,10 +104,10 @@ class Element:
 
 
 def say(tag: str, text: str = "", **attributes: Any) -> Element:
-    """Write an element with a text, whatever is in it.
+    """Write an element with an escaped text.
 
-    Attributes have `_` for `-`, and those that are None or False are left out. That of an event of `EVENTS` is the
-    function that takes the element's value then.
+    In attribute names `_` becomes `-`; None and False are left out. An attribute named after an event of `EVENTS` is a
+    handler, called with the element's value.
     """
     out, words = page().out, ""
     for name, value in attributes.items():
@@ -123,12 +123,12 @@ def say(tag: str, text: str = "", **attributes: Any) -> Element:
 
 
 class PagePart:
-    """A part of a page that is drawn where it is called, and again when it is refreshed.
+    """A part of a page, drawn where it is created, and again when it is refreshed.
 
     Parameters
     ----------
     draw : function, optional
-        Draws what is in it; by default nothing, until it is filled.
+        Draws its content; by default empty, until it is filled.
     """
 
     def __init__(self, draw: Callable[[], object] = lambda: None) -> None:
@@ -143,13 +143,13 @@ class PagePart:
             self._page.out.append(self._html)
 
     def refresh(self) -> None:
-        """Draw it again."""
+        """Draw the part again."""
         with self.filled():
             self._draw()
 
     @contextmanager
     def filled(self) -> Iterator[None]:
-        """Draw something else in it; what could be pressed in it before is gone then."""
+        """Draw other content in the part; handlers of its former content are removed."""
         before = self._html
         with self._drawn():
             yield
@@ -171,7 +171,7 @@ class PagePart:
 
 
 def tried(action: Callable[[], object]) -> bool:
-    """Do something and show its fault if there is one; True if there is none."""
+    """Call a function, and show its error if there is one; True if there is none."""
     try:
         action()
     except ClscoError as error:
@@ -187,7 +187,7 @@ def notify(text: str, is_good: bool = True) -> None:
 
 
 def button(text: str, pressed: Callable[[], object], **attributes: Any) -> Element:
-    """A button; what it refuses is shown."""
+    """A button; errors of its handler are shown."""
     return say("button", text, type="button", click=lambda _: pressed(), **attributes)
 
 
@@ -199,7 +199,7 @@ def text_box(label: str, value: str, typed: Callable[[str], object], **attribute
 
 
 def check_box(label: str, is_on: bool, changed: Callable[[bool], object], **attributes: Any) -> None:
-    """A labeled check box."""
+    """A labeled check box; `changed` is called with its new state."""
     with say("label", class_="check"):
         say("input", type="checkbox", checked=is_on, change=lambda on: changed(bool(on)), **attributes)
         say("span", label)
@@ -212,9 +212,9 @@ def choice(
     chosen: Callable[[str], object],
     missing: Mapping[str, str] | None = None,
 ) -> None:
-    """A labeled list to choose one value of.
+    """A labeled list of options; `chosen` is called with the selected value.
 
-    options: values with their labels; missing: what those that cannot be chosen need, by value, or "".
+    options: values with their labels; missing: for values that cannot be selected, the missing requirement, or "".
     """
     named = options if isinstance(options, Mapping) else {option: option for option in options}
     needs = missing or {}
@@ -228,9 +228,9 @@ def choice(
 
 
 class Dialog:
-    """A dialog of the browser's own, which keeps the focus inside, and closes with Esc.
+    """A native dialog of the browser, which keeps the focus inside, and closes with Esc.
 
-    draw: what is in it, until it is filled with something else.
+    draw: draws its initial content.
     """
 
     def __init__(self, title: str, draw: Callable[[], object] = lambda: None, wide: bool = False) -> None:
@@ -245,23 +245,23 @@ class Dialog:
                 say("button", "Close", type="button", data_close=self._place)
 
     def open(self) -> None:
-        """Show it, if it is not shown."""
+        """Show the dialog, if it is hidden."""
         self._page.tell(show=self._place)
 
     def close(self) -> None:
-        """Hide it."""
+        """Hide the dialog."""
         self._page.tell(close=self._place)
 
 
 def number(field: Field, value: Any) -> None:
-    """Draw a number: its label, a slider where it has one, a box and its unit, and a place for its message.
+    """Draw a number field: its label, a slider if it has one, a box and its unit, and a place for its message.
 
     Parameters
     ----------
     field : Field
         Field of a number.
     value
-        Value to show; None: nothing.
+        Value to show; None for an empty box.
     """
     with say("div", class_="live"):
         box = f"box-{field.path}"
@@ -273,7 +273,7 @@ def number(field: Field, value: Any) -> None:
 
 
 def slider(field: Field) -> None:
-    """Draw the slider of a number, if it has one; the page's script puts it where the value is."""
+    """Draw the slider of a number, if it has one; the page's script sets its position."""
     if field.slider is None:
         return
     least, most = (field.place(end) for end in field.slider)

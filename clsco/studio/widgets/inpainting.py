@@ -1,4 +1,4 @@
-"""Inpainting with a brush: painted pixels are replaced, by several methods side by side."""
+"""Inpainting with a brush: painted pixels are filled, by several methods for comparison."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TICK = 0.4  # s between looks at a method
 
 
 class _Dialog:
-    """The dialog, what its buttons do, and the parts of it that they make anew."""
+    """The dialog, the handlers of its buttons, and the parts that they redraw."""
 
     def __init__(self, session: Document, tab: str, device: str | None) -> None:
         self.session, self.tab = session, tab
@@ -136,7 +136,7 @@ class _Dialog:
             button("Write the results", self.save)
 
     def _draw_progress(self) -> None:
-        """Progress of a method, with a button that cancels it."""
+        """Draw the progress of a method, with a button that cancels it."""
         if self.running is not None:
             with say("div", class_="row"):
                 self.bar()
@@ -153,12 +153,12 @@ class _Dialog:
 
 
 def inpainting_dialog(session: Document, tab: str, device: str | None = None) -> Callable[[], None]:
-    """The dialog of inpainting, of a tab of this name; returns what opens it."""
+    """The dialog of inpainting for the tab named `tab`; returns a function that opens it."""
     return _Dialog(session, tab, device).show
 
 
 def _tools() -> None:
-    """Tools of the brush, which `static/brush.js` reads."""
+    """Draw the tools of the brush, which `static/brush.js` reads."""
     with say("div", role="radiogroup", aria_label="Tool", class_="row"):
         for tool, label in _TOOLS.items():
             with say("label", class_="check"):
@@ -189,7 +189,7 @@ def _tools() -> None:
 
 
 def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
-    """Images that the methods have filled, and the table of figure 5.21."""
+    """Draw the images filled by the methods, and the table of figure 5.21."""
     if not inpainting.results:
         return
     now = time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""Generate, and the list of the jobs that it began."""
+"""The Generate dialog, and the list of its jobs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ SPOKEN_S = 2.0  # between words about progress for listeners
 
 
 def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable[[], None]:
-    """The dialog of Generate: frames, a focal stack or a data set, and where they go; returns what opens it."""
+    """The Generate dialog: frames, a focal stack or a data set, and their output folder; returns a function that opens
+    it.
+    """
     dialog, truth = Dialog("Generate"), dict[str, bool]()
     answers: dict[str, Any] = {
         "folder": "", "set_folder": "", "subframes": False, "preset": "", "nearest": "200", "farthest": "400",
@@ -115,7 +117,7 @@ def _draw_truth(chosen: dict[str, bool]) -> None:
 
 
 def _all_frames(session: Document) -> str:
-    """Label of Generate: the number of frames or scenes that it writes."""
+    """Label of the Generate button: the number of frames or scenes to write."""
     scenes, frames = len(session.state.labels), session.scene.sequence.frames
     if scenes > 1:
         return f"Write the frames of {scenes} scenes"
@@ -123,9 +125,9 @@ def _all_frames(session: Document) -> str:
 
 
 def draw_jobs(jobs: Jobs) -> None:
-    """Draw the jobs, and draw them again when they change.
+    """Draw the jobs, and redraw them when they change.
 
-    While they only get on, what can be pressed stays: else clicks and the focus would be lost.
+    Progress alone does not redraw buttons, as clicks and the focus would be lost.
     """
     parts: dict[int, tuple[PagePart, PagePart]] = {}
     before: dict[str, Any] = {"jobs": None, "spoken": 0.0, "text": ""}
@@ -164,7 +166,7 @@ def draw_jobs(jobs: Jobs) -> None:
 
 
 def _state(job: CommandJob) -> str:
-    """State and progress of a job, in words."""
+    """State and progress of a job, as text."""
     if job.status != "running" or not job.total:
         return {"waiting": "waits", "running": "runs"}.get(job.status, job.status)
     left = job.seconds_left(time.time())

@@ -1,7 +1,6 @@
-"""Panels of the scene's keys: those of the thesis in its words, then all others.
+"""Panels of the scene's keys: those of the thesis with its labels, then all others.
 
-Controls with `data-path` are read and written by `static/studio.js`; what changes which controls there are is drawn
-again here.
+`static/studio.js` reads and writes controls with `data-path`; changes to the set of controls are redrawn here.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 class Chosen:
     """State of the panels of a page.
 
-    index: of the object; is_open: panels by title, of the scene that was opened as `scene` says; before: motions that
-    were given up, by path.
+    index: of the object; is_open: panels by title, for the scene identified by `scene`; before: motions that were
+    switched off, by path.
     """
 
     index: int = 0
@@ -39,7 +38,7 @@ class Chosen:
 
 
 def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
-    """Draw the objects of a session and all panels, and draw them again when there are others."""
+    """Draw the objects of a session and all panels, and redraw them when their set changes."""
     now = chosen or Chosen(scene=session.state.opened)
 
     def draw() -> None:
@@ -74,7 +73,7 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
 
 
 def _names(session: Document, chosen: Chosen) -> Any:
-    """Key of the list of objects: the list is drawn again when it changes."""
+    """Key of the list of objects: the list is redrawn when it changes."""
     return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
 
 
@@ -83,8 +82,9 @@ def _is_thesis(session: Document, chosen: Chosen) -> Any:  # noqa: ARG001 - as `
 
 
 def _form(session: Document, chosen: Chosen) -> Any:
-    """Key of the panels: they are drawn again when it changes. Values that are typed or dragged in them are not in it,
-    as drawing would disturb whoever does that."""
+    """Key of the panels: they are redrawn when it changes. It excludes values that are typed or dragged in them,
+    because redrawing would interrupt the user.
+    """
     path = f"object.{chosen.index}"
     moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
     counts = [len(session.table.get(key, ())) for key in ("object", "group")]
@@ -93,7 +93,7 @@ def _form(session: Document, chosen: Chosen) -> Any:
 
 
 def is_chosen(session: Document, path: str) -> bool:
-    """True if a motion is given, be it 0."""
+    """True if a motion is given, even if it is 0."""
     return at(session.table, path.split(".")) is not None or any(key.startswith(path) for key in session.refused)
 
 
@@ -119,7 +119,7 @@ def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method
 
 
 def draw_field(session: Document, shown: Field) -> None:
-    """Draw one field: its control or those of its components, with what it means, and the way back to its default."""
+    """Draw one field: its control or those of its components, its description, and a button to reset it."""
     value = session.shown(shown.path)
     if shown.kind == "number":
         with say("div", class_="field"):
@@ -156,7 +156,7 @@ def draw_field(session: Document, shown: Field) -> None:
 
 
 def _components(session: Document, shown: Field) -> None:
-    """The components of a vector, each in a row after its letter."""
+    """Draw the components of a vector, each in a row after its letter."""
     for index, letter in enumerate(shown.components):
         part = shown.component(index)
         with say("div", class_="component"):
@@ -197,7 +197,7 @@ def _text(session: Document, shown: Field, value: Any, box: str) -> None:
 
 
 def _back(shown: Field) -> None:
-    """The way back to the default, and what that is."""
+    """Draw the button that resets a field, and its default."""
     default = "none" if shown.default is None else _brief(shown.default)
     unit = f" {shown.unit}" if shown.unit and shown.default is not None else ""
     limits = (
@@ -221,7 +221,7 @@ def _fault(shown: Field) -> None:
 
 
 def _shapes(session: Document, shown: Field) -> None:
-    """Radio buttons of the types: the five of the thesis, and the others below."""
+    """Draw radio buttons of the shapes: the five of the thesis, and the others below."""
     value = session.shown(shown.path)
     with say("div", role="radiogroup", aria_label=shown.label, class_="shapes"):
         for option, label in shown.choices:
@@ -235,7 +235,7 @@ def _shapes(session: Document, shown: Field) -> None:
 
 
 def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
-    """A motion that is chosen or not, and its boxes."""
+    """Draw the switch of a motion, and its boxes."""
     path, is_on = shown.path, is_chosen(session, shown.path)
 
     def choose(on: bool) -> None:
@@ -253,7 +253,7 @@ def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
 
 
 def _method(session: Document) -> None:
-    """The switch between the thesis and clsco."""
+    """Draw the switch between the method of the thesis and of clsco."""
     is_thesis = is_as_the_thesis(session)
     with say("div", role="group", aria_label="Method", class_="row"):
         for on, text in ((True, "As the thesis"), (False, "Defaults of clsco")):
@@ -262,9 +262,9 @@ def _method(session: Document) -> None:
 
 
 def object_list(session: Document, index: int, choose: Callable[[int], None]) -> None:
-    """Draw the objects, of which one is shown in the panels, with what can be done with them.
+    """Draw the list of objects, with the selected one marked, and buttons to edit the list.
 
-    index: index of the object in the panels; choose: shows another one.
+    index: index of the selected object; choose: selects another one.
     """
     objects = session.table["object"]
     last = len(objects) - 1
@@ -295,7 +295,7 @@ def object_list(session: Document, index: int, choose: Callable[[int], None]) ->
 
 
 def _adding(session: Document, choose: Callable[[int], None]) -> None:
-    """A list of shapes, of which one is added."""
+    """Draw a list of shapes, to add an object."""
     ready = [shape for shape in SHAPES if shape != "depth_map"]  # which needs a file first
 
     def add(shape: object) -> None:
@@ -308,7 +308,7 @@ def _adding(session: Document, choose: Callable[[int], None]) -> None:
 
 
 def draw_sweep(session: Document) -> None:
-    """Say that a file has several scenes, and let one be chosen."""
+    """Draw a selector of scenes, if a file has several."""
 
     def draw() -> None:
         labels = session.state.labels
