@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 from math import ceil
-from typing import Literal
 
 import numpy as np
 
@@ -23,7 +22,6 @@ from clsco.constants import (
     MOST_ITEMS,
     NOISE_LANES,
     OWNED_PIXELS,
-    ROW_TILE,
     SCORE_SUMS,
     SCORED_COLUMNS,
     STATISTIC_OUTSIDE,
@@ -48,7 +46,6 @@ from clsco.scene.model import Scene
 
 Sizes = dict[str, int]
 TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
-Scratch = Literal["none", "columns", "rows"]
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
@@ -105,10 +102,9 @@ def bands_at_a_time(rows: int, cores: int) -> int:
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
-def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
-    """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, columns of others."""
-    found: dict[str, Scratch] = {"disc": "rows", "general": "columns" if psf.has_runs else "none"}
-    return found.get(psf.layout, "columns") if fp64 or psf.layout not in found else "none"
+def by_columns(psf: PointSpread, fp64: bool) -> bool:
+    """True if `gather` takes columns of sources together, with scratch for each band of a frame."""
+    return psf.layout != "general" or (psf.has_runs and fp64)
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
@@ -148,15 +144,8 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     return pad, vectors * TAP_LANES
 
 
-def row_bytes(tilt: bool, channels: int, far: int) -> int:
-    """Scratch of a work-item of `gather` for whole rows of sources, see discs.clh; a whole number of doubles."""
-    beside = (far // TAP_LANES + 3) * TAP_LANES
-    planes, width = (3 if tilt else 1) * channels, ROW_TILE + 2 * beside
-    return 8 * channels * BAND * ROW_TILE + 4 * width * (1 + 3 * planes)
-
-
 def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
-    """The same for columns of sources, see kernels/blur/cpu/columns.clh."""
+    """Scratch of a work-item of `gather` for columns of sources, see kernels/blur/cpu/columns.clh: whole doubles."""
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * tilt
     if psf.layout == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
@@ -199,17 +188,15 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         sizes |= _table_buffers(spec)
     if spec.method == "gather":
         bands = bands_at_a_time(rows, device.compute_units)
-        scratch = band_scratch(spec.psf, device.has_fp64)
+        columnwise = by_columns(spec.psf, device.has_fp64)
         in_parts = _in_parts(reach)
-        sizes["position"] = 4 * (bands if in_parts or scratch != "none" else ceil(rows / BAND))
+        sizes["position"] = 4 * (bands if in_parts or columnwise else ceil(rows / BAND))
         if in_parts:
             sizes["part"] = 4 * channels * bands * BAND * pitch
         if has_spans(spec, device.has_fp64):
             sizes["ends"] = bands * ends_bytes(spec, channels, columns)
-        if scratch == "columns":
+        if columnwise:
             sizes["scratch"] = bands * column_bytes(spec.psf, spec.tilt, channels, reach)
-        elif scratch != "none":
-            sizes["scratch"] = bands * row_bytes(spec.tilt, channels, reach)
     if spec.method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
     if spec.method == "convolve":
