@@ -36,7 +36,7 @@ SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 TAP_BLOCKS = "common/cpu/blocks.clh"
 OCCLUSION_HEADERS = tuple(f"common/{name}.clh" for name in ("occluder", "visibility", "rims", "visibility_test"))
 SPREAD_HEADERS = ("common/chords.clh", "common/psf.clh", "common/source_visibility.clh")
-OF_SOURCES = ("quadrants", "shapes", "ellipses", "gaussians", "columns")
+OF_SOURCES = ("taps", "ellipses", "gaussians", "columns")
 GATHER_HEADERS = tuple(f"blur/cpu/{name}.clh" for name in ("vectors", "many", *OF_SOURCES, "spans"))
 # With the feature TEXTURED.
 MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))

@@ -103,7 +103,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "SHARED": int(spec.shared),
             "RAYS": int(spec.occluders > 0 and has_ray_means(psf)),
             "GATHER": int(method == "gather"),
-            "BY_COLUMNS": int(method == "gather" and by_columns(psf, fp64)),
+            "BY_COLUMNS": int(method == "gather" and by_columns(psf)),
             "SPANS": int(has_spans(spec, fp64)),
             "SCATTER": int(method == "scatter"),
             "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),

@@ -49,7 +49,7 @@ TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
-ITEM_BYTES, SHAPE_BYTES, CHORD_BYTES = 20, 28, 8  # of a group of sources of a column, beside its vectors
+ITEM_BYTES, CHORD_BYTES = 32, 8  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
@@ -102,9 +102,9 @@ def bands_at_a_time(rows: int, cores: int) -> int:
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
-def by_columns(psf: PointSpread, fp64: bool) -> bool:
+def by_columns(psf: PointSpread) -> bool:
     """True if `gather` takes columns of sources together, with scratch for each band of a frame."""
-    return psf.layout != "general" or (psf.has_runs and fp64)
+    return psf.layout != "general" or psf.has_runs
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
@@ -151,20 +151,16 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
         sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + tilt)
         return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
-    if psf.layout == "general":
-        ends, sums = (1 + tilt) * channels * (BAND + 1), channels * BAND
-        items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + SHAPE_BYTES)
-        return 8 * WIDE_LANES * ends + 4 * WIDE_LANES * sums + tiles + items
     chords = 8 * WIDE_LANES * (1 + tilt) * channels * BAND + MOST_ITEMS * CHORD_BYTES
     if psf.stretched:
         return chords + tiles + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels)
-    ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
-    rims = int(tilt and psf.diffracted)
-    item = 2 + slopes + rims + 2 * channels
+    mirrored = psf.layout != "general"
+    ends, sums = (1 + (1 + mirrored) * tilt) * channels, (1 + mirrored * tilt) * channels
+    item = 2 + slopes + int(tilt and psf.diffracted) + 2 * channels
     items = MOST_ITEMS * (4 * WIDE_LANES * item + ITEM_BYTES)
     if psf.cut_by_chords and psf.pupil.borders is None:
         items += chords + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels + 3 * len(psf.rims))
-    return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
+    return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far * mirrored) + tiles + items
 
 
 def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
@@ -188,7 +184,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         sizes |= _table_buffers(spec)
     if spec.method == "gather":
         bands = bands_at_a_time(rows, device.compute_units)
-        columnwise = by_columns(spec.psf, device.has_fp64)
+        columnwise = by_columns(spec.psf)
         in_parts = _in_parts(reach)
         sizes["position"] = 4 * (bands if in_parts or columnwise else ceil(rows / BAND))
         if in_parts:

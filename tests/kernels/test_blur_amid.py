@@ -171,7 +171,7 @@ def test_gather_with_parts_of_its_own(session: Session) -> None:
     gradient = np.where(steep[..., None], (30.0, -30.0), np.zeros(2))
     sources = replace(given.sources, lit=there, gradient=gradient, radius=np.where(there, 6.6, 0.0))
     given = replace(given, sources=sources)
-    assert by_columns(point_spread(psf), True)
+    assert by_columns(point_spread(psf))
     far = psf_table(point_spread(psf), given.smallest, given.largest).reach
     _, pitch = margin(8, 4, far)
     own = np.zeros((2, 2, BAND, pitch), np.float32)
@@ -192,7 +192,7 @@ def test_gather_of_single_sources(session: Session, monkeypatch: pytest.MonkeyPa
     given = light(Psf(edge="sampled"), shape=(9, 27), guard=5, largest=26.0, channels=2)
     expected = blurred(session, given, "scatter")
     for module in (spread, buffers):
-        monkeypatch.setattr(module, "by_columns", lambda psf, fp64: False)
+        monkeypatch.setattr(module, "by_columns", lambda psf: False)
     assert not features(given.psf, 2, 0, given.largest)["BY_COLUMNS"]
     assert_close(blurred(session, given, "gather"), expected, ROUNDING)
 

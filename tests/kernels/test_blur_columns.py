@@ -32,7 +32,7 @@ from tests.kernels.sources import (
     on_device,
 )
 from tests.kernels.test_pupils import APERTURES
-from tests.slow import combined, mostly_slow
+from tests.slow import combined
 
 OPENINGS = {"circle": Aperture()} | APERTURES
 DISCS = Psf(edge="sampled", tilt=False)
@@ -145,16 +145,18 @@ def test_shorter_vectors_change_no_bit(session: Session, monkeypatch: pytest.Mon
     assert_close(images[0], blurred(session, given, "scatter"), ROUNDING)
 
 
-@pytest.mark.parametrize("tilt", mostly_slow([False, True], [True]))
-def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatch, tilt: bool) -> None:
+@pytest.mark.parametrize(
+    ("name", "tilt"), combined(["circle", "pentagon"], [False, True], kept=[("circle", True), ("pentagon", True)])
+)
+def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatch, name: str, tilt: bool) -> None:
     """There are no sums over the ends of rows of one weight: all taps are added one by one."""
-    given = light(Psf(tilt=tilt), shape=(BAND + 9, 24), guard=5, largest=14.0, steepest=0.05)
+    given = light(Psf(tilt=tilt), shape=(BAND + 9, 24), guard=5, largest=14.0, steepest=GENTLE, aperture=OPENINGS[name])
     expected = blurred(session, given, "scatter")
     monkeypatch.setattr(session, "device", replace(session.device, has_fp64=False))
-    chosen = features(given.psf, 1, 0, given.largest)
+    chosen = features(given.psf, 1, 0, given.largest, given.aperture)
     program = build(session, FILES_OF["gather"], chosen, structs("float"), "float")
     strip = grid_struct(*given.shape, given.guard, "float")
-    spec = BlurSpec(point_spread(given.psf), "gather", given.smallest, given.largest, tilt=tilt)
+    spec = BlurSpec(given.spread, "gather", given.smallest, given.largest, tilt=tilt)
     grid = Grid.whole(*given.shape, given.guard, 1)
     owner = make_blur(Target(session, program, "float"), spec, grid, strip)
     owner.clear()

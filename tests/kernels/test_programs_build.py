@@ -67,9 +67,9 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2, 4, 7)}
-    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF}
-    | {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": ON_OR_OFF, "CURVED": (0, 3, 1, 2, 4, 7)}
+    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": (0, 0, 1)}
+    | {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF, "SEPARABLE": (0, 0, 1)}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
@@ -143,6 +143,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     others = [one | {"SPANS": 0} if one.get("SPANS") and not one["OCCLUDED"] else one for one in others]
     whole = {"CUT_CHORDS": 0}
     others = [one | whole if one.get("CUT_CHORDS") and not (one["OCCLUDED"] and one["RIMS"]) else one for one in others]
+    others = [one | {"BORDERS": 0} if one.get("BORDERS") and not one["CUT_CHORDS"] else one for one in others]
     others = [one | {"GENERAL": 1} if one.get("EDGES") or one.get("FIELD") else one for one in others]
     others = [one | {"BY_COLUMNS": 1, "DISC": 0, "SEPARABLE": 0} if one.get("RING") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
