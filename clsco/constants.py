@@ -79,7 +79,6 @@ LEAST_OPENING = 5e-4  # px, radius of a lens: light of less would be rounding
 # Rows that a work-item owns: enough bands for several cores, and little overlap. It walks the sources that reach them
 # in an order that counts from its first row, so strips of whole bands have the bits of the whole frame.
 BAND = 64
-ROW_TILE = 256  # columns of a tile of a band, with whole rows of sources
 COLUMN_STEP = 32  # columns of sources that a launch cut into pieces takes at least, with columns of sources
 MOST_ITEMS = 256  # groups of sources of a column that are kept at a time, at most
 ITEMS_BYTES = 2**18  # bytes that groups of sources of Gaussians take, unless few of them take more

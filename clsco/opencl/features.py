@@ -42,7 +42,6 @@ FEATURES = {
     "ELLIPSES": "blur of a distorted image",
     # Ways to blur
     "GATHER": "by bands of rows of the frame, on processors",
-    "BY_ROWS": "and by whole rows of sources",
     "BY_COLUMNS": "and by columns of sources",
     "SPANS": "runs of one weight between edges",
     "SCATTER": "source by source in fixed point",

@@ -23,7 +23,7 @@ from clsco.optics.ray_means import has_ray_means, ray_means
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup, lens_floats
 from clsco.passes.pack import psf_struct
 from clsco.passes.tables import tables_of
-from clsco.plan.buffers import Sizes, band_scratch, has_spans, margin
+from clsco.plan.buffers import Sizes, by_columns, has_spans, margin
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec
 from clsco.records import Real, Struct, structs
 
@@ -67,7 +67,6 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
         Features for `clsco.opencl.program.build`.
     """
     method, psf = spec.method, spec.psf
-    scratch = band_scratch(psf, fp64) if method == "gather" else "none"
     return psf_features(psf) | {
         "CHANNELS": channels,
         "TILT": int(spec.tilt and method != "convolve"),
@@ -80,8 +79,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
         "SHARED": int(spec.shared),
         "RAYS": int(spec.occluders > 0 and has_ray_means(psf)),
         "GATHER": int(method == "gather"),
-        "BY_ROWS": int(scratch == "rows"),
-        "BY_COLUMNS": int(scratch == "columns"),
+        "BY_COLUMNS": int(method == "gather" and by_columns(psf)),
         "SPANS": int(has_spans(spec, fp64)),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),

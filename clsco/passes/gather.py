@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from clsco.constants import BAND, COLUMN_STEP, ROW_TILE, WIDE_LANES
+from clsco.constants import BAND, COLUMN_STEP, WIDE_LANES
 from clsco.frame.strips import Grid
 from clsco.opencl import pace
 from clsco.opencl.buffers import download_into, empty, filled_with, upload_cached
 from clsco.opencl.program import kernel, launch_whole
 from clsco.passes.blur import UNITS_PER_TAP, Events, TableBlur, Target
-from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, band_scratch, bands_at_a_time
+from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, bands_at_a_time
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct
 
@@ -48,7 +48,7 @@ class Gather(TableBlur):
         if "scratch" in sizes:
             doubles = sizes["scratch"] // 8
             self.scratch = (filled_with(session, sizes["scratch"]), np.int32(doubles // self.bands))
-            self.step = COLUMN_STEP if band_scratch(spec.psf, session.device.has_fp64) == "columns" else ROW_TILE
+            self.step = COLUMN_STEP
         self.position = empty(session, sizes["position"])
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:

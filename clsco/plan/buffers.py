@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 from math import ceil
-from typing import Literal
 
 import numpy as np
 
@@ -23,7 +22,6 @@ from clsco.constants import (
     MOST_ITEMS,
     NOISE_LANES,
     OWNED_PIXELS,
-    ROW_TILE,
     SCORE_SUMS,
     SCORED_COLUMNS,
     STATISTIC_OUTSIDE,
@@ -49,11 +47,10 @@ from clsco.scene.model import Scene
 
 Sizes = dict[str, int]
 TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
-Scratch = Literal["none", "columns", "rows"]
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
-ITEM_BYTES, SHAPE_BYTES, CHORD_BYTES = 20, 28, 8  # of a group of sources of a column, beside its vectors
+ITEM_BYTES, CHORD_BYTES = 32, 8  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
@@ -91,10 +88,9 @@ def bands_at_a_time(rows: int, cores: int) -> int:
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
-def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
-    """Kind of scratch memory that `gather` needs per band: whole rows for sampled discs, columns for others."""
-    found: dict[str, Scratch] = {"disc": "rows", "general": "columns" if psf.has_runs else "none"}
-    return found.get(psf.layout, "columns") if fp64 or psf.layout not in found else "none"
+def by_columns(psf: PointSpread) -> bool:
+    """True if `gather` takes columns of sources together, with scratch for each band of a frame."""
+    return psf.layout != "general" or psf.has_runs
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
@@ -134,34 +130,23 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     return pad, vectors * TAP_LANES
 
 
-def row_bytes(tilt: bool, channels: int, far: int) -> int:
-    """Scratch bytes of a work-item of `gather` for whole rows of sources, see discs.clh; rounded to whole doubles."""
-    beside = (far // TAP_LANES + 3) * TAP_LANES
-    planes, width = (3 if tilt else 1) * channels, ROW_TILE + 2 * beside
-    return 8 * channels * BAND * ROW_TILE + 4 * width * (1 + 3 * planes)
-
-
 def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
-    """Scratch bytes for columns of sources, see kernels/blur/cpu/columns.clh."""
+    """Scratch of a work-item of `gather` for columns of sources, see kernels/blur/cpu/columns.clh: whole doubles."""
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * tilt
     if psf.layout == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
         sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + tilt)
         return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
-    if psf.layout == "general":
-        ends, sums = (1 + tilt) * channels * (BAND + 1), channels * BAND
-        items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + SHAPE_BYTES)
-        return 8 * WIDE_LANES * ends + 4 * WIDE_LANES * sums + tiles + items
     chords = 8 * WIDE_LANES * (1 + tilt) * channels * BAND + MOST_ITEMS * CHORD_BYTES
     if psf.stretched:
         return chords + tiles + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels)
-    ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
-    rims = int(tilt and psf.diffracted)
-    item = 2 + slopes + rims + 2 * channels
+    mirrored = psf.layout != "general"
+    ends, sums = (1 + (1 + mirrored) * tilt) * channels, (1 + mirrored * tilt) * channels
+    item = 2 + slopes + int(tilt and psf.diffracted) + 2 * channels
     items = MOST_ITEMS * (4 * WIDE_LANES * item + ITEM_BYTES)
     if psf.cut_by_chords and psf.pupil.borders is None:
         items += chords + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels + 3 * len(psf.rims))
-    return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
+    return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far * mirrored) + tiles + items
 
 
 def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
@@ -185,17 +170,15 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         sizes |= _table_buffers(spec)
     if spec.method == "gather":
         bands = bands_at_a_time(rows, device.compute_units)
-        scratch = band_scratch(spec.psf, device.has_fp64)
+        columnwise = by_columns(spec.psf)
         in_parts = _in_parts(reach)
-        sizes["position"] = 4 * (bands if in_parts or scratch != "none" else ceil(rows / BAND))
+        sizes["position"] = 4 * (bands if in_parts or columnwise else ceil(rows / BAND))
         if in_parts:
             sizes["part"] = 4 * channels * bands * BAND * pitch
         if has_spans(spec, device.has_fp64):
             sizes["ends"] = bands * ends_bytes(spec, channels, columns)
-        if scratch == "columns":
+        if columnwise:
             sizes["scratch"] = bands * column_bytes(spec.psf, spec.tilt, channels, reach)
-        elif scratch != "none":
-            sizes["scratch"] = bands * row_bytes(spec.tilt, channels, reach)
     if spec.method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
     if spec.method == "convolve":

@@ -37,7 +37,7 @@ from benchmarks.blur.roofline import Roof, intensity, multiply_add_rate, tap_rat
 from clsco.errors import ClscoError, FileError
 from clsco.opencl.session import Session
 from clsco.passes.gather import Gather
-from clsco.plan.buffers import row_bytes
+from clsco.plan.buffers import column_bytes
 from clsco.plan.methods import Blur
 from clsco.scene.model import Psf
 
@@ -142,7 +142,7 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     margins = 4 * 16 * blur.pitch
     held = [buffer for table in (*blur.tables, blur.alike) for buffer in table]
     tables = sum(buffer.size for buffer in held if buffer is not None)
-    scratch = row_bytes(psf.tilt, 1, 0) + blur.position.size
+    scratch = column_bytes(blur.spec.psf, psf.tilt, 1, 0) + blur.position.size
     assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + scratch
 
 

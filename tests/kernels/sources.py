@@ -21,7 +21,7 @@ from clsco.passes.blur import FILES_OF, PIXELS, BlurredPlane, TableBlur
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct, psf_struct
 from clsco.passes.tables import shared_tables
-from clsco.plan.buffers import band_scratch, column_bytes, margin, row_bytes
+from clsco.plan.buffers import column_bytes, margin
 from clsco.plan.methods import Blur
 from clsco.records import Struct, flat, structs
 from clsco.reference.blur import blur as twin
@@ -228,11 +228,7 @@ def gather_alone(session: Session, given: Light, part_rows: int = 0, part: Amid 
     planes = Amid(session, source, float(source[0].max()))
     value = Amid(session, flat(given.sources.radiance, np.float32), 1.0)
     total = Signed(session, (given.channels, rows, pitch))
-    kept = band_scratch(given.spread, True)
-    if kept == "columns":
-        size = column_bytes(given.spread, psf.tilt, given.channels, table.reach)
-    else:
-        size = row_bytes(psf.tilt, given.channels, table.reach)
+    size = column_bytes(given.spread, psf.tilt, given.channels, table.reach)
     own = np.zeros((3, -(-size // 128) * 32), np.float32)  # that of three work-items, and the one in the middle runs
     memory = Amid(session, own, 0.0)
     begin = memory.buffer.offset + own[0].nbytes

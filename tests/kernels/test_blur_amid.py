@@ -22,7 +22,7 @@ from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS
 from clsco.passes.pack import psf_struct
 from clsco.plan import buffers
-from clsco.plan.buffers import band_scratch, column_bytes, margin
+from clsco.plan.buffers import by_columns, column_bytes, margin
 from clsco.reference.blur import blur as twin
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import tilt_slope
@@ -154,7 +154,7 @@ def test_gather_source_by_source(session: Session, part_rows: int, start: int) -
     given = given.constant(4.0)
     _, pitch = margin(17, 5, psf_table(point_spread(psf), 4.0, 4.0).reach)
     part = Amid(session, np.zeros((2, 2 * BAND, pitch), np.float32), 1.0)
-    found = gathered(session, given, part_rows, start, {"BY_ROWS": 0}, {}, part)
+    found = gathered(session, given, part_rows, start, {"BY_COLUMNS": 0}, {}, part)
     expected = np.moveaxis(given.expected(), -1, 0)
     assert_close(found[:, start * BAND :], expected[:, start * BAND :], ROUNDING)
     assert not found[:, : start * BAND].any()
@@ -171,7 +171,7 @@ def test_gather_with_parts_of_its_own(session: Session) -> None:
     gradient = np.where(steep[..., None], (30.0, -30.0), np.zeros(2))
     sources = replace(given.sources, lit=there, gradient=gradient, radius=np.where(there, 6.6, 0.0))
     given = replace(given, sources=sources)
-    assert band_scratch(point_spread(psf), True) == "columns"
+    assert by_columns(point_spread(psf))
     far = psf_table(point_spread(psf), given.smallest, given.largest).reach
     _, pitch = margin(8, 4, far)
     own = np.zeros((2, 2, BAND, pitch), np.float32)
@@ -187,13 +187,13 @@ def test_gather_with_parts_of_its_own(session: Session) -> None:
     assert used.tolist() == [False, True]
 
 
-def test_gather_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gather_of_single_sources(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sampled discs of any radius one by one, in rows that end amid a block."""
     given = light(Psf(edge="sampled"), shape=(9, 27), guard=5, largest=26.0, channels=2)
     expected = blurred(session, given, "scatter")
     for module in (spread, buffers):
-        monkeypatch.setattr(module, "band_scratch", lambda psf, fp64: "none")
-    assert not features(given.psf, 2, 0, given.largest)["BY_ROWS"]
+        monkeypatch.setattr(module, "by_columns", lambda psf: False)
+    assert not features(given.psf, 2, 0, given.largest)["BY_COLUMNS"]
     assert_close(blurred(session, given, "gather"), expected, ROUNDING)
 
 

@@ -19,18 +19,32 @@ from clsco.passes.pack import grid_struct
 from clsco.plan.methods import BlurSpec
 from clsco.records import structs
 from clsco.scene.model import Aperture, Psf
-from tests.kernels.sources import RNG, ROUNDING, assert_close, blurred, features, gather_alone, light, on_device
+from tests.kernels.sources import (
+    RNG,
+    ROUNDING,
+    Signed,
+    assert_close,
+    blur_of,
+    blurred,
+    features,
+    gather_alone,
+    light,
+    on_device,
+)
 from tests.kernels.test_pupils import APERTURES
-from tests.slow import combined, mostly_slow
+from tests.slow import combined
 
 OPENINGS = {"circle": Aperture()} | APERTURES
+DISCS = Psf(edge="sampled", tilt=False)
 GENTLE = 0.03  # px per px: no source is by itself
 
 
-@pytest.mark.parametrize(("model", "name"), [("pillbox", "circle"), ("gaussian", "circle"), ("pillbox", "pentagon")])
-def test_columns_of_any_guard_band_have_the_same_bits(session: Session, model: str, name: str) -> None:
+@pytest.mark.parametrize(
+    ("psf", "name"), [(Psf(), "circle"), (DISCS, "circle"), (Psf(model="gaussian"), "circle"), (Psf(), "pentagon")]
+)
+def test_columns_of_any_guard_band_have_the_same_bits(session: Session, psf: Psf, name: str) -> None:
     """They begin at the same places of the frame, so light is added in the same order."""
-    psf, shape, largest, images = Psf.model_validate({"model": model}), (20, 45), 14.0, []
+    shape, largest, images = (20, 45), 14.0, []
     for guard in (0, 5, 18):
         given = light(psf, shape=shape, guard=guard, largest=largest, aperture=OPENINGS[name])
         assert features(psf, 1, 0, largest, given.aperture)["BY_COLUMNS"]
@@ -79,13 +93,14 @@ def test_neighbors_of_both_signs_and_any_radius(session: Session, name: str, til
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
-@pytest.mark.parametrize(("name", "tilt", "channels"), [("pentagon", True, 3), ("narrow heart", False, 1)])
-def test_only_memory_of_its_own(session: Session, name: str, tilt: bool, channels: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "psf", "channels"), [("pentagon", Psf(), 3), ("narrow heart", Psf(tilt=False), 1), ("circle", DISCS, 1)]
+)
+def test_only_memory_of_its_own(session: Session, name: str, psf: Psf, channels: int) -> None:
     """Sources of a work-item stand amid wide and bright ones, and its scratch beside that of others."""
     given = light(
-        Psf(tilt=tilt), shape=(9, 40), guard=6, largest=15.0, steepest=GENTLE, channels=channels,
-        aperture=APERTURES[name],
-    )  # fmt: skip
+        psf, shape=(9, 40), guard=6, largest=15.0, steepest=GENTLE, channels=channels, aperture=OPENINGS[name]
+    )
     assert_close(gather_alone(session, given), blurred(session, given, "scatter"), ROUNDING)
 
 
@@ -99,16 +114,49 @@ def test_a_last_column_of_one_tap(session: Session, model: str, edge: str) -> No
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
-@pytest.mark.parametrize("tilt", mostly_slow([False, True], [True]))
-def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatch, tilt: bool) -> None:
+def test_sampled_discs_in_focus_beside_wide_ones(session: Session) -> None:
+    given = light(DISCS, shape=(9, 30), guard=3, largest=21.0)
+    rows, _ = np.indices(given.sources.lit.shape)
+    radius = np.where(given.sources.lit & (rows % 3 > 0), 20.0, 0.0)
+    given = replace(given, sources=replace(given.sources, radius=radius))
+    assert_close(blurred(session, given, "gather"), given.expected(), ROUNDING)
+
+
+def test_nothing_is_added_behind_the_last_row(session: Session) -> None:
+    """Not even 0, which would be lost light where another work-item adds to the same place."""
+    given = light(DISCS, shape=(1, 301), guard=5, largest=21.0)
+    owner = blur_of(session, given, "gather")
+    total = Signed(session, (1, owner.pitch))
+    owner.total = total.buffer
+    sources = on_device(session, given, 1.0)  # kept until the device is done
+    owner.add(replace(sources, radius=given.largest), [])
+    row = total.now()[:, owner.pad : owner.pad + given.shape[1]]
+    assert_close(row[..., None], given.expected(), ROUNDING)
+
+
+def test_shorter_vectors_change_no_bit(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The device's registers decide how many sums of Gaussians go together; the result does not depend on it."""
+    given = light(Psf(model="gaussian"), shape=(20, 139), guard=5, largest=21.0, steepest=0.05, channels=2)
+    images = []
+    for width in (4, 16):
+        monkeypatch.setattr(session, "device", replace(session.device, vector_width=width))
+        images.append(blurred(session, given, "gather"))
+    np.testing.assert_array_equal(images[1], images[0])
+    assert_close(images[0], blurred(session, given, "scatter"), ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("name", "tilt"), combined(["circle", "pentagon"], [False, True], kept=[("circle", True), ("pentagon", True)])
+)
+def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatch, name: str, tilt: bool) -> None:
     """There are no sums over the ends of rows of one weight: all taps are added one by one."""
-    given = light(Psf(tilt=tilt), shape=(BAND + 9, 24), guard=5, largest=14.0, steepest=0.05)
+    given = light(Psf(tilt=tilt), shape=(BAND + 9, 24), guard=5, largest=14.0, steepest=GENTLE, aperture=OPENINGS[name])
     expected = blurred(session, given, "scatter")
     monkeypatch.setattr(session, "device", replace(session.device, has_fp64=False))
-    chosen = features(given.psf, 1, 0, given.largest)
+    chosen = features(given.psf, 1, 0, given.largest, given.aperture)
     program = build(session, FILES_OF["gather"], chosen, structs("float"), "float")
     strip = grid_struct(*given.shape, given.guard, "float")
-    spec = BlurSpec(point_spread(given.psf), "gather", given.smallest, given.largest, tilt=tilt)
+    spec = BlurSpec(given.spread, "gather", given.smallest, given.largest, tilt=tilt)
     grid = Grid.whole(*given.shape, given.guard, 1)
     owner = make_blur(Target(session, program, "float"), spec, grid, strip)
     owner.clear()

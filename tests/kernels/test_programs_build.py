@@ -40,7 +40,7 @@ GENERAL = {
 }  # not with what is alike in all octants
 
 BLUR = (
-    *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE"),
+    *("SAMPLED", "TILT", "GATHER", "SCATTER", "RENORMALIZE"),
     *("DISC", "SEPARABLE", "LIMITED"),
 )
 # Files of programs that can test what hides a source: by one object, or any other number up to all but one.
@@ -55,15 +55,15 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"CUT_CHORDS": ON_OR_OFF, "BORDERS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1), "MERGED": ON_OR_OFF}
     | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
     GATHER: dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2, 4, 7)}
-    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF}
-    | {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": ON_OR_OFF, "CURVED": (0, 3, 1, 2, 4, 7)}
+    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": (0, 0, 1)}
+    | {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF, "SEPARABLE": (0, 0, 1)}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     SCATTER: dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2, 4, 7)}
-    | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS", "RING"), (0,))
+    | dict.fromkeys(("GATHER", "BY_COLUMNS", "RING"), (0,))
     | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
@@ -82,8 +82,6 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
 }
 PROGRAMS[HOLES] = {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
-# What goes by columns does not go by rows, as sampled discs do.
-NOT_BY_COLUMNS = ("BY_ROWS", "DISC")
 PROGRAMS["layered/layered.cl",] = {"CHANNELS": (2, 4), "RIMS": (0, 2), "SCATTER": ON_OR_OFF}
 GIVEN_BY_THE_BUILD = {
     *("REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"),
@@ -126,17 +124,17 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     off = {name: values[0] for name, values in features.items()}
     on = {name: values[min(1, len(values) - 1)] for name, values in features.items()}
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
-    none = dict.fromkeys(NOT_BY_COLUMNS, 0)
-    alone = dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
-    smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS", "SHARED"), 0), "BY_COLUMNS": 1}
+    alone = dict.fromkeys(("DISC", "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
+    smooth = {**dict.fromkeys(("DISC", "SEPARABLE", "SAMPLED", "SPANS", "SHARED"), 0), "BY_COLUMNS": 1}
     others = [one | {k: v for k, v in smooth.items() if k in one} if one.get("WAVES") else one for one in others]
     others = [one | {"SPANS": 0} if one.get("SPANS") and not one["OCCLUDED"] else one for one in others]
     whole = {"CUT_CHORDS": 0}
     others = [one | whole if one.get("CUT_CHORDS") and not (one["OCCLUDED"] and one["RIMS"]) else one for one in others]
+    others = [one | {"BORDERS": 0} if one.get("BORDERS") and not one["CUT_CHORDS"] else one for one in others]
     others = [one | {"GENERAL": 1} if one.get("EDGES") or one.get("FIELD") else one for one in others]
-    others = [one | {"BY_COLUMNS": 1, "SEPARABLE": 0} if one.get("RING") else one for one in others]
+    others = [one | {"BY_COLUMNS": 1, "DISC": 0, "SEPARABLE": 0} if one.get("RING") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
-    return [one | none if one.get("BY_COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]
+    return [one | {"DISC": 0} if one.get("SEPARABLE") and one.get("BY_COLUMNS") else one for one in (off, on, *others)]
 
 
 def test_every_file_is_built() -> None:
@@ -183,8 +181,8 @@ def test_with_all_features_and_none(
     session: Session, files: tuple[str, ...], real: Real, capfd: pytest.CaptureFixture[str]
 ) -> None:
     chosen = variants(PROGRAMS[files])[:2]
-    if real == "float":  # ROWS are doubles
-        chosen = [one | dict.fromkeys(("BY_ROWS", "SPANS"), 0) for one in chosen]
+    if real == "float":  # SPANS are doubles
+        chosen = [one | {"SPANS": 0} for one in chosen]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
@@ -207,6 +205,4 @@ def test_a_device_with_less(session: Session) -> None:
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
         for files, features in PROGRAMS.items():
-            assert build(
-                opened, files, variants(features)[1] | dict.fromkeys(("BY_ROWS", "SPANS"), 0), structs("float"), "float"
-            )
+            assert build(opened, files, variants(features)[1] | {"SPANS": 0}, structs("float"), "float")

@@ -47,14 +47,13 @@ TESTS = {
     "common/cpu/blocks.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion "
     "kernels/test_rims",
     "blur/cpu/columns.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus kernels/test_layered",
-    "blur/cpu/discs.clh": "kernels/test_blur_discs kernels/test_blur engine/test_defocus",
     "blur/cpu/gather.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus pipeline/test_occlusion",
     "blur/cpu/gaussians.clh": "kernels/test_blur_amid kernels/test_blur_columns kernels/test_blur engine/test_defocus",
     "blur/cpu/many.clh": "kernels/test_blur_amid kernels/test_blur_columns kernels/test_blur engine/test_defocus",
-    "blur/cpu/quadrants.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus kernels/test_layered",
     "blur/cpu/ellipses.clh": "pipeline/test_distortion kernels/test_rims",
     "common/chords.clh": "kernels/test_rims pipeline/test_distortion",
-    "blur/cpu/shapes.clh": "kernels/test_blur_columns kernels/test_pupils",
+    "blur/cpu/taps.clh": "kernels/test_blur_columns kernels/test_blur kernels/test_pupils engine/test_defocus "
+    "kernels/test_layered",
     "blur/cpu/vectors.clh": "kernels/test_blur_amid kernels/test_blur_columns kernels/test_blur engine/test_defocus",
     "common/builtins.clh": "kernels/test_tiles",
     "common/cpu/builtins.clh": "kernels/test_blur kernels/test_trace",

@@ -18,9 +18,7 @@
 #include "common/source_visibility.clh"
 #include "blur/cpu/vectors.clh"
 #include "blur/cpu/many.clh"
-#include "blur/cpu/discs.clh"
-#include "blur/cpu/quadrants.clh"
-#include "blur/cpu/shapes.clh"
+#include "blur/cpu/taps.clh"
 #include "blur/cpu/ellipses.clh"
 #include "blur/cpu/gaussians.clh"
 #include "blur/cpu/columns.clh"
@@ -161,16 +159,7 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
         }
 }
 
-// Adds all sources that fit in; returns whether there are others.
-#if BY_COLUMNS
-#define ADD_ALIKE add_columns
-#define ALIKE_VALUES CUT_VALUES(lens, depth) ELLIPSE_VALUES
-#else
-#define ADD_ALIKE add_disc_rows
-#define ALIKE_VALUES
-#endif
 #define SOURCE_BLOCK WIDE_LANES  // sources of a row that are classified at once
-#define GATHER_STEP (BY_ROWS ? ROW_TILE : COLUMN_STEP)  // columns
 
 // Work in vectors of taps, roughly: of a block that has no other sources, of one that is hidden in part, and for each
 // of its vectors.
@@ -211,7 +200,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
     }
     left -= BLOCK_WORK;
     int single = (1 << MIN(SOURCE_BLOCK, grid.width - block)) - 1;
-#if BY_ROWS || BY_COLUMNS
+#if BY_COLUMNS
     const int16 others = take_sources(psf, source, plane, line, block, grid.width, intervals, outlines).others;
     single = bits_of(others.lo) | bits_of(UPPER(others)) << TAP_LANES;
 #endif
@@ -335,12 +324,12 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
 // the launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been
 // walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
 // work-item, of which every `part_rows` rows of sources the sum goes on to total; with 0 rows it is total. scratch: see
-// discs.clh and columns.clh, zeros as well.
+// columns.clh, zeros as well.
 __kernel void gather(const grid_t grid, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,
                      __global const float *taps, __global const outline_t *outlines,
-#if BY_ROWS || BY_COLUMNS
+#if BY_COLUMNS
                      __global scratch_t *scratch, const int scratch_size,  // of a work-item
 #endif
                      const int start, const int2 budget, __global int *position,
@@ -359,13 +348,13 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
     if (before == DONE)
         return;
     int at_first = before & (OTHERS - 1);
-#if BY_ROWS || BY_COLUMNS
-    const int steps = (grid.columns + GATHER_STEP - 1) / GATHER_STEP;
+#if BY_COLUMNS
+    const int steps = (grid.columns + COLUMN_STEP - 1) / COLUMN_STEP;
     if (at_first < steps) {
         const int until = cut ? MIN(at_first + budget.x, steps) : steps;
-        const bool others = ADD_ALIKE(grid, psf, source, value, intervals, taps, outlines, first, end,
-                                      at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
-                                      pad, total ALIKE_VALUES);
+        const bool others = add_columns(grid, psf, source, value, intervals, taps, outlines, first, end,
+                                        at_first * COLUMN_STEP, until * COLUMN_STEP, scratch + own * scratch_size,
+                                        pitch, pad, total CUT_VALUES(lens, depth) ELLIPSE_VALUES);
         if (cut)
             position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
         if (cut || !others)
