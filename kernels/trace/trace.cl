@@ -48,9 +48,6 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
         slope = surface_slope(surface, ray, w);
     const real2 gradient = blur_gradient(grid, lens, bend, slope, ray, w);
     tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
-#if SMALL && SUBPIXELS
-    tilt *= small ? (float)MIN(ABS(radius), (real)1) : 1;  // as in detail.clh
-#endif
 #if ELLIPSES
     tilt += ellipse_tilt(grid, seen_bend);
 #endif

@@ -263,7 +263,7 @@ def with_small(
         texel = (place[0][at, None, None], place[1][at, None, None])
         alone = cast(replace(view, light=None), replace(group, members=1 << k), row, column, texel, samples)
         size, label = blur_radius(view.lens, rays, w), np.where(covered > 0.0, 2 * k + 1, 0).astype(np.uint8)
-        gradient = blur_gradient(camera, view.lens, slope, rays, w) * np.minimum(np.abs(size), 1.0)[..., None]
+        gradient = blur_gradient(camera, view.lens, slope, rays, w)
         radiance = alone.radiance * (shown * covered)[..., None]
         hits.append(replace(alone, w=w, label=label, radius=size, gradient=gradient, radiance=radiance))
         pixels.append(at)
