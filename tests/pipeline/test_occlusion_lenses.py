@@ -12,7 +12,7 @@ import clsco
 from clsco.optics.point_spread import point_spread
 from clsco.optics.pupils.wavefront import Wavefront
 
-SIZE, POINTS, PARTS = 28, 160, 8
+SIZE, POINTS, PARTS = 28, 80, 8
 PERIOD = 14.0  # px of the plane's texture
 CORNER = (0.6, 0.9)  # mm: the card is to the right of it, and below
 AT = np.arange(64) / 64 + 1 / 128 - 0.5
