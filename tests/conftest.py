@@ -36,8 +36,7 @@ if Path(os.environ.get("POCL_CACHE_DIR") or kernel_cache.WORKER).name.startswith
 if "PYTEST_XDIST_WORKER" not in os.environ:  # tables, textures and studios of all workers, and none of the user's
     os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="clsco-state-")
     atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
-    # Later runs find tables and patterns, whose keys hold a digest of the code that makes them.
-    os.environ["XDG_CACHE_HOME"] = str(kernel_cache.KEPT.with_name("arrays"))
+    os.environ["XDG_CACHE_HOME"] = str(kernel_cache.array_folder())
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # those of several workers would wait for each other
 # What a processor newer than PoCL needs is done without the line on stderr, which tests compare.

@@ -1,4 +1,4 @@
-"""Compiled kernels that one run of the tests leaves to the next ones: compiling is most of their time.
+"""Compiled kernels, and tables, that one run of the tests leaves to the next ones: these are most of their time.
 
 clsco holds a lock of PoCL's folder while PoCL compiles, for which workers in one folder would wait. So each worker has
 a folder of links to the programs of earlier runs, and programs that are new are left there where it ends.
@@ -29,6 +29,14 @@ def worker_folder(kept: Path = KEPT) -> Path:
         (folder / program.parent.name).mkdir(exist_ok=True)
         (folder / program.parent.name / program.name).symlink_to(program)
     return folder
+
+
+def array_folder(kept: Path = KEPT) -> Path:
+    """A folder of tables and patterns for later runs as well: their keys hold a digest of the code that makes them."""
+    folder = kept.with_name("arrays")
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder if os.access(folder, os.W_OK) else Path(tempfile.mkdtemp(prefix=WORKER))
 
 
 def keep_programs(folder: Path, kept: Path = KEPT) -> None:
