@@ -127,7 +127,7 @@ def test_ait_takes_pairs_in_their_order() -> None:
 @pytest.mark.parametrize("method", ["ait", "mean_median"])
 def test_filling_always_ends_with_nothing_left(method: Method) -> None:
     filled_in_all, many_sweeps = 0, 0
-    for values, known in random_masks(200 if method == "ait" else 50):
+    for values, known in random_masks(200 if method == "ait" else 100):
         result, status, report = fill(values, known, None, method, 0)
         missing = status == 1
         assert (missing | ~mark_missing(known, None)).all()
