@@ -34,9 +34,9 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 if Path(os.environ.get("POCL_CACHE_DIR") or kernel_cache.WORKER).name.startswith(kernel_cache.WORKER):
     os.environ["POCL_CACHE_DIR"] = str(kernel_cache.worker_folder())
 if "PYTEST_XDIST_WORKER" not in os.environ:  # tables, textures and studios of all workers, and none of the user's
-    for place in ("XDG_CACHE_HOME", "XDG_STATE_HOME"):
-        os.environ[place] = tempfile.mkdtemp(prefix="clsco-cache-")
-        atexit.register(shutil.rmtree, os.environ[place], ignore_errors=True)
+    os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="clsco-state-")
+    atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
+    os.environ["XDG_CACHE_HOME"] = str(kernel_cache.array_folder())
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # those of several workers would wait for each other
 # What a processor newer than PoCL needs is done without the line on stderr, which tests compare.

@@ -1,7 +1,7 @@
-"""Compiled kernels that one run of the tests leaves to the next ones: compiling is most of their time.
+"""Compiled kernels, and tables, that one run of the tests leaves to the next ones: these are most of their time.
 
 clsco holds a lock of PoCL's folder while PoCL compiles, for which workers in one folder would wait. So each worker has
-a folder of links to what earlier runs have compiled, and what it compiles itself is linked back where it ends.
+a folder of links to the programs of earlier runs, and programs that are new are left there where it ends.
 """
 
 from __future__ import annotations
@@ -25,23 +25,35 @@ def worker_folder(kept: Path = KEPT) -> Path:
         folder = Path(tempfile.mkdtemp(prefix=WORKER, dir=kept.parent))
     except OSError:  # a checkout that is read-only
         return Path(tempfile.mkdtemp(prefix=WORKER))
-    link_files(kept, folder)
+    for program in kept.glob("??/*"):
+        (folder / program.parent.name).mkdir(exist_ok=True)
+        (folder / program.parent.name / program.name).symlink_to(program)
     return folder
 
 
+def array_folder(kept: Path = KEPT) -> Path:
+    """A folder of tables and patterns for later runs as well: their keys hold a digest of the code that makes them."""
+    folder = kept.with_name("arrays")
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder if os.access(folder, os.W_OK) else Path(tempfile.mkdtemp(prefix=WORKER))
+
+
 def keep_programs(folder: Path, kept: Path = KEPT) -> None:
-    """Link what a worker has compiled to where later runs look for it, and remove the folder of the worker."""
+    """Link programs that a worker has compiled to where later runs look for them, and remove its folder."""
     if kept.is_dir():
-        link_files(folder, kept)
+        for program in folder.glob("??/*"):
+            if not program.is_symlink():
+                link_files(program, kept / program.parent.name / program.name)
     shutil.rmtree(folder, ignore_errors=True)
 
 
 def link_files(source: Path, target: Path) -> None:
-    """Link each compiled file below a folder into another, unless it has one of that name."""
+    """Link each file below a folder into another, unless it has one of that name."""
     for place, _, names in os.walk(source):
         copy = target / os.path.relpath(place, source)
         copy.mkdir(parents=True, exist_ok=True)
-        for name in names if copy != target else ():  # all but the lock of the folder itself
+        for name in names:
             with suppress(OSError):  # it is there, or another process has removed it
                 os.link(f"{place}/{name}", copy / name)
 

@@ -113,7 +113,7 @@ def test_the_table_of_a_sample_renders_it_by_itself(load: Load) -> None:
 def test_values_follow_their_distributions(load: Load) -> None:
     from scipy import stats
 
-    count = 2000
+    count = 1000
     values = first_values(load(ALL), count)
     expected: dict[str, Any] = {
         "camera.focus_distance": stats.uniform(300, 200),

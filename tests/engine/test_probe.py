@@ -15,7 +15,7 @@ from clsco.plan.request import Request
 from clsco.scene.examples import example
 from clsco.scene.model import Scene
 
-BALLS = example("occlusion_three").replace("camera.f_number", 2.0)
+BALLS = example("occlusion_three").replace("camera.f_number", 2.0).replace("camera.resolution", (512, 256))
 MOVING = example("sphere_moving").replace("sequence.samples", 9)
 
 
@@ -46,7 +46,7 @@ def test_views_are_measured_each(session: Session) -> None:
 @pytest.mark.parametrize("seconds", [0.0, 1e9])
 def test_time_goes_by_the_runs_of_a_pass(session: Session, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     monkeypatch.setattr(_Clock, "lap", lambda clock: 1.0)
-    prepared = prepare(MOVING.replace("sensor", {}), device=session.device)
+    prepared = prepare(MOVING.replace("sensor", {}).replace("camera.resolution", (64, 4 * BAND)), device=session.device)
     (passes,) = measure_frame(session, prepared, seconds).views
     strips = prepared.plan.rows // BAND
     assert passes["sensor"] == strips

@@ -275,8 +275,6 @@ BIG_NPY = NPY.replace(b"(40, 30), }       ", b"(40000000, 30), } ")
 OBJECTS = encoded(np.save, np.array([[{}]]), allow_pickle=True)
 WHOLE = "must be a whole PNG; got "
 LIMIT = "columns and rows must be from 1 to 65536, and at most 134217728 pixels; got "
-HUGE = encoded(Image.new("L", (13000, 13000)).save, "PNG")
-assert len(HUGE) < 200_000
 
 VALUES = "values must be finite; got "
 DTYPES = "values must be uint8, uint16, float16, float32 or float64; got "
@@ -291,7 +289,7 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "other format": ("a.png", JPEG, f"{CONTENT}JPEG"),
     "other extension": ("a.bmp", b"BM", "the extension must be one of .png "),
     "no extension": ("a", PNG, "the extension must be one of .png "),
-    "bomb": ("a.png", HUGE, f"{LIMIT}13000 x 13000"),
+    "bomb": ("a.png", png(13000, 13000, 8, 0, bytes(13001)), f"{LIMIT}13000 x 13000"),
     "big header": ("a.png", png(2**31 - 1, 2**31 - 1, 8, 0, b""), f"{LIMIT}2147483647 x 2147483647"),
     "no columns": ("a.png", png(0, 5, 8, 0, b""), f"{LIMIT}0 x 5"),
     "long row": ("a.png", png(65537, 1, 8, 0, bytes(65538)), f"{LIMIT}65537 x 1"),

@@ -151,7 +151,7 @@ def test_patterns_have_every_size_and_never_change(name: str) -> None:
         assert codes.shape == size
         assert codes.dtype == np.uint8
         np.testing.assert_array_equal(codes, PATTERNS[name](*size))
-        for first in range(size[0]):
+        for first in range(0, size[0], 5):
             np.testing.assert_array_equal(PATTERNS[name](*size, first, first + 7), codes[first : first + 7])
     assert np.ptp(PATTERNS[name](100, 64)) > 100
     assert texture_size(name) == (512, 512)

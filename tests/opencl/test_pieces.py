@@ -121,7 +121,7 @@ def interrupted(after: float) -> Iterator[list[float]]:
         signal.signal(signal.SIGINT, given)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def warm() -> None:
     """Kernels are compiled to their end, whatever comes meanwhile."""
     part = LONG | {"camera": LONG["camera"] | {"resolution": (160, 120)}}  # as wide a blur has the same kernels

@@ -126,7 +126,7 @@ def test_mirrored_places_have_weights_of_their_own_wavefronts(place: tuple[float
 
 @pytest.mark.parametrize(
     ("waves", "radius", "by_rays"),
-    [((0.25, 0.1, 0.05), 2.0, False), ((0.6, 0.3, 0.0), 0.0, False), ((1.0, 0.5, 0.1), 2.0, True)],
+    [((0.6, 0.3, 0.0), 0.0, False), ((1.0, 0.5, 0.1), 2.0, True)],
 )
 def test_blending_is_as_far_off_as_the_plan_says(
     waves: tuple[float, float, float], radius: float, by_rays: bool
@@ -149,9 +149,9 @@ def test_blending_is_as_far_off_as_the_plan_says(
 
 def test_tables_of_all_places_are_alike() -> None:
     psf = lens(0.25)
-    table = psf_table(psf, 0.0, 0.5)
+    table = psf_table(psf, 0.0, 0.1)
     assert table.coefficients.size == 25 * table.stride
-    assert table_bytes(psf, 0.0, 0.5) == table.coefficients.nbytes + table.intervals.nbytes
+    assert table_bytes(psf, 0.0, 0.1) == table.coefficients.nbytes + table.intervals.nbytes
     assert not (table.coefficients[: table.stride] == table.coefficients[-table.stride :]).all()
 
 

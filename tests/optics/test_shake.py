@@ -23,9 +23,8 @@ def paths(shake: CameraShake, times: Array) -> tuple[Array, Array]:
     return np.asarray(turns), np.array([pose.shift for pose in poses])
 
 
-@pytest.mark.parametrize(("seed", "band"), [(5, (2.0, 15.0)), (2**63 - 1, (0.5, 0.6))])
-def test_root_mean_squares_over_a_long_time(seed: int, band: tuple[float, float]) -> None:
-    shake = CameraShake(rotation_rms=0.3, translation_rms=0.8, band=band, seed=seed)
+def test_root_mean_squares_over_a_long_time() -> None:
+    shake = CameraShake(rotation_rms=0.3, translation_rms=0.8, band=(0.5, 0.6), seed=2**63 - 1)
     times = np.random.default_rng(1).uniform(0.0, 1e6, 4_000)
     for found, expected in zip(paths(shake, times), (0.3, 0.8), strict=True):
         assert np.sqrt((found**2).sum(axis=1).mean()) == pytest.approx(expected, rel=0.02)
@@ -35,7 +34,7 @@ def test_root_mean_squares_over_a_long_time(seed: int, band: tuple[float, float]
 
 
 def test_frequencies_are_in_the_band() -> None:
-    rate, seconds = 64.0, 64.0
+    rate, seconds = 40.0, 64.0
     times = np.arange(int(rate * seconds)) / rate
     window = np.hanning(len(times))[:, None]
     frequencies = np.fft.rfftfreq(len(times), 1.0 / rate)
@@ -61,7 +60,7 @@ def test_the_path_by_the_words_of_the_documentation() -> None:
 
 
 def test_other_seeds_are_other_paths() -> None:
-    times = np.linspace(0.0, 40.0, 2000)
+    times = np.linspace(0.0, 40.0, 500)
     one, other = (paths(SHAKE.model_copy(update={"seed": seed}), times)[0] for seed in (1, 2))
     assert abs(np.corrcoef(one[:, 0], other[:, 0])[0, 1]) < 0.1
     assert abs(np.corrcoef(one[:, 0], one[:, 1])[0, 1]) < 0.1

@@ -255,7 +255,8 @@ def test_no_pair_is_missed(seed: int) -> None:
     items = tuple(random_item(rng, f"item {k}") for k in range(4))
     psf = Psf(model="gaussian") if seed % 4 == 1 else Psf()
     stereo = Stereo(baseline=30.0, toe_in=2.0) if seed % 4 == 2 else None
-    scene = Scene(camera=CAMERA, objects=items, psf=psf, sequence=Sequence(frames=2), stereo=stereo)
+    camera = CAMERA.model_copy(update={"resolution": (20, 15), "pixel_pitch": 0.3})
+    scene = Scene(camera=camera, objects=items, psf=psf, sequence=Sequence(frames=2), stereo=stereo)
     plan = make_plan(scene, 1, eye="right" if stereo else "left")
     for k in range(4):
         holding = [group for group in plan.groups if group.members >> k & 1]

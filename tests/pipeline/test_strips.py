@@ -59,7 +59,7 @@ CAMERA = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter
 
 
 def named(name: str) -> Scene:
-    return scene_from({"camera": CAMERA, "psf": {"silhouette_samples": 2}}, **SCENES[name][1])
+    return scene_from({"camera": CAMERA}, **SCENES[name][1])
 
 
 def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = ALL_TRUTH, method: str = "auto") -> int:

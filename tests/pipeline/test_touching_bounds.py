@@ -37,7 +37,7 @@ CASES: dict[str, tuple[dict[str, Any], Any, Any]] = {
 def scene(item: dict[str, Any], bounds: Any) -> Scene:
     """An object before a white wall, which any slit would show."""
     bounded = item if bounds is None else item | {"bounds": bounds}
-    return scene_from({"camera": CAMERA, "psf": {"silhouette_samples": 2}}, bounded, WALL)
+    return scene_from({"camera": CAMERA}, bounded, WALL)
 
 
 @pytest.mark.parametrize("name", mostly_slow(CASES, ("tube",)))

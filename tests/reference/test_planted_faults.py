@@ -27,7 +27,7 @@ Tables = dict[str, Any]
 Fault = Callable[..., Any]
 """Makes the faulty function: gets the right one, and what it is called with."""
 
-CAMERA = {"resolution": [32, 24], "pixel_pitch": 0.25, "f_number": 0.6, "focus_distance": 220.0}
+CAMERA = {"resolution": [24, 18], "pixel_pitch": 0.33, "f_number": 0.6, "focus_distance": 220.0}
 BALL: Tables = {"shape": "sphere", "center": [-6.0, 3.0, 150.0], "radius": 8.0, "texture": "#ff8040"}
 CARD: Tables = {"shape": "rectangle", "center": [9.0, -4.0, 165.0], "size": [18.0, 11.0], "rotation": [0.0, 40.0, 10.0]}
 WALL: Tables = {"shape": "plane", "distance": 300.0, "slope_x": 0.4, "texture": "bricks"}

@@ -15,7 +15,7 @@ from clsco.studio.ladder import plan_line
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.mark.parametrize(("name", "views"), [("sphere", 1), ("occlusion_three", 1), ("stereo", 2)])
+@pytest.mark.parametrize(("name", "views"), [("sphere", 1), ("stereo", 2)])
 def test_the_line_is_that_of_the_command(name: str, views: int) -> None:
     path = EXAMPLES / f"{name}.toml"
     prepared = prepare(clsco.load_scene(path))

@@ -85,8 +85,8 @@ def test_spherical_aberration_is_that_of_hankel_transforms(opening: Pupil) -> No
 @pytest.mark.parametrize(
     "lens",
     [
-        waves(0.3, Polygon(5)),
-        waves(0.3, Circle(), COMA),
+        waves(0.3, Polygon(5), tail=0.03),
+        waves(0.3, Circle(), COMA, tail=0.03),
         pytest.param(waves(0.8, Ellipse(0.5)), marks=pytest.mark.slow),
         pytest.param(waves(0.5, Ellipse(2.0), COMA), marks=pytest.mark.slow),
     ],
@@ -99,7 +99,7 @@ def test_light_is_kept_or_lost_by_the_tail(lens: FourierDiffracted, tent: bool) 
         left_out = lens.left_out(radius)
         assert abs(kept.sum() - 1.0) < 5e-6
         assert abs(lost.sum() - (1.0 - left_out)) < 5e-5  # their pupils have other samples
-        assert 0.0 < left_out < 0.0101
+        assert 0.0 < left_out < 1.01 * lens.tail
         assert (kept > lost - 1e-6).all()
         edge = np.concatenate([kept[:2].ravel(), kept[-2:].ravel(), kept[:, :2].ravel(), kept[:, -2:].ravel()])
         assert edge.max() < 1e-7
@@ -116,15 +116,13 @@ def test_without_aberrations_it_turns_over_in_focus(opening: Pupil, tent: bool) 
 
 def test_it_is_the_opening_where_waves_are_short() -> None:
     """Also which way up it is, for either sign."""
-    for opening in (Polygon(5, 10.0), image_pupil(np.eye(7) + np.tri(7))):
-        for radius in (4.0, -4.0):
-            lens = waves(0.1, opening, tail=0.03)
-            found = square(lens, radius)
-            half = len(found) // 2
-            span = np.arange(-half, half + 1.0)
-            rays = PointSpread(opening).weights(span[None, :], span[:, None], np.asarray(radius))
-            assert np.abs(found - rays).sum() < 0.12
-            assert np.abs(found - rays[::-1, ::-1]).sum() > 0.15
+    for opening, radius in ((Polygon(5, 10.0), 4.0), (image_pupil(np.eye(7) + np.tri(7)), -4.0)):
+        found = square(waves(0.1, opening, tail=0.03), radius)
+        half = len(found) // 2
+        span = np.arange(-half, half + 1.0)
+        rays = PointSpread(opening).weights(span[None, :], span[:, None], np.asarray(radius))
+        assert np.abs(found - rays).sum() < 0.12
+        assert np.abs(found - rays[::-1, ::-1]).sum() > 0.15
 
 
 @pytest.mark.parametrize(("opening", "round_one"), [(Ring(0.5), Ring(0.5)), (Ellipse(1.0), Circle())])
@@ -152,7 +150,7 @@ def test_tails_of_coma_point_along_its_angle() -> None:
     """W = c (3 r^3 - 2 r) cos: rays go 2 Q grad W, so that the mean is c 4 Q sqrt(2) to the right, beyond the peak."""
     unit, rms = 0.4, 0.25
     for m, axis in ((1, 0), (-1, 1)):
-        weights = square(waves(unit, None, Wavefront(((3, m, rms * unit),)), tail=0.002), 0.0)
+        weights = square(waves(unit, None, Wavefront(((3, m, rms * unit),)), tail=0.005), 0.0)
         mean = [moment(weights, lambda x, y: x + 0.0 * y), moment(weights, lambda x, y: y + 0.0 * x)]
         assert mean[axis] == pytest.approx(4.0 * 2.0**0.5 * rms * unit, rel=0.1)
         assert abs(mean[1 - axis]) < 1e-6

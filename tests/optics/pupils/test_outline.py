@@ -72,8 +72,8 @@ def test_no_light_is_lost(name: str, edge: str) -> None:
 def test_weights_are_areas_by_brute_force(name: str) -> None:
     """Points of the opening, each seen from points of the pixel."""
     psf, radius = opening(name), -2.7
-    half = ceil(270 * psf.extent)
-    step = (np.arange(-half, half) + 0.5) / 100  # pixels begin and end between two points
+    half = ceil(135 * psf.extent)
+    step = (np.arange(-half, half) + 0.5) / 50  # pixels begin and end between two points
     u, v = np.meshgrid(step, step)
     through = psf.pupil.transmission(u / radius, v / radius)
     light = through.sum() * (step[1] - step[0]) ** 2 / (pi * radius**2)
@@ -99,7 +99,7 @@ def test_moments_of_closed_forms() -> None:
         ({"shape": "ring", "obstruction": 0.4}, 0.25 * 1.16),
     ]
     for aperture, moment in cases:
-        for squeeze in (1.0, 0.5, 2.0):
+        for squeeze in (0.5, 2.0):
             psf = point_spread(Psf(), Aperture(**aperture, squeeze=squeeze))
             x, y = grid(psf.reach(14.4) + 1)
             found = psf.weights(x, y, np.asarray(14.4))
