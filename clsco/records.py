@@ -26,14 +26,16 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     slope between neighboring rays on the axis, rest_step: in the reference pose; radial, tangential, reach: see
     `clsco.optics.distortion.Distortion`, start, newton: first guess of its inverse, and number of Newton steps. lens_t:
     see `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the
-    stack. texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`.
-    pose_t: see `clsco.optics.motion.Pose`; step: slope between neighboring rays at that time. exposure_t: see
-    `clsco.optics.still.Exposed`; still: 1 to make still sources, 0 to make the others, in the window. group_t: see
-    `clsco.optics.visibility.OcclusionGroup`; count: of all objects. psf_t: conversion of a blur radius to a table
-    coordinate, the intervals that the tables hold (first, count), and the range that radii are clamped to (low to end -
-    1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in lens radii; rim_distance, rim_radius: see
-    `clsco.optics.point_spread.Rim`; across, down, per_column, per_row: cells of `clsco.optics.field.SeidelField`, and
-    cells per px; stride, sub_stride: see `clsco.optics.psf_tables.PsfTable`.
+    stack.
+    texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t:
+    see `clsco.optics.motion.Pose`; step: slope between neighboring rays at that time. exposure_t: see
+    `clsco.optics.still.Exposed`; still: 1 to make still sources, 0 to make the others, in the window.
+    group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
+    psf_t: conversion of a blur radius to a table coordinate, the intervals that the tables hold (first, count), and the
+    range that radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens
+    in lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column, per_row:
+    cells of `clsco.optics.field.SeidelField`, and cells per px; stride, sub_stride: see
+    `clsco.optics.psf_tables.PsfTable`.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     grid: list[Any] = [

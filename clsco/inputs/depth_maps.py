@@ -34,8 +34,9 @@ class DepthValues:
     """Depths of a map, in clsco's units.
 
     inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface. Counts of pixels: zero, negative, nan,
-    infinite: without a surface, by the value in the file; far: with an infinitely far surface, whose inverse depth is
-    `FARTHEST`; soft: with a depth between those of two surfaces at their edge, now assigned to one of them.
+    infinite: without a surface, by the value in the file;
+    far: with an infinitely far surface, whose inverse depth is `FARTHEST`;
+    soft: with a depth between those of two surfaces at their edge, now assigned to one of them.
     """
 
     inverse_depth: Array

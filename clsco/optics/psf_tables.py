@@ -38,25 +38,26 @@ class PsfTable:
     """Weights for a range of blur radii as piecewise cubics, in the layout that kernels read.
 
     A source of radius R has the coordinate u (see `clsco.optics.psf_grid.table_coordinate`), interval floor(u) and
-    position t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)). intervals: int32 (count, 2): start
-    in `coefficients`, half-width in px. coefficients: float32, per interval rows of (POWERS, lanes): row |dy| =
-    0..half-width (a main table), or rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source.
-    For a general shape all rows, for all S x S offsets. first: number of the first interval; count: number of
-    intervals; a signed shape has as many again for negative radii, whose coordinates are larger by count, unless it has
-    one sign (`PointSpread.side`). low, end: intervals of the radii that the table was made for; others are clamped to
-    these; reach: largest half-width among them. taps, outlines: of a main table, else empty. taps: the same weights
-    again, float32 (taps, count / TAP_LANES, POWERS, WIDE_LANES): for the octant's taps a >= b >= 0 in the order of a (a
-    + 1) / 2 + b, or for a separable shape those along an axis, the coefficients of WIDE_LANES intervals from every
-    TAP_LANES-th one on; zeros beyond an interval's reach, and after the last one; for a ring preceded by the weight
-    inside the ring. outlines: int32, (count, reach + 1, 2), see `clsco.optics.psf_blocks._outline`, or for a ring (..,
-    4), see `clsco.optics.psf_blocks._ring_outline`; none for a separable shape. For a general shape, unless spread by
-    waves, taps (.., POWERS, WIDE_LANES) hold for each such window first the weight of runs, then the weights of all dx
-    from the left and for each all dy, as far as the window's widest interval reaches; outlines (.., 4) are
-    `_shared_outlines` for each interval and dx, followed for each window by its start in taps and its number of dy. For
-    a sampled disc, coefficients and taps hold the one weight of each interval, and outlines the square roots of 0, 1,
-    ... up to the last interval's number, rounded down. stride: coefficients per position of a field
-    (`PointSpread.places`); positions are concatenated. place: cache key; a table for more radii replaces an earlier one
-    under it.
+    position t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
+    intervals: int32 (count, 2): start in `coefficients`, half-width in px.
+    coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or rows
+    -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. For a general shape all rows, for all
+    S x S offsets.
+    first: number of the first interval; count: number of intervals; a signed shape has as many again for negative
+    radii, whose coordinates are larger by count, unless it has one sign (`PointSpread.side`). low, end: intervals of
+    the radii that the table was made for; others are clamped to these; reach: largest half-width among them.
+    taps, outlines: of a main table, else empty. taps: the same weights again, float32 (taps, count / TAP_LANES, POWERS,
+    WIDE_LANES): for the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b, or for a separable shape those
+    along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th one on; zeros beyond an interval's
+    reach, and after the last one; for a ring preceded by the weight inside the ring. outlines: int32, (count, reach +
+    1, 2), see `clsco.optics.psf_blocks._outline`, or for a ring (.., 4), see `clsco.optics.psf_blocks._ring_outline`;
+    none for a separable shape. For a general shape, unless spread by waves, taps (.., POWERS, WIDE_LANES) hold for each
+    such window first the weight of runs, then the weights of all dx from the left and for each all dy, as far as the
+    window's widest interval reaches; outlines (.., 4) are `_shared_outlines` for each interval and dx, followed for
+    each window by its start in taps and its number of dy. For a sampled disc, coefficients and taps hold the one weight
+    of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
+    stride: coefficients per position of a field (`PointSpread.places`); positions are concatenated.
+    place: cache key; a table for more radii replaces an earlier one under it.
     """
 
     first: int
