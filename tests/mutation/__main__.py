@@ -58,11 +58,11 @@ TESTS = {
     "common/builtins.clh": "kernels/test_tiles",
     "common/cpu/builtins.clh": "kernels/test_blur kernels/test_trace",
     "common/cpu/pocl.clh": "kernels/test_tiles",
-    "common/cpu/lanes.clh": "kernels/test_convolve kernels/test_layered",
+    "common/cpu/tap_vectors.clh": "kernels/test_convolve kernels/test_layered",
     "common/distortion.clh": "kernels/test_geometry pipeline/test_distortion",
     "common/geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface kernels/test_trace "
     "kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
-    "common/lanes.clh": "kernels/test_tiles",
+    "common/single_taps.clh": "kernels/test_tiles",
     "common/occluder.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
     "common/rims.clh": "kernels/test_rims",
     "common/source_visibility.clh": "kernels/test_visibility pipeline/test_occlusion pipeline/test_occlusion_lenses",
