@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS
 from clsco.inpainting import mean_median
 from clsco.inpainting.mean_median import (
+    KERNELS,
     NEVER,
     OWNERS,
     VECTORS,
@@ -27,9 +28,10 @@ from clsco.inpainting.mean_median import (
 from clsco.inpainting.rules import MeanMedian, bits_of, most_sweeps, score_of_sums
 from clsco.opencl import source_text
 from clsco.opencl.buffers import copied, download, upload
-from clsco.opencl.program import kernel, launch
+from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.passes.pack import grid_struct
+from clsco.records import structs
 from clsco.reference.inpainting import mean_median as twin
 from clsco.reference.inpainting.fill_mean_median import smooth_median
 from clsco.reference.inpainting.score import score_mean_median
@@ -41,7 +43,8 @@ NO_WINS, ALL_WIN, SOME_WIN = (np.arange(9) >= k for k in (9, 4, 6))
 
 
 def program(session: Session, channels: int, codes: bool = False) -> Program:
-    return mean_median._program(session, channels, codes)
+    features = {"CHANNELS": channels, "CODES": codes, "ALONE": mean_median.group_size(session) == 1}
+    return build(session, KERNELS, features | {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}, structs("float"), "float")
 
 
 class Sheet(Layout):
