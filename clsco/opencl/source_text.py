@@ -55,17 +55,17 @@ def program_text(
     if has_int64_atomics:
         lines.append("#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable")
         lines.append("#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable")
-    given = {"HAS_FP64": has_fp64, "HAS_INT64_ATOMICS": has_int64_atomics, "REAL_IS_DOUBLE": real == "double"}
-    lines += [f"#define {name} {int(value)}" for name, value in given.items()]
+    of_device = {"HAS_FP64": has_fp64, "HAS_INT64_ATOMICS": has_int64_atomics, "REAL_IS_DOUBLE": real == "double"}
+    lines += [f"#define {name} {int(value)}" for name, value in of_device.items()]
     lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
     lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
-    chosen = _Chosen(given | dict(macros or {}), on_cpu)
-    return "\n".join([*lines, *(chosen.text(source) for source in sources)])
+    preprocessor = _Preprocessor(of_device | dict(macros or {}), on_cpu)
+    return "\n".join([*lines, *(preprocessor.text(source) for source in sources)])
 
 
 @dataclass
 class _Condition:
-    """A conditional of a text. active: the current branch is included; done: the included branch was found; left: the
+    """A conditional of a text. active: the current branch is included; done: the included branch was read; left: the
     compiler decides, as a name in the condition is unknown.
     """
 
@@ -75,7 +75,7 @@ class _Condition:
 
 
 @dataclass
-class _Chosen:
+class _Preprocessor:
     """Files after preprocessing: conditions on known macros are decided, and each file is read once.
 
     macros: by name; on_cpu: prefer files in folders `cpu`; seen: files already read.
@@ -93,34 +93,34 @@ class _Chosen:
         if name in self.seen:
             return ""
         self.seen.add(name)
-        text, found, open_ones, end = _read(name), [f'#line 1 "{name}"\n'], list[_Condition](), 0
+        text, pieces, conditionals, end = _read(name), [f'#line 1 "{name}"\n'], list[_Condition](), 0
         for line in _DIRECTIVE.finditer(text):
-            active = all(one.active for one in open_ones)
+            active = all(one.active for one in conditionals)
             between = text[end : line.start()]
-            found.append(between if active else "\n" * between.count("\n"))
+            pieces.append(between if active else "\n" * between.count("\n"))
             word, condition, included, joined, sides = line.groups()
             if joined:
                 if active and (value := self._value(sides)) is not None:
                     self.macros[joined] = value
-                found.append(line[0] if active else "")
+                pieces.append(line[0] if active else "")
             elif word:
-                found.append(self._decide(word, condition, line[0], open_ones, active))
+                pieces.append(self._decide(word, condition, line[0], conditionals, active))
             elif active:
                 number = text.count("\n", 0, line.start()) + 2
-                found.append(f'{self.text(included)}\n#line {number} "{name}"')
+                pieces.append(f'{self.text(included)}\n#line {number} "{name}"')
             end = line.end()
-        return "".join([*found, text[end:]])
+        return "".join([*pieces, text[end:]])
 
-    def _decide(self, word: str, condition: str, line: str, open_ones: list[_Condition], active: bool) -> str:
+    def _decide(self, word: str, condition: str, line: str, conditionals: list[_Condition], active: bool) -> str:
         """Process a line with a conditional; returns its replacement for the compiler."""
         if word.startswith("if"):
             value = self._value(condition) if word == "if" and active else None
             left = active and value is None
-            open_ones.append(_Condition(bool(value) or left, bool(value) or not active, left))
+            conditionals.append(_Condition(bool(value) or left, bool(value) or not active, left))
             return line if left else ""
-        here = open_ones[-1]
+        here = conditionals[-1]
         if word == "endif":
-            open_ones.pop()
+            conditionals.pop()
             return line if here.left and active else ""
         if here.left:
             return line
