@@ -112,8 +112,11 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
         of_kinds[kind] = of_kinds.get(kind, 0.0) + scale * time
     if renderer.plan.truth:
         clock.lap()
-        renderer.truth.of_frame(index, film.events)
-        of_kinds["ground truth"] = clock.lap()
+        for _ in range(2):  # again where the kernels, compiled at their first run, may have taken much of the time
+            renderer.truth.of_frame(index, film.events)
+            of_kinds["ground truth"] = clock.lap()
+            if of_kinds["ground truth"] > SECONDS:
+                break
     renderer.scene.release()
     return of_kinds, sum(step.part.rows for step in steps) / sum(step.part.rows for step in everything)
 
