@@ -15,6 +15,7 @@ import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,9 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from clsco.errors import FileError, SceneError
+from clsco.errors import ArgumentError, FileError, SceneError
 from clsco.scene.model import Scene
+from clsco.studio.background import keep_running
 from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import Guard, close_half_open
 from clsco.studio.jobs import Jobs
@@ -158,10 +160,16 @@ class Studio:
         return self.state.path / f"{KEPT}{name}.json"
 
     async def watch(self) -> None:
-        """Save the scenes for recovery at regular intervals, until canceled."""
-        while True:
-            await asyncio.sleep(TICK)
-            self.keep()
+        """Wait for TICK, and save the scenes for recovery."""
+        await asyncio.sleep(TICK)
+        self.keep()
+
+    async def report(self, messages: list[str]) -> None:
+        """Show messages in all open tabs."""
+        for tab in tuple(self.tabs.values()):
+            if tab.preview is not None:
+                with suppress(WebSocketDisconnect):
+                    await tab.preview.tell(error=messages)
 
     async def frames(self, socket: WebSocket) -> None:
         """Serve a tab's socket: receive changes, send pictures."""
@@ -177,12 +185,21 @@ class Studio:
 
         async def send(data: bytes) -> None:
             async with sending:
-                await socket.send_bytes(data)
+                try:
+                    await socket.send_bytes(data)
+                except RuntimeError as error:  # as Starlette says that the tab is closed
+                    raise WebSocketDisconnect from error
 
         preview = tab.preview = Preview(tab.session, self.renderer, send)
         pointer = Pointer(tab.session, preview)
         endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
-        tasks = [asyncio.create_task(preview.run()), asyncio.create_task(_tell(tab, preview))]
+
+        async def report(messages: list[str]) -> None:
+            with suppress(WebSocketDisconnect):
+                await preview.tell(error=messages)
+
+        loops = (preview.run, partial(_tell, tab, preview))
+        tasks = [asyncio.create_task(keep_running(loop, report, (WebSocketDisconnect,))) for loop in loops]
         try:
             with suppress(WebSocketDisconnect, RuntimeError, asyncio.CancelledError):  # the last: the studio ends
                 while True:
@@ -218,8 +235,8 @@ class Studio:
         except SceneError as error:
             await preview.tell(error=error.messages)
         except Exception as error:  # a fault of ours, which is no reason to end the tab
-            if isinstance(error, WebSocketDisconnect | RuntimeError) and not isinstance(error, RecursionError):
-                raise  # nobody is there to be told
+            if isinstance(error, WebSocketDisconnect):
+                raise  # the tab is closed
             traceback.print_exc()
             await preview.tell(error=[f"studio: must not fail; got {type(error).__name__}"])
 
@@ -381,7 +398,7 @@ def application(studio: Studio, draw: Draw) -> Starlette:
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        watching = asyncio.create_task(studio.watch())
+        watching = asyncio.create_task(keep_running(studio.watch, studio.report))
         yield
         watching.cancel()
         await studio.jobs.close()
@@ -401,14 +418,17 @@ def application(studio: Studio, draw: Draw) -> Starlette:
     return Starlette(routes=[*ours, *Addresses(studio.jobs, studio.state, session_of).routes()], lifespan=lifespan)
 
 
-def listening(host: str, port: int) -> socket.socket:
-    """Open a socket whose connections send without delay.
+def listen(host: str, port: int) -> socket.socket:
+    """Open a socket whose connections send without delay. Raises ArgumentError if the port is in use.
 
     A picture is several packets, and the kernel would hold back the last one until the browser has acknowledged the
     others. asyncio disables that only for sockets with an explicit protocol, which sockets from `create_server` do not
     have.
     """
-    listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    try:
+        listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        raise ArgumentError(f"port: must be free at {host}; got {port} ({os.strerror(error.errno or 0)})") from None
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener
 
@@ -431,10 +451,10 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
 
     Raises
     ------
-    OSError
-        The address is in use.
+    ArgumentError
+        The port is in use.
     """
-    listener = listening(host, port)
+    listener = listen(host, port)
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(32)
     shown = f"[{host}]" if ":" in host else host
@@ -458,7 +478,8 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
             state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
             address = (state.path / OPENING).as_uri()
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # which nobody waits for
-        closing = asyncio.create_task(close_half_open(server.server_state.connections))
+        connections = server.server_state.connections
+        closing = asyncio.create_task(keep_running(partial(close_half_open, connections), studio.report))
         await serving
         closing.cancel()
 
