@@ -41,7 +41,7 @@ from clsco.studio.preview import Preview
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
-from clsco.studio.store import digest_of
+from clsco.studio.store import digest_of, from_link
 from clsco.studio.tables import is_path
 from clsco.studio.widgets.html import Page
 
@@ -266,12 +266,13 @@ class Studio:
             case {"keyframe": str(path), "remove": int(index)}:
                 remove_keyframe(tab.session, path, index)
             case {"link": str(link)}:
-                tab.session.load_share(link)
+                tab.session.load_share(await asyncio.to_thread(from_link, link, tab.session.readable))
             case {"do": "keep"}:
                 await preview.tell(kept=tab.session.remembered())
             case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
                 if before not in self.tabs:  # else it is still there, and this is a copy of its page
-                    tab.session.resume(link, file, digest)
+                    linked = await asyncio.to_thread(from_link, link, tab.session.readable)
+                    tab.session.resume(linked, file, digest)
                     await preview.tell(resumed=True)
             case {"do": "undo" | "redo" | "reset" as what}:
                 getattr(tab.session, what)()

@@ -10,6 +10,7 @@ import pytest
 
 from clsco.scene.sweep import parse_sweep
 from clsco.studio.session import Document
+from clsco.studio.store import from_link
 from tests.studio.browser import box, chromium, number, open_scene, rest, type_in
 from tests.studio.running import studio
 
@@ -28,7 +29,7 @@ def test_a_scene_is_resumed_with_its_file(tmp_path: Path) -> None:
     first.patch("object.0.radius", -1.0)
     kept = first.remembered()
     assert kept["typed"] == {"object.0.radius": -1.0}
-    second.resume(kept["scene"], kept["file"], kept["digest"])
+    second.resume(from_link(kept["scene"], second.readable), kept["file"], kept["digest"])
     assert (second.scene, second.path) == (first.scene, first.path)
     second.save()
     assert "focal_length = 21" in (tmp_path / "deep" / "a.toml").read_text()
