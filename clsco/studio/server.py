@@ -8,7 +8,6 @@ import json
 import math
 import os
 import secrets
-import socket
 import threading
 import traceback
 import webbrowser
@@ -27,7 +26,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from clsco.errors import ArgumentError, FileError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.scene.model import Scene
 from clsco.studio.background import keep_running
 from clsco.studio.generate import stack_scenes
@@ -35,6 +34,7 @@ from clsco.studio.guard import Guard, close_half_open
 from clsco.studio.jobs import Jobs
 from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.lens import lens_line
+from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
@@ -98,6 +98,7 @@ class Studio:
         self.renderer = Renderers(device)
         self.jobs, self.state = Jobs(self.root), StateFolder(self.root)
         self.tabs: dict[str, Tab] = {}
+        self.proof_key = ""  # as of `Guard`
         old = self.kept_scenes()[MOST_KEPT:]
         pictures = sorted(self.state.path.glob(f"{SHOWN}*.jpg"), key=_changed_at)[:-MOST_SHOWN]
         self.state.remove(*(name for path in old for name in (path.name, f"{path.stem}.jpg")))
@@ -419,21 +420,6 @@ def application(studio: Studio, draw: Draw) -> Starlette:
     return Starlette(routes=[*ours, *Addresses(studio.jobs, studio.state, session_of).routes()], lifespan=lifespan)
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """Open a socket whose connections send without delay. Raises ArgumentError if the port is in use.
-
-    A picture is several packets, and the kernel would hold back the last one until the browser has acknowledged the
-    others. asyncio disables that only for sockets with an explicit protocol, which sockets from `create_server` do not
-    have.
-    """
-    try:
-        listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-    except OSError as error:
-        raise ArgumentError(f"port: must be free at {host}; got {port} ({os.strerror(error.errno or 0)})") from None
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return listener
-
-
 def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str], None], opens_browser: bool) -> None:
     """Serve the studio until interrupted.
 
@@ -441,7 +427,7 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     ----------
     studio : Studio
     host : str
-        Address to listen on.
+        Address to listen on; "" for `own_address`, or with a port 127.0.0.1.
     port : int
         0 for any free port.
     draw : function
@@ -455,13 +441,15 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     ArgumentError
         The port is in use.
     """
+    host = host or ("127.0.0.1" if port else own_address())
     listener = listen(host, port)
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(32)
     shown = f"[{host}]" if ":" in host else host
     state = studio.state
-    hosts = [f"{name}:{port}" for name in (shown, *LOOPBACK)]
+    hosts = [f"{name}:{port}" for name in ((shown, *LOOPBACK) if shown in LOOPBACK else (shown,))]
     guard = Guard(application(studio, draw), hosts, token, state.key())
+    studio.proof_key = guard.proof_key
     os.environ["WEBSOCKETS_MAX_LINE_LENGTH"] = str(MAX_HEADER)  # read by what uvicorn imports now
     config = uvicorn.Config(
         guard, log_level="warning", access_log=False, server_header=False, proxy_headers=False, http="h11",

@@ -26,7 +26,8 @@ from uvicorn.server import ServerState
 from clsco.errors import ArgumentError
 from clsco.studio import guard
 from clsco.studio.guard import MOST_WAITING, close_half_open
-from clsco.studio.server import MAX_HEADER, listen
+from clsco.studio.listener import listen
+from clsco.studio.server import MAX_HEADER
 from tests.studio.browser import chromium, rest
 from tests.studio.running import Running, studio
 
