@@ -125,8 +125,11 @@ class Studio:
         if known is not None and known.preview is None:
             return name
         forgotten = [name for name, tab in self.tabs.items() if tab.preview is None]
-        for old in forgotten[: max(len(self.tabs) - MOST_TABS + 1, 0)]:
+        excess = forgotten[: max(len(self.tabs) - MOST_TABS + 1, 0)]
+        for old in excess:
             self.tabs.pop(old).page.end()
+        if excess:
+            gc.collect()  # a page refers to itself, and short commands let much garbage gather
         new = secrets.token_urlsafe(12)
         self.tabs[new] = Tab(self.new_session())
         return new
