@@ -281,4 +281,5 @@ def test_light_of_an_even_surface_is_the_throughput() -> None:
         assert np.abs(found.color - found.throughput)[8:-8, 8:-8].max() < 0.005
         assert exact.throughput is not None
         assert np.abs(found.throughput - exact.throughput).max() <= 1e-6
-        assert np.abs(found.color - exact.color).max() < FIGURE
+        bound = FIGURE if distance == 300.0 else 1e-4  # R of 6.7 px and of -2.5 px, which is not wide (WIDE_LENS)
+        assert np.abs(found.color - exact.color).max() < bound
