@@ -196,8 +196,8 @@ def test_a_tab_has_one_page_and_those_that_are_forgotten_end(tmp_path: Path, mon
                     found += re.findall(r'data-tab="([\w-]+)" data-page="([\w-]+)"', text)
         return found
 
+    collected: list[int] = []
     monkeypatch.setattr(gc, "collect", lambda: collected.append(len(studio.tabs)))
-    collected = list[int]()
     loaded = asyncio.run(load())
     assert collected == [3]  # when the first tab was forgotten
     assert len({page for _, page in loaded}) == 10
