@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
@@ -327,3 +328,12 @@ def test_names_are_never_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     for name in ("pipe:1.mp4", "file:a%d.mp4", "concat:a|b.mp4"):
         video.write_clip(Path(name), smooth(), NTSC, "mp4")
         assert read(tmp_path / name)[0].average_rate == NTSC
+
+
+def test_settings_of_gnutls_are_not_read_from_the_temporary_folder() -> None:
+    """Its constructor opens them, and would wait for a pipe; GnuTLS takes them from this variable if it is set."""
+    code = "import os; from pathlib import Path; from clsco.files.video import require_video; "
+    code += "require_video(Path('clip')); "
+    code += "print(os.environ['GNUTLS_SYSTEM_PRIORITY_FILE'])"
+    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert printed.stdout == f"{os.devnull}\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from importlib.util import find_spec
 
-from clsco.data.containers import folders, hdf5, parquet, webdataset, zarr3
+from clsco.data.containers import folders, hdf5, webdataset, zarr3
 from clsco.data.containers.base import NEEDS
 from clsco.data.containers.base import Container as Container
 from clsco.data.containers.base import ShardReader as ShardReader
@@ -26,7 +26,6 @@ CONTAINERS = {
         Container("hdf5+raw", ".h5", partial(hdf5.write, raw=True), hdf5.Hdf5Reader, hdf5.NEEDS),
         Container("zarr", ".zarr", zarr3.write, zarr3.ZarrReader, zarr3.NEEDS),
         Container("zarr+raw", ".zarr", partial(zarr3.write, raw=True), zarr3.ZarrReader, zarr3.NEEDS),
-        Container("parquet", ".parquet", parquet.write, parquet.ParquetReader, parquet.NEEDS),
     )
 }
 
