@@ -23,7 +23,8 @@ from clsco.inputs.textures import (
     load_texture,
     texture_size,
 )
-from clsco.scene.model import BUILT_IN_TEXTURES, Background, Camera, DepthMap, Plane, Scene
+from clsco.scene.model import Background, Camera, DepthMap, Plane, Scene
+from clsco.scene.texture_keys import BUILT_IN_TEXTURES
 
 Array = NDArray[Any]
 BITS_AND_TRANSFERS = pytest.mark.parametrize(

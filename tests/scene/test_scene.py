@@ -30,8 +30,8 @@ from clsco.scene.model import (
     Sequence,
     Sphere,
     Stereo,
-    origin,
 )
+from clsco.scene.shapes import origin
 
 UNMAPPED: dict[str, Any] = {"texture_mapping": "projected"}
 UNMAPPED |= dict.fromkeys((f"texture_{key}" for key in ("layer", "size", "repeats", "offset", "angle", "wrap")), None)
