@@ -18,14 +18,11 @@ from clsco.errors import SceneError
 from clsco.files.color import SRGB, Color
 from clsco.files.ranges import check_values
 from clsco.frame.frame import Frame
-from clsco.frame.outputs import ALL_TRUTH, FILE_NAMES
+from clsco.frame.outputs import ALL_TRUTH, ATTRIBUTES, FILE_NAMES
 from clsco.scene.model import Scene
 
 ALL = "all"
 FLOATS = ("float32", "float16")  # types of an array of floats
-ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
-OF_THE_IMAGE = frozenset({"color", "alpha", "subframes", "raw", "electrons", "noise_sigma", "saturated"})
-"""Arrays that are not made without color."""
 
 
 @dataclass(frozen=True)
