@@ -73,7 +73,7 @@ def _describe_sample(storage: Storage, identity: Identity, files: Sequence[str])
 def _encoding(form: str, about: Mapping[str, Any]) -> str:
     name, _, raw = form.partition("+")
     picture = is_png(about["dtype"], tuple(about["shape"]))
-    if name in ("webdataset", "folders"):
+    if name == "webdataset":
         return "npy" if raw else "png" if picture else "npy.zst"
     return {"npz": "npy", "hdf5": "dataset", "zarr": "array"}[name]
 
