@@ -154,10 +154,7 @@ class Scene(Strict):
     sensor: Annotated[Sensor | None, Deferred()] = None
     """Counts electrons; none if not given, and frames are light."""
     groups: Groups = Field(
-        default=(),
-        validation_alias="group",
-        serialization_alias="group",
-        json_schema_extra={"maxItems": MAX_OBJECTS},
+        default=(), validation_alias="group", serialization_alias="group", json_schema_extra={"maxItems": MAX_OBJECTS}
     )
     """Groups of objects that move together; none if not given."""
     objects: Objects = Field(

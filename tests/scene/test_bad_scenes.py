@@ -16,9 +16,11 @@ NAMES = {
     "SHAPES": "plane, rectangle, disc, box, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background",
     "ONE OPENING": 'cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening',
     "SOME RIMS": ", ".join(5 * ["{distance = 1.0, diameter = 2.0}"]),
+    "SOME GROUPS": ", ".join(65 * ['{name = "a"}']),
+    "FORMS OF ROTATIONS": "must be a list of 3 angles, {axis, angle} or {quaternion}",
     "SOME KEYS": ", ".join(257 * ["{time = 0}"]),
 }
-"""What stands for a longer text in a table of cases."""
+"""Longer texts by their abbreviation in a table of cases."""
 
 
 def cases(text: str) -> list[list[str]]:
@@ -178,6 +180,59 @@ psf = {model = "wave", zernike = {"3,2" = 1}} -> psf.zernike."3,2": unknown key 
 psf = {model = "wave", zernike = 3} -> psf.zernike: must be a table; got 3
 psf = {model = "wave", bandwidth = 470}
     -> psf.bandwidth: must be less than each of the wavelengths, of which one is 465 nm; got 470.0
+sensor = "on" -> sensor: must be a table; got "on"
+sensor.white = 1.0 -> sensor.white: unknown key; got 1.0
+sensor.white_electrons = 0.5 -> sensor.white_electrons: must be between 1 and 1e+07 e-; got 0.5
+sensor.white_electrons = 20000000.0 -> sensor.white_electrons: must be between 1 and 1e+07 e-; got 20000000.0
+sensor.full_well = inf -> sensor.full_well: must be a finite number; got inf
+sensor.full_well = 0 -> sensor.full_well: must be between 1 and 1e+07 e-; got 0
+sensor.read_noise = -1.0 -> sensor.read_noise: must be between 0 and 1000000 e-; got -1.0
+sensor.read_noise = "low" -> sensor.read_noise: must be a number; got "low"
+sensor.dark_current = -0.1 -> sensor.dark_current: must be between 0 and 1e+09 e-/s; got -0.1
+sensor.temperature = -300.0 -> sensor.temperature: must be between -273.15 and 1000 degC; got -300.0
+sensor.temperature_reference = 2000.0 -> sensor.temperature_reference: must be between -273.15 and 1000 degC; got 2000.0
+sensor.temperature_doubling = 0.0 -> sensor.temperature_doubling: must be greater than 0 degC; got 0.0
+sensor.temperature_doubling = 2000.0 -> sensor.temperature_doubling: must be between 0.1 and 1000 degC; got 2000.0
+sensor.prnu = 1.5 -> sensor.prnu: must be between 0 and 1; got 1.5
+sensor.dsnu = -0.5 -> sensor.dsnu: must be between 0 and 1000000 e-; got -0.5
+sensor.hot_pixels = 2.0 -> sensor.hot_pixels: must be between 0 and 1; got 2.0
+sensor.bits = 17 -> sensor.bits: must be between 1 and 16; got 17
+sensor.bits = 12.0 -> sensor.bits: must be an integer; got 12.0
+sensor.black_level = -1 -> sensor.black_level: must be between 0 and 65535 DN; got -1
+sensor.black_level = 4096 -> sensor.black_level: must be at most 4095 with bits = 12; got 4096
+sensor.black_level = 4095
+    -> sensor.black_level: must be below 4095, or with a gain, which else follows from the codes above; got 4095
+sensor.iso = 0.0 -> sensor.iso: must be between 1 and 1e+07; got 0.0
+sensor.iso_base = 200.0 -> sensor.iso_base: belongs to iso, which is not given; got 200.0
+sensor = {iso = 100.0, iso_base = 0.5} -> sensor.iso_base: must be between 1 and 1e+07; got 0.5
+sensor.gain = 0.0 -> sensor.gain: must be greater than 0 DN/e-; got 0.0
+sensor = {gain = 0.5, iso = 100.0} -> sensor.gain: give iso or gain, not both; got 0.5
+sensor.quantum_efficiency = [1.0, 1.0] -> sensor.quantum_efficiency: must be a list of 3 numbers; got [1.0, 1.0]
+sensor.quantum_efficiency = [1.0, 1.2, 1.0] -> sensor.quantum_efficiency[1]: must be between 1e-06 and 1; got 1.2
+sensor.mosaic = "rgbg" -> sensor.mosaic: must be none, rggb, bggr, grbg or gbrg; got "rgbg"
+sensor.demosaic = "malvar" -> sensor.demosaic: needs a mosaic, not "none"; got "malvar"
+sensor = {mosaic = "rggb", demosaic = "linear"}
+    -> sensor.demosaic: must be none, bilinear, malvar or menon; got "linear"
+sensor.seed = -1 -> sensor.seed: must be between 0 and 9.223372e+18; got -1
+sensor.exposure = "manual" -> sensor.exposure: must be normalized or physical; got "manual"
+sensor.reference_shutter = 0.5 -> sensor.reference_shutter: belongs to exposure = "physical", not "normalized"; got 0.5
+sensor = {exposure = "physical", reference_f_number = 0.0} -> sensor.reference_f_number: must be greater than 0; got 0.0
+sensor.noise_seed = 9007199254740992 -> sensor.noise_seed: must be between 0 and 9.007199e+15; got 9007199254740992
+sensor.seed = 9223372036854775808 -> sensor.seed: must be between 0 and 9.223372e+18; got 9223372036854775808
+group = 3 -> group: must be an array of tables, [[group]]; got 3
+group = {name = "a"} -> group: must be an array of tables, [[group]]; got a table of 1 keys
+group = [3] -> group[0]: must be a table; got 3
+group = [{}] -> group[0].name: must be given; got nothing
+group = [{name = ""}] -> group[0].name: must not be empty; got ""
+group = [{name = "a", origin = [1, 2]}] -> group[0].origin: must be a list of 3 numbers; got [1, 2]
+group = [{name = "a", motion.velocity = [1, 2, inf]}] -> group[0].motion.velocity[2]: must be a finite number; got inf
+group = [{name = "a", motion.speed = 1}] -> group[0].motion.speed: unknown key; got 1
+group = [{name = "a", orign = 1}] -> group[0].orign: unknown key (did you mean origin?); got 1
+group = [{name = "a", radius = 1}] -> group[0].radius: unknown key (did you mean object[0].radius?); got 1
+group = [{name = "a"}, {name = "a"}] -> group[1].name: names must differ; group[0] has the same; got "a"
+group = [SOME GROUPS] -> group: must hold at most 64 groups; got 65
+groups = [] -> groups: unknown key (did you mean group?); got []
+origin = [0, 0, 1] -> origin: unknown key (did you mean group[0].origin?); got [0, 0, 1]
 """)
 
 # Keys of the one object, and the message.
@@ -258,6 +313,22 @@ shape = "quadric", coefficients = [0, 0, 0, 0, 0, 0, 0, 0, 0, 5]
     -> object[0].coefficients: must not all be 0, or all but a000; got [0, 0, 0, 0, 0, 0, 0, 0, 0, 5]
 shape = "quadric", coefficients = [1, 1, 1e31, 0, 0, 0, 0, 0, 0, 5]
     -> object[0].coefficients[2]: must be between -1e+30 and 1e+30; got 1e+31
+shape = "cone", rotation = 3 -> object[0].rotation: FORMS OF ROTATIONS; got 3
+shape = "cone", rotation = [1, 2] -> object[0].rotation: FORMS OF ROTATIONS; got [1, 2]
+shape = "cone", rotation = {} -> object[0].rotation: FORMS OF ROTATIONS; got a table of 0 keys
+shape = "cone", rotation = {axis = [1, 0, 0], quaternion = [1, 0, 0, 0]}
+    -> object[0].rotation: FORMS OF ROTATIONS; got a table of 2 keys
+shape = "cone", rotation = {euler = [1, 0, 0]} -> object[0].rotation: FORMS OF ROTATIONS; got a table of 1 keys
+shape = "cone", rotation = [1, "2", 3] -> object[0].rotation[1]: must be a number; got "2"
+shape = "cone", rotation = [1, 2, inf] -> object[0].rotation[2]: must be a finite number; got inf
+shape = "cone", rotation = [2e9, 0, 0] -> object[0].rotation[0]: must be between -1e+09 and 1e+09 deg; got 2000000000.0
+shape = "cone", rotation = {axis = [1, 0, 0]} -> object[0].rotation.angle: must be given; got nothing
+shape = "cone", rotation = {axis = [0, 0, 0], angle = 5}
+    -> object[0].rotation.axis: must not be the zero vector (one component of 1e-06 at least); got [0, 0, 0]
+shape = "cone", rotation = {quaternion = [1, 0, 0]}
+    -> object[0].rotation.quaternion: must be a list of 4 numbers; got [1, 0, 0]
+shape = "cone", rotation = {quaternion = [1e-7, 0, 0, 0]}
+    -> object[0].rotation.quaternion: must not be zero (length of 1e-06 at least); got [1e-07, 0, 0, 0]
 """)
 
 
@@ -287,10 +358,7 @@ def test_bad_object(keys: str, message: str) -> None:
             'object = [{shape = "plane", name = "a"}, {shape = "cone"}, {shape = "sphere", name = "a"}]',
             'object[2].name: names must differ; object[0] has the same; got "a"',
         ),
-        (
-            'object = {shape = "plane"}',
-            "object: must be an array of tables, [[object]]; got a table of 1 keys",
-        ),
+        ('object = {shape = "plane"}', "object: must be an array of tables, [[object]]; got a table of 1 keys"),
         ("object = 3", "object: must be an array of tables, [[object]]; got 3"),
         ("object = [3]", "object[0]: must be a table; got 3"),
     ],

@@ -34,11 +34,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
 @pytest.mark.parametrize(
     ("shape", "expected"),
-    [
-        (Plane(), {"slope_x": 0.0, "slope_y": 0.0}),
-        (Cylinder(), {"axis": (0.0, 1.0, 0.0)}),
-        (Cone(), {"nappe": "away"}),
-    ],
+    [(Plane(), {"slope_x": 0.0, "slope_y": 0.0}), (Cylinder(), {"axis": (0.0, 1.0, 0.0)}), (Cone(), {"nappe": "away"})],
 )
 def test_defaults_of_the_shapes(shape: AnyShape, expected: dict[str, Any]) -> None:
     assert {key: getattr(shape, key) for key in expected} == expected

@@ -92,11 +92,6 @@ def test_vectors_are_swept_by_lists_and_ranges_of_vectors() -> None:
     assert middle.objects[1].motion.angular_velocity == (0.0, 90.0, 0.0)
 
 
-def test_words_are_swept_by_lists() -> None:
-    sweep = parse_sweep(mapping('motion.rotation = ["axis", "euler"]'))
-    assert sweep.labels == ("rotation_axis", "rotation_euler")
-
-
 def test_labels_differ_and_name_folders() -> None:
     sweep = parse_sweep(mapping("camera.focus_distance = [250.0000001, 250.0000002, 1e9, 300]"))
     assert sweep.labels == tuple(f"focus_distance_{v}" for v in ("250.0000001", "250.0000002", "1000000000", "300"))
