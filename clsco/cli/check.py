@@ -1,17 +1,21 @@
-"""Comparison of the device with the NumPy reference: errors per output, and both times."""
+"""The command `clsco check`: differences of frames from the NumPy reference per output, and of color from rays."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco import reference
+from clsco.cli.output import echo
+from clsco.cli.tables import check_tables, judged_tables, print_tables
 from clsco.engine.sequence import render
+from clsco.errors import ClscoError
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES
 from clsco.optics.sensor import camera_word, sensor_model
@@ -129,3 +133,37 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
             sum(spent for name, spent in metadata["seconds"].items() if name != "host"), middle - start, end - middle,
             frame,
         )  # fmt: skip
+
+
+def check_scene(
+    path: Path, scene: Scene, extent: tuple[int, float], device: str | None, precision: str | None
+) -> None:  # fmt: skip
+    """Print how every view of a scene differs from the reference and from rays.
+
+    extent: most rays per pixel, and seconds for all of them. Raises ClscoError if a difference is too large.
+    """
+    rays, seconds = extent
+    why = "no rays were asked for" if not rays else None
+    if rays:
+        from clsco.truth.judge import judge
+        from clsco.truth.problem import make_problem, not_judged
+
+        why = not_judged(scene)
+    wrong: list[str] = []
+    count = scene.sequence.frames * (1 if scene.stereo is None else 2)
+    for checked in compare_frames(scene, device, precision):
+        print_tables(*check_tables(checked))
+        place = f"in frame {checked.index}" + (f" ({checked.eye})" if checked.eye else "")
+        color = checked.differences[0]
+        if not color.agrees:
+            got = f"{color.largest:.2g} {place} ({color.count} pixels above)"
+            raise ClscoError(f"{path}: color must agree within {color.figure:g} of white; got {got}")
+        if why is None:
+            problem = make_problem(scene, checked.index, checked.eye)
+            judged = judge(problem, checked.frame.color, rays, seconds / count)
+            print_tables(*judged_tables(judged))
+            wrong += [] if judged.agrees else [f"{judged.wrong} {place}"]
+    if why is not None:
+        echo(f"the lens: not judged: {why}")
+    if wrong:
+        raise ClscoError(f"{path}: pixels must be within 0.01 of white and 5 errors of rays; got {'; '.join(wrong)}")

@@ -36,8 +36,7 @@ ONLY = {
     "truth": {"errors", "files", "frame", "inputs", "resources", "scene"},  # and no formula of what it judges
 }
 ON_OPENCL = (
-    "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
-    "cli.check", "cli.check_scene",
+    "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify", "cli.check",
 )  # fmt: skip
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine"),
