@@ -6,14 +6,16 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import RenderableType
+from rich.text import Text
 
 from clsco import reference
 from clsco.cli.output import echo
-from clsco.cli.tables import check_tables, judged_tables, print_tables
+from clsco.cli.tables import print_tables, table
 from clsco.engine.sequence import render
 from clsco.errors import ClscoError
 from clsco.frame.frame import Frame
@@ -21,6 +23,9 @@ from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES
 from clsco.optics.sensor import camera_word, sensor_model
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.scene.model import Scene
+
+if TYPE_CHECKING:  # which needs the extra
+    from clsco.truth.judge import Judgement
 
 # Single precision has ten times the figures, and may have one pixel in so many on the other side of an edge.
 LEAST_AGREEING = 500
@@ -135,6 +140,49 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
         )  # fmt: skip
 
 
+def _reference_tables(checked: Checked) -> list[RenderableType]:
+    """Differences of one frame from the reference, and both times."""
+    columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
+    rows = [
+        (d.output, f"{d.largest:.2e}", f"{d.rms:.2e}", d.unit, f"{d.row}", f"{d.column}", f"{d.count}", f"{d.figure:g}")
+        for d in checked.differences
+    ]
+    view = f", {checked.eye} view," if checked.eye else ""
+    compared = table(
+        f"Frame {checked.index}{view} against the reference", columns, rows, right=columns[1:3] + columns[4:]
+    )
+    times = (
+        f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
+        f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
+    )
+    return [compared, Text(times)]
+
+
+def _judged_tables(judgement: Judgement) -> list[RenderableType]:
+    """Deviations of one frame from rays through the lens, by class of pixel and by object, and the light of small
+    objects.
+    """
+    columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
+    tables: list[RenderableType] = []
+    for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
+        cells = [
+            (
+                r.name, f"{r.pixels}", f"{r.rms:.5f}", f"{r.noise:.5f}", f"{r.decibels:.1f}", f"{r.mean:+.5f}",
+                f"{r.beyond}", f"{r.column}", f"{r.row}", f"{r.right:.4f}", f"{r.got:.4f}", f"{min(r.errors, 999):.1f}",
+            )
+            for r in rows
+        ]  # fmt: skip
+        tables.append(table(title, columns, cells, right=columns[1:]))
+    if judgement.lights:
+        lights = [
+            (r.name, f"{r.right:.4f}", f"{r.error:.4f}", f"{r.got:.4f}", f"{r.own:.4f}") for r in judgement.lights
+        ]
+        names = ("small object", "right", "noise", "got", "its own")
+        tables.append(table("Light around small objects, px of white", names, lights, right=names[1:]))
+    tables.append(Text(f"{judgement.rays} rays in {judgement.seconds:.1f} s"))
+    return tables
+
+
 def check_scene(
     path: Path, scene: Scene, extent: tuple[int, float], device: str | None, precision: str | None
 ) -> None:  # fmt: skip
@@ -152,7 +200,7 @@ def check_scene(
     wrong: list[str] = []
     count = scene.sequence.frames * (1 if scene.stereo is None else 2)
     for checked in compare_frames(scene, device, precision):
-        print_tables(*check_tables(checked))
+        print_tables(*_reference_tables(checked))
         place = f"in frame {checked.index}" + (f" ({checked.eye})" if checked.eye else "")
         color = checked.differences[0]
         if not color.agrees:
@@ -161,7 +209,7 @@ def check_scene(
         if why is None:
             problem = make_problem(scene, checked.index, checked.eye)
             judged = judge(problem, checked.frame.color, rays, seconds / count)
-            print_tables(*judged_tables(judged))
+            print_tables(*_judged_tables(judged))
             wrong += [] if judged.agrees else [f"{judged.wrong} {place}"]
     if why is not None:
         echo(f"the lens: not judged: {why}")

@@ -27,8 +27,8 @@ NEEDED: dict[str, dict[str, Any]] = {
     "Stereo": {"baseline": 65.0},
 }
 VALUES = ("AxisAngle", "UnitQuaternion", "Range")  # tables that stand for a value
-NO_TABLE = (1, "", True, math.nan, [{}], [[1]], datetime.date(1979, 5, 27))
-NO_VALUE = ({"a": 1}, [[[1.0]]], [[{}]], math.nan, datetime.date(1979, 5, 27), datetime.time(7, 32))
+NO_TABLE: tuple[Any, ...] = (1, "", True, math.nan, [{}], [[1]], datetime.date(1979, 5, 27))
+NO_VALUE: tuple[Any, ...] = ({"a": 1}, [[[1.0]]], [[{}]], math.nan, datetime.date(1979, 5, 27), datetime.time(7, 32))
 NO_TEXT = (1, "a\nb", "\0", "\x1b[31m", "\x7f", "a" * 4097)
 NO_WORD = ("", "x", " midpoint", "Pillbox", "a\nb", "\0")
 TOO_FAR = (1e308, -1e308, 10**80, -(10**80), -math.inf)
