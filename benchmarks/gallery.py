@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs/gallery.md", ROOT / "docs/gallery"
 PRESETS = ROOT / "clsco/studio/static/presets"
 WIDTH, QUALITY = 320, 82  # px, of 100
-SMALL = 160  # px, of the presets' pictures
+PRESET_WIDTH, PRESET_QUALITY = 128, 60  # of the pictures that the package contains
 ACROSS = 3  # examples in a row of the page
 SEED = 2026
 TOLERANCE = 0.004  # of white, a code of 8 bits
@@ -80,15 +80,15 @@ def make_picture(name: str, scene: clsco.Scene) -> None:
     views = clsco.render(scene, frames=[scene.sequence.frames // 2], truth=(), tolerance=TOLERANCE)
     picture = Image.fromarray(next(iter(views)).image())
     if not name.startswith("thesis/"):
-        write_small(picture, WIDTH, PICTURES / picture_name(name))
+        write_small(picture, WIDTH, QUALITY, PICTURES / picture_name(name))
     if not name.startswith("sets/"):
-        write_small(picture, SMALL, PRESETS / f"{name}.jpg")
+        write_small(picture, PRESET_WIDTH, PRESET_QUALITY, PRESETS / f"{name}.jpg")
 
 
-def write_small(picture: Image.Image, width: int, path: Path) -> None:
+def write_small(picture: Image.Image, width: int, quality: int, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     size = width, round(picture.height * width / picture.width)
-    picture.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(path, quality=QUALITY, optimize=True)
+    picture.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(path, quality=quality, optimize=True)
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
@@ -13,28 +13,31 @@ import click
 from clsco.cli.output import echo, visible_usage
 from clsco.errors import ClscoError, DeviceError, SceneError
 
-USER_ERROR, NO_DEVICE, INTERRUPTED, TERMINATED = 1, 3, 130, 143
-
-
-class _TerminatedError(KeyboardInterrupt):
-    """SIGTERM arrived; it ends a command as Ctrl-C does."""
+USER_ERROR, NO_DEVICE = 1, 3
+ENDINGS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+"""The line that a command ends with after each signal; its exit status is 128 and the signal's number."""
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """Make SIGTERM end the block as Ctrl-C does, so that no file is left half-written."""
+def _end_by_signals() -> Iterator[list[int]]:
+    """Make signals raise KeyboardInterrupt in the block, so that no file is left half-written; returns the signals that
+    have arrived: modules that are being imported may raise another error instead.
+    """
+    arrived = list[int]()
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield arrived
         return
 
-    def end(*_: object) -> NoReturn:
-        raise _TerminatedError
+    def end(number: int, _: object) -> NoReturn:
+        arrived.append(number)
+        raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, end)
+    before = {number: signal.signal(number, end) for number in ENDINGS}
     try:
-        yield
+        yield arrived
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Commands(click.Group):
@@ -46,25 +49,34 @@ class Commands(click.Group):
             return super().make_context(*args, **options)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; user errors, Ctrl-C and SIGTERM end it without a traceback."""
-        try:
-            with visible_usage(), _terminable():
-                return super().invoke(ctx)
-        except _TerminatedError:
-            echo("terminated", err=True)
-            ctx.exit(TERMINATED)
-        except KeyboardInterrupt:
-            echo("interrupted", err=True)
-            ctx.exit(INTERRUPTED)
-        except MemoryError:
-            echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
-            ctx.exit(USER_ERROR)
-        except BrokenPipeError:
-            raise  # who reads the output has had enough, which click takes for an end
-        except OSError as error:
-            echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
-            ctx.exit(USER_ERROR)
-        except ClscoError as error:
-            for message in error.messages if isinstance(error, SceneError) else (str(error),):
-                echo(f"error: {message}", err=True)
-            ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
+        """Run a command; user errors and the signals of `ENDINGS` end it with one line."""
+        with _end_by_signals() as signals:
+            try:
+                with visible_usage():
+                    return super().invoke(ctx)
+            except BaseException as error:
+                ending = _ending(error, signals)
+                if ending is None:
+                    raise
+            lines, status = ending
+            for line in lines:
+                echo(line, err=True)
+            raise click.exceptions.Exit(status)
+
+
+def _ending(error: BaseException, signals: Sequence[int]) -> tuple[list[str], int] | None:
+    """Lines and exit status for an error of the user or the machine, or after signals. None for other errors, and where
+    nobody reads the output any more, which click takes for an end.
+    """
+    if signals or isinstance(error, KeyboardInterrupt):
+        number = signal.Signals(signals[0]) if signals else signal.SIGINT
+        return [ENDINGS[number]], 128 + number
+    if isinstance(error, MemoryError):
+        return ["error: memory: must hold the arrays of the scene; got too little of it"], USER_ERROR
+    if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
+        return [f"error: {error.filename or 'output'}: must be writable; got {error.strerror}"], USER_ERROR
+    if isinstance(error, ClscoError):
+        messages = error.messages if isinstance(error, SceneError) else (str(error),)
+        status = NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR
+        return [f"error: {message}" for message in messages], status
+    return None

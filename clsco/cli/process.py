@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
-import gc
-import io
 import os
+import signal
 import sys
+from types import FrameType
 
-from clsco.cli.main import main
+
+def _end(number: int, _: FrameType | None) -> None:
+    """End the process, while modules are imported and nothing is written that could be left behind."""
+    os.write(2, b"interrupted\n" if number == signal.SIGINT else b"terminated\n")
+    os._exit(128 + number)
+
+
+for _number in (signal.SIGINT, signal.SIGTERM):  # before all other modules, which take most of a short command's time
+    signal.signal(_number, _end)
+
+import gc  # noqa: E402
+import io  # noqa: E402
+
+from clsco.cli.main import main  # noqa: E402
 
 _OBJECTS = 100_000
 """So many more than there were have Python look for cycles of them: imports make many objects, and no garbage."""

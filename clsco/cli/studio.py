@@ -15,7 +15,9 @@ from clsco.errors import MissingDependencyError, SceneError
 @click.command()
 @click.argument("scene", type=PATH, required=False)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at; 0 (default): any free one.")
-@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option(
+    "--host", default="", help="Address to listen at. Default: of this machine alone, another for each start."
+)
 @click.option("--allow-network", is_flag=True, help="Let --host be an address that other machines reach.")
 @click.option("--root", metavar="DIR", type=PATH, help="Folder with all files to read and write. Default: SCENE's.")
 @device_option
@@ -29,7 +31,7 @@ def studio(
     Only this machine reaches the studio, and only who has the address that is printed, with its token.
     """
     try:
-        is_loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
+        is_loopback = host in ("", "localhost") or ipaddress.ip_address(host).is_loopback
     except ValueError:
         raise click.UsageError(f"--host: must be an address; got {host}") from None
     if not is_loopback and not allow_network:

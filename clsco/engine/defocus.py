@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
-from clsco.engine.workspace import Workspace, blur_runs, shared_buffers
+from clsco.engine.workspace import BlurWorkspace, shared_buffers
 from clsco.errors import ArgumentError, SceneError
 from clsco.files.transfer import decode_channels, encode_channels, has_alpha
 from clsco.frame.strips import Strip
@@ -24,7 +24,8 @@ from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import GREEN, PointSpread, exposure_factor, spreads_of_colors
 from clsco.optics.waves import check_waves
-from clsco.passes.blur import Area, Image, Maps, Sources
+from clsco.passes.blur import Image, Maps, Sources
+from clsco.passes.job import Job
 from clsco.passes.pack import grid_struct
 from clsco.passes.static_image import GivenImage
 from clsco.passes.tables import forget_others
@@ -32,8 +33,9 @@ from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fitted, limit_of
 from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur, has_few_taps
+from clsco.plan.passes import Pass
 from clsco.plan.predict import guard_band
-from clsco.records import REAL, Real
+from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf
 
@@ -311,38 +313,42 @@ def _in_strips(session: Session, given: _Given, plan: ImagePlan) -> NDArray[np.f
     floats = lends and not spec.layered and np.can_cast(given.coc.dtype, np.float32)
     buffers = shared_buffers(session, plan, ("value", "coc", "valid") if floats else ("value", "coc") if lends else ())
     grids = (grid_struct(plan.rows, plan.columns, plan.guard_px, real, strip) for strip in plan.strips)
-    areas = [Area(strip=s, grid=grid, events=[]) for s, grid in zip(plan.strips, grids, strict=True)]
-    maps: Maps = "float" if floats else "wide"
-    blurs, clusters = blur_runs(session, spec, plan.grid, areas[0].grid, buffers, real, maps)
-    image = _Source(session, given, plan, None if floats else real, buffers)
-    space = Workspace(session, {**blurs, "static image": image.run}, buffers, clusters)
-    bounds = space.find_layers(plan.passes, areas) if len(areas) > 1 else None
+    jobs = [Job(strip=s, grid=grid, events=[]) for s, grid in zip(plan.strips, grids, strict=True)]
+    space = _ImageWorkspace(session, given, plan, jobs[0].grid, buffers, real, floats)
+    bounds = space.find_layers(plan.passes, jobs) if len(jobs) > 1 else ()
     out = np.empty(shape, np.float32)
-    for at in areas:
-        found = space.run(plan.passes, replace(at, bounds=bounds))  # with arrays that are lent until the end
-        found["plane"].read(session, out[at.strip.inside])
+    for job in jobs:
+        outputs = space.run(plan.passes, replace(job, bounds=bounds or None))  # with arrays that are lent until the end
+        outputs["plane"].read(session, out[job.strip.inside])
     return out.reshape(given.image.shape)
 
 
 class _Source(GivenImage):
     """Supplies the image and its radii, in the precision of the geometry or as floats."""
 
-    def __init__(
-        self, session: Session, given: _Given, plan: ImagePlan, real: Real | None, buffers: Mapping[str, cl.Buffer]
-    ) -> None:
+    def __init__(self, session: Session, given: _Given, plan: ImagePlan, dtype: Any) -> None:
         super().__init__(session, given.image, plan.guard_px, "symmetric" if given.mirrored else "constant")
-        self.given, self.real, self.buffers, self.alike = given, real, buffers, plan.spec.method == "convolve"
+        self.given, self.dtype, self.constant = given, dtype, plan.spec.method == "convolve"
+
+    def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
+        if self.constant:
+            return {}
+        return {"coc": self._around(self.given.coc, strip).astype(self.dtype, "C", copy=False)}
+
+
+class _ImageWorkspace(BlurWorkspace):
+    """All passes of an image with its radii."""
+
+    def __init__(
+        self, session: Session, given: _Given, plan: ImagePlan, grid: Struct, buffers: Mapping[str, cl.Buffer],
+        real: Real, floats: bool,
+    ) -> None:  # fmt: skip
+        maps: Maps = "float" if floats else "wide"
+        super().__init__(session, buffers, plan.spec, plan.grid, grid, real, maps)
+        self.source = _Source(session, given, plan, np.float32 if floats else REAL[real])
         if "valid" in buffers:
             cl.enqueue_fill_buffer(session.queue, buffers["valid"], np.ones(1, np.uint8), 0, buffers["valid"].size)
 
-    def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
-        if self.alike:
-            return {}
-        kind = np.float32 if self.real is None else np.float64
-        radii = self._around(self.given.coc, strip).astype(kind, "C", copy=False)
-        return {"coc": radii if self.real is None else radii.astype(REAL[self.real], copy=False)}
-
-    def run(self, at: Area) -> tuple[Image | Sources]:
-        """Run the pass "static image"."""
-        image = self.image(at, self.buffers)
-        return (Sources(None, image.value, radius=self.given.largest) if self.alike else image,)
+    def static_image(self, job: Job, _: Pass) -> tuple[Image | Sources]:
+        image, given = self.source.image(job, self.buffers), self.source.given
+        return (Sources(None, image.value, radius=given.largest) if self.source.constant else image,)

@@ -16,7 +16,7 @@ from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
 from clsco.passes.blur import Events, Plane
-from clsco.passes.placed import Part
+from clsco.passes.job import Part
 from clsco.plan.plan import Plan
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsco import __version__
 from clsco.engine.film import Film
-from clsco.engine.workspace import Light, Pixels, Workspace, scene_workspace
+from clsco.engine.workspace import ColorChannel, Pixels, SceneWorkspace
 from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
@@ -29,8 +29,9 @@ from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.point_spread import exposure_factor
 from clsco.optics.sensor import camera_word
 from clsco.passes.blur import Events
+from clsco.passes.job import SceneJob
 from clsco.passes.pack import camera_grid, towards
-from clsco.passes.placed import Moment, PlacedScene
+from clsco.passes.placed import PlacedScene
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import EMPTY_STATISTICS, Hits
 from clsco.passes.truth import GroundTruth
@@ -78,7 +79,7 @@ class Renderer:
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
         self.pixels, self.grids = self._pixels(plan, self.scene), dict[Strip, Struct]()
-        self.lights = self._lights()
+        self.channels = self._channels()
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
@@ -91,19 +92,19 @@ class Renderer:
             return StaticMap(self.session, camera, lens, radiance, depth, plan.guard_px, self.scene.real)
         return ForwardWarp(plan, scene, maps) if plan.forward else None
 
-    def _lights(self) -> tuple[Light, ...]:
+    def _channels(self) -> tuple[ColorChannel, ...]:
         """Textures and pixels of all colors together, or of each color if colors are blurred separately."""
-        plan, found = self.plan, list[Light]()
+        plan, apart = self.plan, list[ColorChannel]()
         for one in plan.apart:
             channels = (one.only or 0, plan.colors)[: one.channels]
             take = cache(partial(select_channels, channels=channels))
             textures = tuple(take(texture) for texture in self.prepared.textures)
             scene = PlacedScene(self.session, one.scene, one.psf, textures, self.scene.real, one.eye, one.alpha)
-            found.append(Light(scene, self._pixels(one, scene)))
-        return tuple(found) or (Light(self.scene, self.pixels),)
+            apart.append(ColorChannel(scene, self._pixels(one, scene)))
+        return tuple(apart) or (ColorChannel(self.scene, self.pixels),)
 
-    def _workspace(self) -> Workspace:
-        return scene_workspace(self.plan, self.lights, self.hits, self._grid(self.plan.strips[0]))
+    def _workspace(self) -> SceneWorkspace:
+        return SceneWorkspace(self.plan, self.channels, self.hits, self._grid(self.plan.strips[0]))
 
     def begin(self, index: int) -> Film:
         """Begin the frame with this number, all black."""
@@ -115,21 +116,21 @@ class Renderer:
         if self.plan.divided:
             film.parts = self.scene.parts(film.times)
         for number in range(len(film.steps)) if len(self.plan.strips) > 1 else ():
-            strips = (self._moment(film, strip, number) for strip, counts in film.parts_of.items() if number in counts)
-            film.bounds[number] = self.space.find_layers(self.plan.passes, strips)
+            jobs = (self._job(film, strip, number) for strip, counts in film.parts_of.items() if number in counts)
+            film.bounds[number] = self.space.find_layers(self.plan.passes, jobs)
         return film
 
-    def _moment(self, film: Film, strip: Strip, count: int) -> Moment:
+    def _job(self, film: Film, strip: Strip, count: int) -> SceneJob:
         step, counts = film.steps[count], film.parts_of[strip]
         part, by_columns = counts[count], self.plan.scene.sequence.by_columns
         weights = step.weights if by_columns else step.weights[part.inside]
         sample, grid = self.scene.at(film.times[step.number]), self._grid(part)
         if self.plan.scene.zooms:
             grid = towards(grid, sample.camera)
-        return Moment(
-            strip=part, grid=grid, events=film.events, bounds=film.bounds.get(step.number),
-            sample=sample, weights=weights, first=count == next(iter(counts)),
-            of=strip, camera=camera_word(film.index, self.plan.eye) if count == [*counts][-1] else None,
+        stream = camera_word(film.index, self.plan.eye) if count == [*counts][-1] else None
+        return SceneJob(
+            strip=part, grid=grid, events=film.events, bounds=film.bounds.get(step.number), sample=sample,
+            weights=weights, is_first=count == next(iter(counts)), whole_strip=strip, noise_stream=stream,
             part=film.parts.get(step.still),
         )  # fmt: skip
 
@@ -144,52 +145,66 @@ class Renderer:
         """Run the passes of a step on a strip; count: number of the step; after: called with the kind of each finished
         pass.
         """
-        at = self._moment(film, strip, count)
+        job = self._job(film, strip, count)
         passes = (step for step in self.plan.passes if step.kind != "ground truth")
-        film.add(self.session, strip, count, self.space.run(passes, at, after))
+        film.add(self.session, strip, count, self.space.run(passes, job, after))
 
     def finish(self, film: Film) -> Frame:
         """Complete the frame from its strips; if the plan was too small, render it again with larger buffers."""
         while self.enlarge():
             (film,) = expose([self], film.index)
+        truth = self._truth(film)
+        self.scene.release()
+        eye = self.plan.eye if self.plan.scene.stereo else ""
+        return Frame(index=film.index, metadata=self._metadata(film), eye=eye, **self._image(film), **truth)
+
+    def _image(self, film: Film) -> dict[str, Any]:
+        """Color and alpha of the frame."""
         plan = self.plan
-        truth = self.truth.of_frame(film.index, film.events)
+        if plan.sensor_model is not None:
+            from clsco.frame.development import develop
+
+            color = develop(film.code, plan.sensor_model)
+        else:
+            color = _without_alpha(film.color) if plan.alpha else film.color
+        coverage = {"alpha": np.ascontiguousarray(film.color[..., -1])} if plan.alpha and plan.color else {}
+        return {"color": color if plan.color else None} | coverage
+
+    def _truth(self, film: Film) -> dict[str, Any]:
+        """The outputs besides color and alpha."""
+        plan = self.plan
+        truth: dict[str, Any] = self.truth.of_frame(film.index, film.events)
         of_samples = {"missing": film.missing, "subframes": film.subframes}
         truth |= {name: array for name, array in of_samples.items() if name in plan.truth}
-        self.scene.release()
-        image: dict[str, Any] = {"color": film.color if plan.color else None}
         if plan.alpha and plan.color:
-            image = {"color": _without_alpha(film.color), "alpha": np.ascontiguousarray(film.color[..., -1])}
             truth |= {name: _without_alpha(truth[name]) for name in {"sharp", "subframes"} & truth.keys()}
         if plan.sensor_model is not None:
-            from clsco.frame.development import develop, sensor_truth
+            from clsco.frame.development import sensor_truth
 
-            light = image["color"] if plan.needs_light else None
+            light = (_without_alpha(film.color) if plan.alpha else film.color) if plan.needs_light else None
             truth |= sensor_truth(plan.truth, film.code, film.saturated, light, plan.sensor_model)
-            image["color"] = develop(film.code, plan.sensor_model)
-        eye = plan.eye if plan.scene.stereo else ""
-        return Frame(index=film.index, metadata=self._metadata(film), eye=eye, **image, **truth)
+        return truth
 
     def enlarge(self) -> bool:
         """Switch to a larger plan, with a warning, if the frame needed more than predicted; True if it did."""
         if self.plan.static_map or not self.plan.color:
             return False
-        found = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
-        plan = larger_plan(self.plan, Met.of(found), self.limit)
+        statistics = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
+        plan = larger_plan(self.plan, Met.of(statistics), self.limit)
         if plan is not None:
             self._change(plan)
         return plan is not None
 
     def _change(self, plan: Plan) -> None:
         """Switch to another plan of the scene."""
-        self.space = Workspace(self.session, {}, {})  # before the larger one takes memory
+        del self.space  # before the larger one takes memory
         before, self.plan = self.plan, plan
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
             self.hits = None  # the apron may not be that of the others any more
         if plan.guard_px != before.guard_px:
-            self.pixels, self.lights = None, ()
+            self.pixels, self.channels = None, ()
             self.pixels = self._pixels(plan, self.scene)
-            self.lights = self._lights()
+            self.channels = self._channels()
         self.grids = {}
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)

@@ -1,4 +1,4 @@
-"""Workspace of a plan on a device: its buffers, and the function that runs each of its passes."""
+"""Workspaces: the buffers of a plan on a device, with a method for each kind of pass."""
 
 from __future__ import annotations
 
@@ -18,20 +18,22 @@ from clsco.optics.lens_path import colored
 from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import (
-    Area,
     BehindRims,
+    BlurredPlane,
     Image,
     Maps,
     Plane,
     Sources,
+    Target,
     blur_target,
     padded_plane,
     prepare_sources,
 )
 from clsco.passes.fill import FillPlanes
 from clsco.passes.frame_blur import make_blur
+from clsco.passes.job import Job, SceneJob
 from clsco.passes.pack import psf_struct, towards
-from clsco.passes.placed import Moment, PlacedScene
+from clsco.passes.placed import PlacedScene
 from clsco.passes.static_image import StaticMap
 from clsco.passes.tables import tables_of
 from clsco.passes.trace import Hits, Tracer
@@ -46,80 +48,14 @@ from clsco.records import Real, Struct
 if TYPE_CHECKING:  # imported where a plan has them
     from clsco.passes.clusters import Clusters, Layers
     from clsco.passes.colors import JoinedColors
+    from clsco.passes.layered import DepthLayers
     from clsco.passes.sensor import FrameSensor
     from clsco.passes.vignetting import Vignetting
 
-Run = Callable[..., tuple[Any, ...]]
-"""Runs a pass: gets the part of the frame, and what the pass takes; returns what it gives."""
 Pixels = ForwardWarp | StaticMap | None
 """Pixels of the reference pose that are moved, or taken as they are."""
-
-
-@dataclass(frozen=True)
-class Workspace:
-    """Functions that run the passes of a plan on a device, and the state that they share.
-
-    Attributes
-    ----------
-    session : Session
-    runs : mapping
-        Function that runs each kind of pass.
-    buffers : mapping
-        Buffers of `SHARED` that the plan has.
-    clusters : tuple of Clusters
-        The pass that finds depth layers, if the plan has one.
-    colors : tuple of Workspace
-        Workspaces of red, green and blue, if each is blurred by itself.
-    aims : callable, optional
-        Replaces the rays of an area by those of a color, if colors have different rays.
-    """
-
-    session: Session
-    runs: Mapping[Kind, Run]
-    buffers: Mapping[str, cl.Buffer]
-    clusters: tuple[Clusters, ...] = ()
-    colors: tuple[Workspace, ...] = ()
-    aims: Callable[[Any, int], Area] | None = None
-
-    def run(self, passes: Iterable[Pass], at: Area, after: Callable[[Kind], None] | None = None) -> Mapping[str, Any]:
-        """Run passes on a part of a frame; returns their outputs, named as in `Pass`. Raises CanceledError.
-
-        after: called after each pass with its kind.
-        """
-
-        def run(step: Pass, *given: Any) -> tuple[Any, ...]:
-            self.session.go_on()
-            self.session.doing(step.kind)
-            same = step.group is at.group and step.color == at.color
-            part = at if same else replace(at, group=step.group, color=step.color)
-            if self.aims is not None and step.color is not None:
-                part = self.aims(part, step.color)
-            of_color = self.colors and step.color is not None and step.kind != "join colors"
-            runs = self.colors[step.color or 0].runs if of_color else self.runs
-            result = runs[step.kind](part, *given)
-            if after is not None:
-                after(step.kind)
-            return result
-
-        return run_passes(passes, run)
-
-    def find_layers(self, passes: Iterable[Pass], strips: Iterable[Area]) -> tuple[LayerBounds, ...] | None:
-        """Bounds of depth layers over several strips, which one strip cannot find: for all colors, or for red, green
-        and blue. None without layers.
-        """
-        if self.colors:
-            steps, areas = tuple(passes), tuple(strips)
-            found: tuple[LayerBounds, ...] = ()
-            for color, one in enumerate(self.colors):
-                found += one.find_layers([step for step in steps if step.color == color], areas) or ()
-            return found or None
-        bounds = None
-        for clusters in self.clusters:
-            before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
-            for at in strips:
-                clusters.find(at, self.run(before, at)["image"])
-            bounds = (clusters.found(),)
-        return bounds
+Outputs = tuple[Any, ...]
+"""Outputs of a pass, in the order of `Pass.gives`."""
 
 
 def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> dict[str, cl.Buffer]:
@@ -128,57 +64,135 @@ def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[st
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
 
 
-def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid: Struct) -> Workspace:
-    """Workspace of a scene; grid: grid_t of its first strip.
+class Workspace:
+    """Buffers of a plan, and a method for each kind of pass: base of all workspaces.
+
+    The method with the name of a pass's kind runs the pass: it takes a job, the pass and its inputs, and returns the
+    outputs.
 
     Parameters
     ----------
-    plan : Plan
-    lights : sequence of Light
-        Textures and pixels of all colors, or of each color in `Plan.apart`.
-    hits : Hits, optional
-        Ray hits shared with other lenses.
+    session : Session
+    buffers : mapping
+        Buffers of `SHARED` that the plan has.
+    """
+
+    def __init__(self, session: Session, buffers: Mapping[str, cl.Buffer]) -> None:
+        self.session, self.buffers = session, buffers
+
+    def run(self, passes: Iterable[Pass], job: Any, after: Callable[[Kind], None] | None = None) -> Mapping[str, Any]:
+        """Run passes on a part of an image; returns their outputs, named as in `Pass`. Raises CanceledError.
+
+        after: called after each pass with its kind.
+        """
+
+        def run_pass(step: Pass, *inputs: Any) -> Outputs:
+            self.session.go_on()
+            self.session.doing(step.kind)
+            outputs = self.run_pass(job, step, *inputs)
+            if after is not None:
+                after(step.kind)
+            return outputs
+
+        return run_passes(passes, run_pass)
+
+    def run_pass(self, job: Any, step: Pass, *inputs: Any) -> Outputs:
+        """Run a pass by the method of its kind."""
+        outputs: Outputs = getattr(self, step.kind.replace(" ", "_"))(job, step, *inputs)
+        return outputs
+
+
+class BlurWorkspace(Workspace):
+    """Passes from an image or sources to the blurred plane.
+
+    Parameters
+    ----------
+    session : Session
+    buffers : mapping
+        Buffers of `SHARED` that the plan has; with "source", if images become sources.
+    spec : BlurSpec
+    tallest : Grid
+        Grid of the frame, or the tallest of its strips.
     grid : numpy.void
+        grid_t of the first strip.
+    real : {"double", "float"}
+    maps : Maps
+        Blur radii of images.
+    behind_rims : callable, optional
+        For images with aperture rims.
 
     Raises
     ------
     DeviceError, KernelError
     """
-    session = lights[0].scene.session
-    buffers = shared_buffers(session, plan, () if hits is None else hit_buffers(plan.grid, plan.mapped > 0))
-    each = [_light_workspace(*pair, buffers, hits, grid) for pair in zip(plan.apart or (plan,), lights, strict=True)]
-    runs = dict(each[0].runs)
-    if plan.apart:
-        from clsco.passes.colors import JoinedColors
 
-        runs = _joining_runs(JoinedColors(session, plan.channels, plan.colors))
-    if plan.color and plan.scene.lens is not None and plan.scene.darkens:
-        from clsco.passes.vignetting import Vignetting
+    _target: Target
+    _blurred: BlurredPlane
+    _clusters: Clusters
+    _composite: DepthLayers
 
-        runs |= _vignetting_runs(Vignetting(session, plan.scene.lens.vignetting, plan.colors, plan.rows * plan.columns))
-    if plan.color and plan.averages:
-        runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), plan.scene.sequence.by_columns))
-    if plan.sensor_model is not None:
-        from clsco.passes.sensor import FrameSensor
+    def __init__(
+        self,
+        session: Session,
+        buffers: Mapping[str, cl.Buffer],
+        spec: BlurSpec,
+        tallest: Grid,
+        grid: Struct,
+        real: Real,
+        maps: Maps,
+        behind_rims: BehindRims | None = None,
+    ) -> None:
+        super().__init__(session, buffers)
+        self.spec, self._behind_rims = spec, behind_rims if spec.occluders else None
+        if spec.method == "none":
+            return
+        self._target = blur_target(session, spec, tallest.channels, real, maps)
+        self._blurred = make_blur(self._target, spec, tallest, grid)
+        if spec.layered:
+            from clsco.passes.clusters import Clusters, layered_program
+            from clsco.passes.layered import DepthLayers
 
-        runs |= _sensor_runs(FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid)))
-    return Workspace(session, runs, buffers, each[0].clusters, tuple(each) if plan.apart else (), _aims(plan))
+            kernels = layered_program(session, spec, tallest.channels, real)
+            self._clusters = Clusters(kernels, spec, tallest)
+            self._composite = DepthLayers(self._blurred, kernels, tallest, behind_rims)
 
+    def find_layers(self, passes: Iterable[Pass], jobs: Iterable[Any]) -> tuple[LayerBounds, ...]:
+        """Bounds of depth layers over several strips, which one strip cannot find; empty without layers."""
+        if not self.spec.layered:
+            return ()
+        before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
+        for job in jobs:
+            self._clusters.find(job, self.run(before, job)["image"])
+        return (self._clusters.found(),)
 
-def _aims(plan: Plan) -> Callable[[Moment, int], Moment] | None:
-    """Function for `Workspace.aims`, or None."""
-    if not plan.scene.shifts_colors:
-        return None
+    def sources(self, job: Job, _: Pass, image: Image) -> Outputs:
+        behind = {} if self._behind_rims is None else self._behind_rims(job) | {"depth": self.buffers["depth"]}
+        rims = (behind["lens"], behind["depth"]) if behind else ()
+        source = self.buffers["source"]
+        prepare_sources(self._target, job.grid, self._blurred.struct, image.maps, source, job.events, rims)
+        return (Sources(source, image.value, **behind),)
 
-    def aimed(at: Moment, color: int) -> Moment:
-        camera = colored(at.sample.camera, plan.scene.lens, color)
-        return replace(at, grid=towards(at.grid, camera), sample=replace(at.sample, camera=camera))
+    def blur(self, job: Job, _: Pass, sources: Sources | None, begun: Plane | None = None) -> Outputs:
+        if begun is None:
+            self._blurred.begin(job.grid)
+        if sources is not None:
+            self._blurred.add(sources, job.events)
+        return (self._blurred.plane(job.events),)
 
-    return aimed
+    def cluster(self, job: Job, step: Pass, image: Image) -> Outputs:
+        if job.bounds is not None:
+            return (self._clusters.divide(job, image, job.bounds[step.color or 0]),)
+        self._clusters.find(job, image)
+        return (self._clusters.divide(job, image, self._clusters.found()),)
+
+    def depth_layers(self, job: Job, _: Pass, layers: Layers) -> Outputs:
+        self._blurred.begin(job.grid)
+        self._composite.add(job, layers)
+        return self._blurred.plane(job.events), layers.count
 
 
 @dataclass(frozen=True)
-class Light:
+class ColorChannel:
     """Textures and pixels of all colors, or of one.
 
     Attributes
@@ -193,174 +207,152 @@ class Light:
     pixels: Pixels
 
 
-def _light_workspace(
-    plan: Plan, light: Light, buffers: dict[str, cl.Buffer], hits: Hits | None, grid: Struct
-) -> Workspace:  # fmt: skip
-    """The passes up to the blurred plane of a time sample, in buffers that all colors share."""
-    scene = light.scene
-    session, real, runs = scene.session, scene.real, _pixel_runs(plan, light.pixels, buffers)
-    if not plan.color:
-        return Workspace(session, runs, buffers)
-    spec = replace(plan.spec, brightest=scene.brightest)
-    lit = plan.forward or plan.static_map or plan.occlusion == "layered"
-    tracer = Tracer(plan, scene, buffers, psf_struct(spec.psf, *tables_of(spec, session), real), hits)
-    maps: Maps = "wide" if lit else "none"
-    blurs, clusters = blur_runs(session, spec, plan.grid, grid, buffers, real, maps, tracer.nothing_hidden)
-    runs |= _ray_runs(tracer, _handed_on(plan)) | blurs
-    return Workspace(session, runs, buffers, clusters)
-
-
-def _handed_on(plan: Plan) -> Callable[[Moment, Any], Any]:
-    """Function that turns the sources of a pass into its output, named by `clsco.plan.image.light_of`."""
-
-    def plane(at: Moment, light: Image | Sources) -> Plane:
-        return padded_plane(at.grid, light.value, plan.channels)
-
-    def sources(at: Moment, light: Image | Sources) -> Sources:
-        surface = next(each for each in at.sample.placed if each is not None)  # one plane at one depth
-        lens = Lens.of(at.sample.camera, plan.scene.lens, plan.only)
-        return Sources(None, light.value, radius=abs(axial_blur_radius(lens, surface)))
-
-    def itself(_: Moment, light: Image | Sources) -> Image | Sources:
-        return light
-
-    return {"none": plane, "convolve": sources}.get(plan.blur, itself)
-
-
-def _ray_runs(tracer: Tracer, handed_on: Callable[[Moment, Any], Any]) -> dict[Kind, Run]:
-    def trace(at: Moment) -> tuple[Any, ...]:
-        return (handed_on(at, tracer.trace(at)),)
-
-    def silhouettes(at: Moment, sources: Sources | None) -> tuple[Any, ...]:
-        return (tracer.silhouettes(at, sources),)
-
-    def pinhole(at: Moment) -> tuple[Any, ...]:
-        return (handed_on(at, tracer.pinhole(at)),)
-
-    return {"trace": trace, "silhouettes": silhouettes, "pinhole": pinhole}
-
-
-def _pixel_runs(plan: Plan, pixels: Pixels, buffers: Mapping[str, cl.Buffer]) -> dict[Kind, Run]:
-    """Functions that run the passes on pixels of the reference pose, by kind of pass."""
-    handed_on = _handed_on(plan)
-    if isinstance(pixels, StaticMap):
-        static, missing = pixels, int(pixels.missing.sum())
-        counts = {"missing_pixels": missing, "unfilled_pixels": missing}
-        return {"static image": lambda at: (handed_on(at, static.image(at, buffers)), counts)}
-    if pixels is None:
-        return {}
-    warp = pixels
-
-    def reproject(at: Moment) -> tuple[Any, ...]:
-        warp.nearest(at.sample, at.events)
-        warp.gather(at.events)
-        return (warp.filler.planes,)
-
-    def fill(at: Moment, moved: FillPlanes) -> tuple[Any, ...]:
-        warped = warp.fill(at.sample, at.events)
-        warp.note_radii(buffers["statistics"], at.events)
-        light = handed_on(at, Image(moved.value, (moved.coc, moved.valid)))
-        return light, warped.counters, *((warp.missing(warped),) if "missing" in plan.truth else ())
-
-    return {"reproject": reproject, "fill": fill, "count missing": fill}
-
-
-def blur_runs(
-    session: Session,
-    spec: BlurSpec,
-    tallest: Grid,
-    grid: Struct,
-    buffers: Mapping[str, cl.Buffer],
-    real: Real,
-    maps: Maps,
-    behind_rims: BehindRims | None = None,
-) -> tuple[dict[Kind, Run], tuple[Clusters, ...]]:
-    """Functions that run the passes from an image or sources to the blurred plane, and the passes that find depth
-    layers.
+class PlaneWorkspace(BlurWorkspace):
+    """Passes up to the blurred plane of a time sample, of all colors or of one.
 
     Parameters
     ----------
-    session : Session
-    spec : BlurSpec
-    tallest : Grid
-        Grid of the frame, or the tallest of its strips.
+    plan : Plan
+        Plan for these colors.
+    channel : ColorChannel
+    buffers : dict
+        Shared by all colors.
+    hits : Hits, optional
+        Ray hits shared with other lenses.
     grid : numpy.void
         grid_t of the first strip.
-    buffers : mapping
-        With "source", if images become sources.
-    real : {"double", "float"}
-    maps : Maps
-        Blur radii of images.
-    behind_rims : callable, optional
-        For images with aperture rims.
     """
-    if spec.method == "none":
-        return {}, ()
-    target = blur_target(session, spec, tallest.channels, real, maps)
-    blur = make_blur(target, spec, tallest, grid)
 
-    def sources(at: Any, image: Image) -> tuple[Any, ...]:
-        behind: dict[str, Any] = {}
-        if spec.occluders and behind_rims is not None:
-            behind = behind_rims(at) | {"depth": buffers["depth"]}
-        rims = (behind["lens"], behind["depth"]) if behind else ()
-        prepare_sources(target, at.grid, blur.struct, image.maps, buffers["source"], at.events, rims)
-        return (Sources(buffers["source"], image.value, **behind),)
+    def __init__(
+        self, plan: Plan, channel: ColorChannel, buffers: dict[str, cl.Buffer], hits: Hits | None, grid: Struct
+    ) -> None:
+        scene = channel.scene
+        self.plan = plan
+        if isinstance(channel.pixels, StaticMap):
+            self._static = channel.pixels
+        elif channel.pixels is not None:
+            self._warp = channel.pixels
+        spec = replace(plan.spec, brightest=scene.brightest)
+        psf = psf_struct(spec.psf, *tables_of(spec, scene.session), scene.real)
+        self.tracer = Tracer(plan, scene, buffers, psf, hits)
+        of_image = plan.forward or plan.static_map or plan.occlusion == "layered"
+        maps: Maps = "wide" if of_image else "none"
+        behind_rims = self.tracer.nothing_hidden
+        super().__init__(scene.session, buffers, spec, plan.grid, grid, scene.real, maps, behind_rims)
 
-    def spread(at: Area, lit: Sources | None, begun: Plane | None = None) -> tuple[Any, ...]:
-        if begun is None:
-            blur.begin(at.grid)
-        if lit is not None:
-            blur.add(lit, at.events)
-        return (blur.plane(at.events),)
+    def run_pass(self, job: SceneJob, step: Pass, *inputs: Any) -> Outputs:
+        if step.color is not None and self.plan.scene.shifts_colors:  # a color has rays of its own
+            camera = colored(job.sample.camera, self.plan.scene.lens, step.color)
+            job = replace(job, grid=towards(job.grid, camera), sample=replace(job.sample, camera=camera))
+        return super().run_pass(job, step, *inputs)
 
-    if not spec.layered:
-        return {"sources": sources, "blur": spread}, ()
-    from clsco.passes.clusters import Clusters, layered_program
-    from clsco.passes.layered import DepthLayers
+    def trace(self, job: SceneJob, step: Pass) -> Outputs:
+        return (self._for_blur(job, self.tracer.trace(job, step.group)),)
 
-    kernels = layered_program(session, spec, tallest.channels, real)
-    clusters, composite = Clusters(kernels, spec, tallest), DepthLayers(blur, kernels, tallest, behind_rims)
+    def silhouettes(self, job: SceneJob, step: Pass, sources: Sources | None) -> Outputs:
+        return (self.tracer.silhouettes(job, step.group, sources),)
 
-    def cluster(at: Area, image: Image) -> tuple[Any, ...]:
-        if at.bounds is None:
-            clusters.find(at, image)
-            return (clusters.divide(at, image, clusters.found()),)
-        return (clusters.divide(at, image, at.bounds[at.color or 0]),)
+    def pinhole(self, job: SceneJob, _: Pass) -> Outputs:
+        return (self._for_blur(job, self.tracer.pinhole(job)),)
 
-    def layers(at: Area, found: Layers) -> tuple[Any, ...]:
-        blur.begin(at.grid)
-        composite.add(at, found)
-        return blur.plane(at.events), found.count
+    def static_image(self, job: SceneJob, _: Pass) -> Outputs:
+        missing = int(self._static.missing.sum())
+        image = self._for_blur(job, self._static.image(job, self.buffers))
+        return image, {"missing_pixels": missing, "unfilled_pixels": missing}
 
-    return {"cluster": cluster, "depth layers": layers}, (clusters,)
+    def reproject(self, job: SceneJob, _: Pass) -> Outputs:
+        self._warp.nearest(job.sample, job.events)
+        self._warp.gather(job.events)
+        return (self._warp.filler.planes,)
 
+    def fill(self, job: SceneJob, _: Pass, moved: FillPlanes) -> Outputs:
+        warped = self._warp.fill(job.sample, job.events)
+        self._warp.note_radii(self.buffers["statistics"], job.events)
+        image = self._for_blur(job, Image(moved.value, (moved.coc, moved.valid)))
+        return image, warped.counters, *((self._warp.missing(warped),) if "missing" in self.plan.truth else ())
 
-def _joining_runs(joined: JoinedColors) -> dict[Kind, Run]:
-    def join(at: Moment, plane: Plane, *_: Plane) -> tuple[Any, ...]:
-        return (joined.put(plane, at.color or 0, at.events),)
+    count_missing = fill
 
-    return {"join colors": join}
-
-
-def _vignetting_runs(vignetting: Vignetting) -> dict[Kind, Run]:
-    def darken(at: Moment, plane: Plane) -> tuple[Any, ...]:
-        return (vignetting.darken(plane, at.sample.camera, at.strip.top, at.events),)
-
-    return {"vignetting": darken}
-
-
-def _exposure_runs(frame: FrameSum) -> dict[Kind, Run]:
-    def accumulate(at: Moment, plane: Plane) -> tuple[Any, ...]:
-        if at.first:
-            frame.clear()
-        return (frame.add(plane, at.weights, at.events, at.strip.top - at.of.top, at.of.rows),)
-
-    return {"accumulate": accumulate}
+    def _for_blur(self, job: SceneJob, light: Image | Sources | None) -> Image | Sources | Plane | None:
+        """Turn the light of a pass into what `clsco.plan.image.light_of` names."""
+        if light is None or self.plan.blur not in ("none", "convolve"):
+            return light
+        if self.plan.blur == "none":
+            return padded_plane(job.grid, light.value, self.plan.channels)
+        surface = next(each for each in job.sample.placed if each is not None)  # one plane at one depth
+        lens = Lens.of(job.sample.camera, self.plan.scene.lens, self.plan.only)
+        return Sources(None, light.value, radius=abs(axial_blur_radius(lens, surface)))
 
 
-def _sensor_runs(sensor: FrameSensor) -> dict[Kind, Run]:
-    def expose(at: Moment, light: Plane) -> tuple[Any, ...]:
-        return (None if at.camera is None else sensor.expose(at.of, light, at.camera, at.events),)
+class SceneWorkspace(Workspace):
+    """All passes of a scene.
 
-    return {"sensor": expose}
+    Parameters
+    ----------
+    plan : Plan
+    channels : sequence of ColorChannel
+        Textures and pixels of all colors, or of each color in `Plan.apart`.
+    hits : Hits, optional
+        Ray hits shared with other lenses.
+    grid : numpy.void
+        grid_t of the first strip.
+
+    Raises
+    ------
+    DeviceError, KernelError
+    """
+
+    _joined: JoinedColors
+    _darkened: Vignetting
+    _frame: FrameSum
+    _sensor: FrameSensor
+
+    def __init__(self, plan: Plan, channels: Sequence[ColorChannel], hits: Hits | None, grid: Struct) -> None:
+        session, scene = channels[0].scene.session, plan.scene
+        buffers = shared_buffers(session, plan, () if hits is None else hit_buffers(plan.grid, plan.mapped > 0))
+        super().__init__(session, buffers)
+        pairs = zip(plan.apart or (plan,), channels, strict=True)
+        self.planes = tuple(PlaneWorkspace(one, channel, buffers, hits, grid) for one, channel in pairs)
+        if plan.apart:
+            from clsco.passes.colors import JoinedColors
+
+            self._joined = JoinedColors(session, plan.channels, plan.colors)
+        if plan.color and scene.lens is not None and scene.darkens:
+            from clsco.passes.vignetting import Vignetting
+
+            self._darkened = Vignetting(session, scene.lens.vignetting, plan.colors, plan.rows * plan.columns)
+        if plan.color and plan.averages:
+            self._frame = FrameSum(session, sum_buffers(plan.grid), scene.sequence.by_columns)
+        if plan.sensor_model is not None:
+            from clsco.passes.sensor import FrameSensor
+
+            self._sensor = FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid))
+
+    def run_pass(self, job: SceneJob, step: Pass, *inputs: Any) -> Outputs:
+        own = hasattr(self, step.kind.replace(" ", "_"))
+        return (
+            super().run_pass(job, step, *inputs) if own else self.planes[step.color or 0].run_pass(job, step, *inputs)
+        )
+
+    def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[LayerBounds, ...] | None:
+        """As `BlurWorkspace.find_layers`, for all colors, or for red, green and blue; None without layers."""
+        strips, bounds = tuple(jobs), list[LayerBounds]()
+        for plane in self.planes:
+            bounds += plane.find_layers([step for step in passes if step.color == plane.plan.only], strips)
+        return tuple(bounds) or None
+
+    def join_colors(self, job: SceneJob, step: Pass, plane: Plane, *_: Plane) -> Outputs:
+        return (self._joined.put(plane, step.color or 0, job.events),)
+
+    def vignetting(self, job: SceneJob, _: Pass, plane: Plane) -> Outputs:
+        return (self._darkened.darken(plane, job.sample.camera, job.strip.top, job.events),)
+
+    def accumulate(self, job: SceneJob, _: Pass, plane: Plane) -> Outputs:
+        if job.is_first:
+            self._frame.clear()
+        whole = job.whole_strip
+        return (self._frame.add(plane, job.weights, job.events, job.strip.top - whole.top, whole.rows),)
+
+    def sensor(self, job: SceneJob, _: Pass, light: Plane) -> Outputs:
+        stream = job.noise_stream
+        return (None if stream is None else self._sensor.expose(job.whole_strip, light, stream, job.events),)

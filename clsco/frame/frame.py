@@ -129,6 +129,35 @@ class Frame:
         by_name = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
         return {name: array for name, array in by_name.items() if array is not None}
 
+    def require(self, name: str) -> NDArray[Any]:
+        """An output that the frame must have, so that type checkers know that it is not None.
+
+        Parameters
+        ----------
+        name : str
+            An attribute such as "depth", or its name in files.
+
+        Returns
+        -------
+        ndarray
+
+        Raises
+        ------
+        ArgumentError
+            The frame has no such output.
+
+        Examples
+        --------
+        >>> import clsco
+        >>> scene = clsco.Scene(camera=clsco.Camera(resolution=(8, 6)), objects=(clsco.Plane(),))
+        >>> clsco.render_frame(scene, truth="depth").require("depth").shape
+        (6, 8)
+        """
+        arrays = self.arrays()
+        if (array := arrays.get(FILE_NAMES.get(name, name))) is None:
+            raise ArgumentError(f"frame {self.index}: must have {name}; got {', '.join(arrays) or 'no output'}")
+        return array
+
     def image(self) -> NDArray[np.uint8]:
         """The image as 8-bit codes of sRGB, for `matplotlib.pyplot.imshow`, Pillow and OpenCV.
 

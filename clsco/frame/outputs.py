@@ -6,7 +6,7 @@ To add one, add a row here, an attribute of `clsco.frame.frame.Frame`, and its c
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -121,17 +121,25 @@ OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of outputs besides color from user input: some of `ALL_TRUTH` and `IMAGE_NAMES`, a single name, or "all".
-
-    "all" is `ALL_TRUTH`. Raises SceneError for other names.
+    """Names of outputs besides color from user input: some of `ALL_TRUTH` and `IMAGE_NAMES`, also as in files, in a
+    list or with commas between them, or "all", which is `ALL_TRUTH`. Raises SceneError for other names.
     """
     if truth == "all":
         return ALL_TRUTH
     if not isinstance(truth, Iterable):
         raise SceneError(f"truth: must be names of outputs; got {truth!r}")
-    names = tuple(dict.fromkeys([truth] if isinstance(truth, str) else truth))
-    for name in names:
-        if name not in FILE_NAMES or name == "color":
-            known = ", ".join((*ALL_TRUTH, *IMAGE_NAMES))
-            raise SceneError(f'truth: must be "all" or some of {known}; got {name!r}')
-    return names
+    return attributes_of(truth, (*ALL_TRUTH, *IMAGE_NAMES))
+
+
+def attributes_of(names: str | Iterable[str], known: Sequence[str]) -> tuple[str, ...]:
+    """Attributes of `Frame` for names of outputs, or of arrays in files, if they are in `known`. Raises SceneError."""
+    listed = [name for name in names.split(",") if name] if isinstance(names, str) else [*names]
+    attributes = [ATTRIBUTES.get(name, name) for name in listed]
+    for name, attribute in zip(listed, attributes, strict=True):
+        if attribute not in known:
+            from difflib import get_close_matches
+
+            near = get_close_matches(str(name), {*known, *(FILE_NAMES[each] for each in known)}, 1)
+            meant = f" (did you mean {near[0]}?)" if near else ""
+            raise SceneError(f'truth: must be "all" or some of {", ".join(known)}; got {name!r}{meant}')
+    return tuple(dict.fromkeys(attributes))

@@ -18,7 +18,7 @@ from clsco.errors import SceneError
 from clsco.files.color import SRGB, Color
 from clsco.files.ranges import check_values
 from clsco.frame.frame import Frame
-from clsco.frame.outputs import ALL_TRUTH, ATTRIBUTES, FILE_NAMES
+from clsco.frame.outputs import ALL_TRUTH, ATTRIBUTES, OUTPUTS, attributes_of
 from clsco.scene.model import Scene
 
 ALL = "all"
@@ -103,12 +103,8 @@ def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
     """Names of arrays in files, in their order; "blur_radius" is "coc", and "all" is all ground truth of the scene.
     Raises SceneError for other names.
     """
-    if truth == ALL:
-        truth = ALL_TRUTH
-    names = {FILE_NAMES.get(name, name) for name in (truth.split(",") if isinstance(truth, str) else truth) if name}
-    if unknown := sorted(names - ATTRIBUTES.keys()):
-        raise SceneError(f"truth: must be some of {','.join(ATTRIBUTES)}; got {unknown[0]}")
-    return tuple(name for name in ATTRIBUTES if name in names)
+    attributes = attributes_of(ALL_TRUTH if truth == ALL else truth, [*OUTPUTS])
+    return tuple(name for name, attribute in ATTRIBUTES.items() if attribute in attributes)
 
 
 def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:

@@ -179,4 +179,11 @@ def _compiled(session: Session, where: str, text: str, options: list[str]) -> Pr
             _LOG.info("%s: built in %.2f s", where, time.perf_counter() - began)
             return {kernel.function_name: kernel for kernel in kernels}
         except cl.Error as error:
-            raise KernelError(f"{where}: must build on {session.device}; got\n{error}") from error
+            _LOG.info("%s", error)  # with all options, of which there are about 80
+            raise KernelError(f"{where}: must build on {session.device}; got\n{_fault_of(error)}") from error
+
+
+def _fault_of(error: cl.Error) -> str:
+    """The compiler's log in an error of OpenCL, without the options and the lines before it."""
+    head, _, log = str(error).partition("(options:")[0].partition(">:\n\n")
+    return (log or head).strip()

@@ -13,14 +13,13 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
-from clsco.frame.strips import Grid, Strip
+from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty, mapped, upload, upload_cached
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
-from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.psf_tables import psf_features
 from clsco.optics.ray_means import has_ray_means, ray_means
-from clsco.optics.visibility import NO_GROUP, OcclusionGroup, lens_floats
+from clsco.optics.visibility import lens_floats
 from clsco.passes.pack import psf_struct
 from clsco.passes.tables import tables_of
 from clsco.plan.buffers import Sizes, by_columns, has_spans, margin
@@ -109,33 +108,6 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
     files = FILES_OF[spec.method]
     features = blur_features(spec, channels, session.device.has_fp64, maps)
     return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Area:
-    """Part of a frame that a pass processes.
-
-    Attributes
-    ----------
-    strip : Strip
-    grid : numpy.void
-        grid_t of the strip.
-    events : list
-        List to which launches are appended.
-    bounds : tuple of LayerBounds, optional
-        Bounds between depth layers, if they were found over all strips: for all colors, or for each.
-    group : OcclusionGroup
-        Objects to trace and blur.
-    color : int, optional
-        The color to blur, 0 to 2; by default all.
-    """
-
-    strip: Strip
-    grid: Struct
-    events: Events
-    bounds: tuple[LayerBounds, ...] | None = None
-    group: OcclusionGroup = NO_GROUP
-    color: int | None = None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from clsco.opencl.buffers import allocate, download
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds, bins_of, depth_of_hidden, layer_bounds, levels_of
-from clsco.passes.blur import BLOCKS, PIXELS, Area, Image, Target
+from clsco.passes.blur import BLOCKS, PIXELS, Image, Target
+from clsco.passes.job import Job
 from clsco.plan.buffers import cluster_buffers
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct, structs
@@ -95,13 +96,13 @@ class Clusters:
         self.buffers = allocate(target.session, cluster_buffers(spec, tallest))
         self._forget()
 
-    def find(self, at: Area, image: Image) -> None:
+    def find(self, job: Job, image: Image) -> None:
         """Record the depth discontinuities of a time sample, or of one strip of it."""
         far = np.int32(2 * self.reach + 1)
-        head = (at.grid, _real(self.low, self.target.real), np.int32(self.bins), far)
-        width, height = _padded(at.grid)
+        head = (job.grid, _real(self.low, self.target.real), np.int32(self.bins), far)
+        width, height = _padded(job.grid)
         args = (*head, *image.maps, self.buffers["latest"])
-        self.target.run("find_discontinuities", (height + width,), LINES, at.events, *args)
+        self.target.run("find_discontinuities", (height + width,), LINES, job.events, *args)
 
     def found(self) -> LayerBounds:
         """Bounds of depth layers from all strips passed to `find` since the last call. Waits for the device."""
@@ -115,36 +116,36 @@ class Clusters:
         latest = self.buffers["latest"]
         cl.enqueue_fill_buffer(self.target.session.queue, latest, ZERO, 0, latest.size)
 
-    def divide(self, at: Area, image: Image, bounds: LayerBounds) -> Layers:
+    def divide(self, job: Job, image: Image, bounds: LayerBounds) -> Layers:
         """The layers of an image, or of a strip of it, within these bounds."""
         if not bounds.bounds:
             return Layers(1, iter(()), image, self.buffers["edge"])
-        self._label(at, image, bounds)
+        self._label(job, image, bounds)
         count = len(bounds.bounds) + 1
-        each = (self._extended(at, image, number, bounds.deep) for number in range(1, count + 1))
+        each = (self._extended(job, image, number, bounds.deep) for number in range(1, count + 1))
         return Layers(count, each, image, self.buffers["edge"])
 
-    def _label(self, at: Area, image: Image, found: LayerBounds) -> None:
+    def _label(self, job: Job, image: Image, found: LayerBounds) -> None:
         """Compute the depth layer of every pixel, and the layer behind it."""
-        run, (width, height), (coc, _) = self.target.run, _padded(at.grid), image.maps
+        run, (width, height), (coc, _) = self.target.run, _padded(job.grid), image.maps
         layer, seed, offset, hidden, edge = (self.buffers[n] for n in ("layer", "seed", "offset", "hidden", "edge"))
         some = (*found.bounds, *(0,) * (8 - len(found.bounds)))  # at most MOST_LAYERS - 1
         bounds = cl.cltypes.make_int8(*some)  # type: ignore[attr-defined]
         low = _real(self.low, self.target.real)
-        head = (at.grid, low, np.int32(self.bins), np.int32(len(found.bounds)), bounds)
-        run("label_depth_layers", (width, height), PIXELS, at.events, *head, *image.maps, layer)
-        run("seed_hidden", (width, height), PIXELS, at.events, at.grid, coc, layer, seed)
-        run("column_seeds", (-(-width // SEED_COLUMNS),), LINES, at.events, at.grid, seed, offset)
-        args = (at.grid, np.int32(found.deep), layer, seed, offset, hidden, edge)
-        run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, at.events, *args)
+        head = (job.grid, low, np.int32(self.bins), np.int32(len(found.bounds)), bounds)
+        run("label_depth_layers", (width, height), PIXELS, job.events, *head, *image.maps, layer)
+        run("seed_hidden", (width, height), PIXELS, job.events, job.grid, coc, layer, seed)
+        run("column_seeds", (-(-width // SEED_COLUMNS),), LINES, job.events, job.grid, seed, offset)
+        args = (job.grid, np.int32(found.deep), layer, seed, offset, hidden, edge)
+        run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, job.events, *args)
 
-    def _extended(self, at: Area, image: Image, which: int, deep: int) -> Image:
+    def _extended(self, job: Job, image: Image, which: int, deep: int) -> Image:
         """One depth layer extended by its hidden part."""
-        run, number, (width, height) = self.target.run, np.int32(which), _padded(at.grid)
+        run, number, (width, height) = self.target.run, np.int32(which), _padded(job.grid)
         layer, hidden, pyramid = (self.buffers[name] for name in ("layer", "hidden", "pyramid"))
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         planes = (image.value, image.maps[0], layer)
-        run("open_depth_layer", (width, height), PIXELS, at.events, at.grid, number, *planes, pyramid)
+        run("open_depth_layer", (width, height), PIXELS, job.events, job.grid, number, *planes, pyramid)
         levels = levels_of(height, width, deep, self.channels + 2)
         pairs = list(pairwise(levels))
         for name, chosen in (("push", pairs), ("pull", pairs[:0:-1])):
@@ -152,12 +153,12 @@ class Clusters:
                 sizes = (np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
                 if name == "push":
                     last, size = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSH_PIXELS), half_rows)
-                    run(name, size, BLOCKS, at.events, *sizes, last, pyramid)
+                    run(name, size, BLOCKS, job.events, *sizes, last, pyramid)
                 else:
-                    run(name, (columns, rows), PIXELS, at.events, *sizes, pyramid)
+                    run(name, (columns, rows), PIXELS, job.events, *sizes, pyramid)
         coarse = (np.int32(n) for n in levels[1])
         out = (hidden, pyramid, value, coc, valid)
-        run("take_depth_layer", (width, height), PIXELS, at.events, at.grid, number, *coarse, *planes, *out)
+        run("take_depth_layer", (width, height), PIXELS, job.events, job.grid, number, *coarse, *planes, *out)
         return Image(value, (coc, valid))
 
 

@@ -12,7 +12,6 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty
 from clsco.passes.blur import (
     PIXELS,
-    Area,
     BehindRims,
     BlurredPlane,
     Image,
@@ -23,6 +22,7 @@ from clsco.passes.blur import (
 )
 from clsco.passes.clusters import ZERO, Layers
 from clsco.passes.frame_blur import make_blur
+from clsco.passes.job import Job
 from clsco.plan.buffers import depth_layer_spec, layered_buffers
 
 
@@ -40,7 +40,7 @@ class DepthLayers:
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
     behind_rims : callable, optional
-        As for `clsco.engine.workspace.blur_runs`.
+        As for `clsco.engine.workspace.Workspace`.
 
     Raises
     ------
@@ -66,43 +66,43 @@ class DepthLayers:
         self.behind_rims = behind_rims
         self.depth, self.open = (empty(session, sizes[name]) if name in sizes else None for name in ("depth", "open"))
 
-    def add(self, at: Area, layers: Layers) -> None:
+    def add(self, job: Job, layers: Layers) -> None:
         """Add the radiance of layers to the frame or strip."""
         behind: dict[str, Any] = {}
         if self.depth is not None and self.behind_rims is not None:
-            behind = self.behind_rims(at) | {"depth": self.depth}
+            behind = self.behind_rims(job) | {"depth": self.depth}
         if layers.count > 1:
             cl.enqueue_fill_buffer(self.target.session.queue, self.covered, ZERO, 0, self.covered.size)
             if behind:
-                args = (at.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.open)
-                self.target.run("open_share", self.inner.size, PIXELS, at.events, *args)
+                args = (job.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.open)
+                self.target.run("open_share", self.inner.size, PIXELS, job.events, *args)
         for layer in layers.each:
-            self._blur(at, layer, layers.edge, behind)
-        sources = self._sources(at, self.outer, layers.image, behind)
+            self._blur(job, layer, layers.edge, behind)
+        sources = self._sources(job, self.outer, layers.image, behind)
         if layers.count > 1:
-            self._keep(at, layers.edge, near_edges=False)
+            self._keep(job, layers.edge, near_edges=False)
         # Last, since border = "renormalize" writes to its value.
-        self.outer.add(sources, at.events)
+        self.outer.add(sources, job.events)
 
-    def _sources(self, at: Area, blur: BlurredPlane, image: Image, behind: dict[str, Any]) -> Sources:
+    def _sources(self, job: Job, blur: BlurredPlane, image: Image, behind: dict[str, Any]) -> Sources:
         rims = (behind["lens"], behind["depth"]) if behind else ()
-        prepare_sources(self.target, at.grid, blur.struct, image.maps, self.source, at.events, rims)
+        prepare_sources(self.target, job.grid, blur.struct, image.maps, self.source, job.events, rims)
         return Sources(self.source, image.value, **behind)
 
-    def _keep(self, at: Area, edge: cl.Buffer, near_edges: bool) -> None:
+    def _keep(self, job: Job, edge: cl.Buffer, near_edges: bool) -> None:
         """Remove the sources away from edges (`near_edges`), or those near them."""
-        size = int(at.grid["width"]), int(at.grid["height"])
-        args = (at.grid, np.int32(near_edges), edge, self.source)
-        self.target.run("keep_sources", size, PIXELS, at.events, *args)
+        size = int(job.grid["width"]), int(job.grid["height"])
+        args = (job.grid, np.int32(near_edges), edge, self.source)
+        self.target.run("keep_sources", size, PIXELS, job.events, *args)
 
-    def _blur(self, at: Area, layer: Image, edge: cl.Buffer, behind: dict[str, Any]) -> None:
+    def _blur(self, job: Job, layer: Image, edge: cl.Buffer, behind: dict[str, Any]) -> None:
         """Blur the depth layer, and composite it behind the previous ones."""
-        inner, frame = self.inner, (int(at.grid["columns"]), int(at.grid["rows"]))
-        sources = self._sources(at, inner, layer, behind)
-        self._keep(at, edge, near_edges=True)
-        inner.begin(at.grid)
-        inner.add(sources, at.events)
-        inner.resolve(at.events)
+        inner, frame = self.inner, (int(job.grid["columns"]), int(job.grid["rows"]))
+        sources = self._sources(job, inner, layer, behind)
+        self._keep(job, edge, near_edges=True)
+        inner.begin(job.grid)
+        inner.add(sources, job.events)
+        inner.resolve(job.events)
         room = (self.covered, self.open) if behind else (self.covered,)
-        args = (at.grid, *inner.layout, *room, *self.outer.sink)
-        self.target.run("composite", frame, PIXELS, at.events, *args)
+        args = (job.grid, *inner.layout, *room, *self.outer.sink)
+        self.target.run("composite", frame, PIXELS, job.events, *args)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.frame.strips import Strip
 from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import Texture, empty_image
 from clsco.opencl.buffers import upload
@@ -21,92 +20,16 @@ from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.quadrics import PlacedSurface, place
-from clsco.optics.still import Exposed, exposed
+from clsco.optics.quadrics import place
+from clsco.optics.still import exposed
 from clsco.optics.texture_mapping import texture_map
-from clsco.passes.blur import Area
+from clsco.passes.job import Part, Surfaces, TimeSample
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
-from clsco.records import REAL, Real, Struct, structs
+from clsco.records import REAL, Real, structs
 from clsco.scene.model import Camera, Scene
 
 # A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/footprint.clh).
 MOST_DETAIL = 1.37
-Surfaces = tuple[PlacedSurface | None, ...]  # of every object, None for a depth map
-
-
-@dataclass(frozen=True)
-class TimeSample:
-    """The objects of a scene at one time.
-
-    Attributes
-    ----------
-    time : float
-        Seconds.
-    camera : Camera
-        The camera with its lens at that time.
-    poses : tuple of Pose
-        Pose of every object relative to the camera, wherever that is itself.
-    placed : tuple of PlacedSurface or None
-        The objects in their poses.
-    packed : ndarray
-        surface_t of every object.
-    surfaces : Buffer
-        The same on the device.
-    light : (numpy.void,), optional
-        light_t, if the scene has a light.
-    """
-
-    time: float
-    camera: Camera
-    poses: tuple[Pose, ...]
-    placed: Surfaces
-    packed: NDArray[np.void]
-    surfaces: cl.Buffer
-    light: tuple[Struct, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Some of the sources of an exposure: the still ones, or the other ones of a time sample.
-
-    Attributes
-    ----------
-    exposed : Exposed
-    places : Buffer
-        `exposed.places` on the device.
-    still : bool
-    """
-
-    exposed: Exposed
-    places: cl.Buffer
-    still: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moment(Area):
-    """A strip of a frame at a time sample.
-
-    Attributes
-    ----------
-    sample : TimeSample
-    weights : ndarray of float64, (rows,) or (columns,)
-        Weights of the time sample in the strip.
-    first : bool
-        True for the first time sample of the frame.
-    of : Strip
-        The whole strip that this one is a part of, or equals.
-    camera : int, optional
-        `clsco.optics.sensor.camera_word` of the frame, set only for its last time sample.
-    part : Part, optional
-        Sources to trace, if the frame splits them into still and other ones.
-    """
-
-    sample: TimeSample
-    weights: NDArray[np.float64]
-    first: bool
-    of: Strip
-    camera: int | None = None
-    part: Part | None = None
 
 
 class PlacedScene:

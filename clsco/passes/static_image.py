@@ -16,7 +16,8 @@ from clsco.opencl.buffers import lent
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.rays import slopes_at
-from clsco.passes.blur import Area, Image
+from clsco.passes.blur import Image
+from clsco.passes.job import Job
 from clsco.records import REAL, Real, flat
 from clsco.scene.model import Camera
 
@@ -49,12 +50,12 @@ class GivenImage(ABC):
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
         """Signed radii around a strip, "coc", and possibly a mask "valid", as in `Image`."""
 
-    def image(self, at: Area, buffers: Mapping[str, cl.Buffer]) -> Image:
+    def image(self, job: Job, buffers: Mapping[str, cl.Buffer]) -> Image:
         """The image of a strip, in buffers "value", "coc" and "valid"; kernels read the host's array in place of a
         missing buffer, and "valid" stays unchanged if `radii` has none.
         """
-        value = self._sent(buffers.get("value"), flat(self._around(self.radiance, at.strip), np.float32))
-        sent = {name: self._sent(buffers.get(name), array) for name, array in self.radii(at.strip).items()}
+        value = self._sent(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
+        sent = {name: self._sent(buffers.get(name), array) for name, array in self.radii(job.strip).items()}
         found = {name: buffers[name] for name in ("coc", "valid") if name in buffers} | sent
         return Image(value, tuple(found[name] for name in ("coc", "valid") if name in found))
 

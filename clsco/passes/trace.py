@@ -17,11 +17,12 @@ from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.quadrics import EVERYWHERE
 from clsco.optics.still import Window
-from clsco.optics.visibility import OcclusionGroup
+from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.passes.bend import Bends
 from clsco.passes.blur import BLOCKS, PIXELS, Image, Sources, Target
+from clsco.passes.job import Part, SceneJob
 from clsco.passes.pack import exposure_struct, group_struct, lens_struct
-from clsco.passes.placed import Moment, Part, PlacedScene
+from clsco.passes.placed import PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers, silhouette_buffers
 from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
@@ -105,7 +106,7 @@ class KeptHits:
         return self.session.cache.get(("hits", key), made, lambda _: sum(sizes.values()))
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Tracer:
     """Casts the rays of a plan.
 
@@ -114,8 +115,8 @@ class Tracer:
     plan : Plan
     scene : PlacedScene
     buffers : dict
-        By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`; slot buffers are
-        reallocated if more slots are needed.
+        By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
+        colors; slot buffers are replaced if more slots are needed.
     psf : numpy.void
         psf_t of the blur that will add the sources.
     hits : Hits, optional
@@ -138,14 +139,14 @@ class Tracer:
         """Planes of the lens's effect on rays."""
         return Bends(self.target, self.plan.scene)
 
-    def _bends(self, at: Moment, *names: str) -> tuple[cl.Buffer, ...]:
+    def _bends(self, job: SceneJob, *names: str) -> tuple[cl.Buffer, ...]:
         """Named planes of the lens's effect on rays, as far as they exist: kernel arguments."""
-        found = self.bends.planes(at.grid, self.lens(at), at.events)
-        return tuple(found[name] for name in names if name in found)
+        planes = self.bends.planes(job.grid, self.lens(job), job.events)
+        return tuple(planes[name] for name in names if name in planes)
 
-    def lens(self, at: Moment) -> Struct:
+    def lens(self, job: SceneJob) -> Struct:
         """lens_t at a time sample."""
-        return lens_struct(Lens.of(at.sample.camera, self.plan.scene.lens, self.plan.only), self.scene.real)
+        return lens_struct(Lens.of(job.sample.camera, self.plan.scene.lens, self.plan.only), self.scene.real)
 
     @cached_property
     def extents(self) -> tuple[cl.Buffer, ...]:
@@ -158,76 +159,82 @@ class Tracer:
         ends += np.array([-1.0, 1.0] * 3) * (ROUNDED * np.abs(ends))
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
-    def trace(self, at: Moment) -> Sources | None:
+    def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources | None:
         """Sources of one occlusion group, None if this part of the exposure has none; reuses the buffers of the
         previous group, whose launches have ended.
         """
-        plan, buffers, head = self.plan, self.buffers, self._head(at)
+        plan, buffers, head = self.plan, self.buffers, self._head(job, group)
         sizes = hit_buffers(plan.grid, plan.mapped > 0)
-        window = self._window(at)
+        window = self._window(job, group)
         if window is None:
             return None
+        exposure = self._exposure(job, group)
         if self.hits is None:
             planes = tuple(buffers[name] for name in sizes)
-            self._cast(at, planes, window, self._exposure(at))
+            self._cast(job, group, planes, window, exposure)
         else:
-            every = self._exposure(at, every=True)
-            planes = self.hits.planes(sizes, self._key(at), lambda found: self._cast(at, found, whole_grid(at), every))
+            every = self._exposure(job, group, every=True)
+            planes = self.hits.planes(
+                sizes, self._key(job, group), lambda planes: self._cast(job, group, planes, whole_grid(job), every)
+            )
         value, depth, label = planes
         source = buffers.get("source")
-        if source is not None and at.part is not None and not at.part.still:
+        if source is not None and job.part is not None and not job.part.still:
             cl.enqueue_fill_buffer(self.target.session.queue, source, NO_SOURCE, 0, source.size)
         beside = (value, *self.scene.texture_maps, buffers["share"]) if "share" in buffers else ()
         out = (source, buffers["statistics"], *self.extents)
-        bends = self._bends(at, "slopes", "bends")
-        self._per_pixel("aim", at, window, *head, depth, label, *out, *beside, *bends, *self._exposure(at))
-        hidden: dict[str, Any] = {}
+        bends = self._bends(job, "slopes", "bends")
+        self._per_pixel("aim", job, window, *head, depth, label, *out, *beside, *bends, *exposure)
+        occluders: dict[str, Any] = {}
         if plan.spec.occluders:
-            hidden = {"lens": head[1], "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
-        found = Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **hidden)
-        return found if plan.silhouettes else self._merged(at, found)
+            occluders = {"lens": head[1], "surfaces": job.sample.surfaces, "group": head[3], "depth": depth}
+        sources = Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **occluders)
+        return sources if plan.silhouettes else self._merged(job, sources)
 
-    def _cast(self, at: Moment, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]) -> None:
+    def _cast(
+        self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]
+    ) -> None:  # fmt: skip
         """Enqueue the rays of one occlusion group, which all lenses share."""
-        grid, lens, surfaces, group, psf = self._head(at)
-        divided, slopes = (lens, psf) if exposure else (), self._bends(at, "slopes")
+        grid, lens, surfaces, members, psf = self._head(job, group)
+        divided, slopes = (lens, psf) if exposure else (), self._bends(job, "slopes")
         self._per_pixel(
-            "cast", at, window, grid, surfaces, group, *self._appearance(at), *planes, *divided, *slopes, *exposure
+            "cast", job, window, grid, surfaces, members, *self._appearance(job), *planes, *divided, *slopes, *exposure
         )
 
-    def silhouettes(self, at: Moment, sources: Sources | None) -> Sources | None:
+    def silhouettes(self, job: SceneJob, group: OcclusionGroup, sources: Sources | None) -> Sources | None:
         """The sources of an occlusion group, with sub-pixel sources added."""
-        window = self._window(at)
+        window = self._window(job, group)
         if sources is None or window is None:
             return None
-        size = (max(self._take_slots(at, sources, window), 1),)
+        size = (max(self._take_slots(job, sources, window), 1),)
         buffers, room = self.buffers, self._room
         source, statistics, slots = buffers["source"], buffers["statistics"], np.int32(room)
         subs = buffers["sub_source"], buffers["sub_value"]
         labels, depth = buffers["sub_label"], buffers["sub_depth"]
-        head, run = self._head(at), self.target.run
-        grid, _, surfaces, group, _ = head
-        slotted = (*head, *self._appearance(at), buffers["pixels"], slots, source, *subs)
-        labeled = (grid, surfaces, group, buffers["pixels"], slots, labels, depth, statistics)
-        run("label_subpixels", size, PIXELS[:1], at.events, *labeled)
-        traced = (*slotted, labels, depth, statistics, *self._exposure(at))
-        run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
+        head, run = self._head(job, group), self.target.run
+        grid, _, surfaces, members, _ = head
+        slotted = (*head, *self._appearance(job), buffers["pixels"], slots, source, *subs)
+        labeled = (grid, surfaces, members, buffers["pixels"], slots, labels, depth, statistics)
+        run("label_subpixels", size, PIXELS[:1], job.events, *labeled)
+        exposure = self._exposure(job, group)
+        traced = (*slotted, labels, depth, statistics, *exposure)
+        run("trace_subpixels", size, PIXELS[:1], job.events, *traced)
         if self.plan.small:
-            run("trace_small", size, PIXELS[:1], at.events, *slotted, depth, statistics, *self._exposure(at))
+            run("trace_small", size, PIXELS[:1], job.events, *slotted, depth, statistics, *exposure)
         value = sources.value
         if "sharper" in buffers:
-            run("trace_detail", size, PIXELS[:1], at.events, *slotted, depth, statistics)
+            run("trace_detail", size, PIXELS[:1], job.events, *slotted, depth, statistics)
             value = buffers["sharper"]
-            self._per_pixel("sharpen", at, window, at.grid, sources.value, buffers["share"], source, value)
-        found = replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)
-        return self._merged(at, found)
+            self._per_pixel("sharpen", job, window, job.grid, sources.value, buffers["share"], source, value)
+        several = replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)
+        return self._merged(job, several)
 
     @property
     def _room(self) -> int:
         """Number of slots for pixels near silhouettes."""
         return self.buffers["pixels"].size // 4
 
-    def _take_slots(self, at: Moment, sources: Sources, window: Window) -> int:
+    def _take_slots(self, job: SceneJob, sources: Sources, window: Window) -> int:
         """Assign slots to the pixels that need sub-pixel sources, and reallocate if there are more than predicted;
         returns their number. Waits for the device.
         """
@@ -238,8 +245,8 @@ class Tracer:
         while True:
             cl.enqueue_fill_buffer(session.queue, statistics, given, 4 * STATISTIC_SLOTS, 4)
             marks = (self.buffers["source"], self.buffers["pixels"], statistics)
-            head = (at.grid, sources.label, np.int32(self._room))
-            self.target.run("mark_silhouettes", runs, BLOCKS, at.events, *head, *marks, origin=origin)
+            head = (job.grid, sources.label, np.int32(self._room))
+            self.target.run("mark_silhouettes", runs, BLOCKS, job.events, *head, *marks, origin=origin)
             taken = int(download(session, statistics, (STATISTIC_SLOTS + 1,), np.int32)[STATISTIC_SLOTS])
             if taken <= self._room:
                 return taken
@@ -252,23 +259,23 @@ class Tracer:
         self.buffers.update(allocate(session, silhouette_buffers(self.plan.spec, self.plan.grid, slots, False)))
         cl.enqueue_copy(session.queue, self.buffers["pixels"], before, byte_count=before.size).wait()
 
-    def _merged(self, at: Moment, sources: Sources) -> Sources:
+    def _merged(self, job: SceneJob, sources: Sources) -> Sources:
         """The sources, merged as far as the tolerance allows."""
-        plan, grid = self.plan, at.grid
+        plan, grid = self.plan, job.grid
         if plan.merged:
             size = (-(-int(grid["width"]) // MERGED_SIDE), -(-int(grid["height"]) // MERGED_SIDE))
             added = (MERGED_SIDE**2 - 1) / 12 / plan.psf.pupil.second_moment
             numbers = np.array([plan.merged, added], np.float32)
             planes = sources.depth, sources.label, *numbers, sources.source
-            self.target.run("merge", size, PIXELS, at.events, grid, self.lens(at), self.psf, *planes)
+            self.target.run("merge", size, PIXELS, job.events, grid, self.lens(job), self.psf, *planes)
         return sources
 
-    def pinhole(self, at: Moment) -> Image:
+    def pinhole(self, job: SceneJob) -> Image:
         """The pinhole image with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        head = (at.grid, self.lens(at), at.sample.surfaces, everything(self.plan), *self._appearance(at))
-        out = value, coc, valid, self.buffers["statistics"], *self._bends(at, "slopes", "bends")
-        self._per_pixel("pinhole", at, whole_grid(at), *head, *out)
+        head = (job.grid, self.lens(job), job.sample.surfaces, everything(self.plan), *self._appearance(job))
+        out = value, coc, valid, self.buffers["statistics"], *self._bends(job, "slopes", "bends")
+        self._per_pixel("pinhole", job, whole_grid(job), *head, *out)
         return Image(value, (coc, valid))
 
     @cached_property
@@ -277,58 +284,57 @@ class Tracer:
         features = self.plan.features()
         return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
 
-    def _key(self, at: Moment) -> HitKey:
+    def _key(self, job: SceneJob, group: OcclusionGroup) -> HitKey:
         """Everything that ray hits depend on: the rays and the surfaces that they may meet."""
-        sample = at.sample
-        members = [k for k in range(len(sample.placed)) if at.group.members >> k & 1]
+        sample = job.sample
+        members = [k for k in range(len(sample.placed)) if group.members >> k & 1]
         light = tuple(each.tobytes() for each in sample.light)
-        cast = (at.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), self._built)
+        cast = (job.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), self._built)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
-        return HitKey(at.group, (cast, maps), self.scene.content)
+        return HitKey(group, (cast, maps), self.scene.content)
 
-    def _appearance(self, at: Moment) -> tuple[Any, ...]:
+    def _appearance(self, job: SceneJob) -> tuple[Any, ...]:
         """The textures, their mappings, and the light, as far as the scene has them."""
-        return (self.scene.texture, *self.scene.texture_maps, *at.sample.light)
+        return (self.scene.texture, *self.scene.texture_maps, *job.sample.light)
 
-    def nothing_hidden(self, at: Moment) -> dict[str, Any]:
+    def nothing_hidden(self, job: SceneJob) -> dict[str, Any]:
         """The lens, and an empty set of occluders, as fields of `Sources`."""
-        group = group_struct(OcclusionGroup(0, 0), 0)
-        return {"lens": self.lens(at), "surfaces": at.sample.surfaces, "group": group}
+        return {"lens": self.lens(job), "surfaces": job.sample.surfaces, "group": group_struct(NO_GROUP, 0)}
 
-    def _head(self, at: Moment) -> tuple[Any, ...]:
-        group = group_struct(at.group, len(at.sample.placed))
-        return at.grid, self.lens(at), at.sample.surfaces, group, self.psf
+    def _head(self, job: SceneJob, group: OcclusionGroup) -> tuple[Any, ...]:
+        members = group_struct(group, len(job.sample.placed))
+        return job.grid, self.lens(job), job.sample.surfaces, members, self.psf
 
-    def _changed(self, at: Moment, part: Part) -> Window | None:
+    def _changed(self, job: SceneJob, group: OcclusionGroup, part: Part) -> Window | None:
         """Window around the sources that are not still."""
-        plan, strip = self.plan, at.strip
+        plan, strip = self.plan, job.strip
         rows = strip.top - strip.above, strip.height
-        return part.exposed.window(at.group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
+        return part.exposed.window(group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
 
-    def _window(self, at: Moment) -> Window | None:
+    def _window(self, job: SceneJob, group: OcclusionGroup) -> Window | None:
         """Part of the grid whose sources are traced, aligned to whole groups of pixels, so that all passes pad it
         equally.
         """
-        if at.part is None or at.part.still:
-            return whole_grid(at)
-        found = self._changed(at, at.part)
-        return None if found is None else (found[0] - found[0] % PIXELS[0], *found[1:])
+        if job.part is None or job.part.still:
+            return whole_grid(job)
+        window = self._changed(job, group, job.part)
+        return None if window is None else (window[0] - window[0] % PIXELS[0], *window[1:])
 
-    def _exposure(self, at: Moment, every: bool = False) -> tuple[Any, ...]:
+    def _exposure(self, job: SceneJob, group: OcclusionGroup, every: bool = False) -> tuple[Any, ...]:
         """Kernel arguments of a part of an exposure; every: True for rays that other lenses share."""
-        if at.part is None:
+        if job.part is None:
             return ()
-        window, part = self._changed(at, at.part), at.part
+        window, part = self._changed(job, group, job.part), job.part
         return exposure_struct(part.exposed, part.still or every, window, self.scene.real), part.places
 
-    def _per_pixel(self, name: str, at: Moment, window: Window, *args: Any) -> None:
+    def _per_pixel(self, name: str, job: SceneJob, window: Window, *args: Any) -> None:
         left, top, right, bottom = window
-        self.target.run(name, (right - left, bottom - top), PIXELS, at.events, *args, origin=(left, top))
+        self.target.run(name, (right - left, bottom - top), PIXELS, job.events, *args, origin=(left, top))
 
 
-def whole_grid(at: Moment) -> Window:
+def whole_grid(job: SceneJob) -> Window:
     """Window of all pixels of the frame and the apron."""
-    return 0, 0, int(at.grid["width"]), int(at.grid["height"])
+    return 0, 0, int(job.grid["width"]), int(job.grid["height"])
 
 
 def ray_target(plan: Plan, scene: PlacedScene) -> Target:

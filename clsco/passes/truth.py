@@ -22,8 +22,9 @@ from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
 from clsco.optics.rims import frame_throughput
 from clsco.passes.blur import PIXELS, Events, Target
+from clsco.passes.job import TimeSample
 from clsco.passes.pack import camera_grid, lens_struct
-from clsco.passes.placed import PlacedScene, TimeSample
+from clsco.passes.placed import PlacedScene
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import everything, ray_target
 from clsco.passes.warp import ForwardWarp

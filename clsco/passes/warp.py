@@ -19,8 +19,9 @@ from clsco.optics.lens import Lens
 from clsco.optics.lens_path import reference_camera
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
+from clsco.passes.job import TimeSample
 from clsco.passes.pack import camera_grid, lens_struct
-from clsco.passes.placed import PlacedScene, TimeSample
+from clsco.passes.placed import PlacedScene
 from clsco.plan.buffers import fill_sizes, warp_buffers
 from clsco.plan.features import curvature_of
 from clsco.plan.plan import Plan

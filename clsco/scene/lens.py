@@ -159,14 +159,9 @@ def check_opening(lens: Lens | None, psf: Psf) -> None:
 
 
 def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Lens | None:
-    """The lens of a scene with the distortion term of Seidel's aberrations; raises a fault if the resolution is
-    unknown.
-    """
+    """The lens of a scene with the distortion term of Seidel's aberrations; the camera has a resolution."""
     seidel, k1 = psf.seidel, 0.0
     if seidel.W311:
-        if camera.resolution is None:
-            rule = fault("needs camera.resolution, as it is of the corner of the frame")
-            raise at_keys([(("psf", "seidel", "W311"), rule, seidel.W311)])
         half = 0.5 * math.hypot(*(size - 1 for size in camera.resolution)) or 1.0
         corner = half * camera.pixel_pitch / camera.normalization_distance
         k1 = seidel.radial_distortion(psf.wavelengths[1], camera.aperture_diameter, corner)

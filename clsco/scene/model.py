@@ -139,10 +139,10 @@ class Scene(Strict):
     title: Text = ""
     """Title; recorded in the metadata, used nowhere else."""
     camera: Camera = Camera.model_construct()
-    lens: Annotated[Lens | None, Deferred()] = None
-    """Changes of the camera's lens over time, and where it differs from a thin lens; a thin one if not given."""
     aperture: Aperture = Aperture.model_construct()
     psf: Psf = Psf.model_construct()
+    lens: Annotated[Lens | None, Deferred()] = Field(default=None, validate_default=True)
+    """Changes of the camera's lens over time, and where it differs from a thin lens; a thin one if not given."""
     sequence: Sequence = Sequence.model_construct()
     motion: Motion = Motion.model_construct()
     fill: Fill = Fill.model_construct()
@@ -192,6 +192,14 @@ class Scene(Strict):
             raise at_keys(faults)
         return value
 
+    @field_validator("lens")
+    @classmethod
+    def _with_distortion_of_wavefront(cls, value: Lens | None, info: ValidationInfo) -> Lens | None:
+        psf, camera = info.data.get("psf"), info.data.get("camera")
+        if psf is None or camera is None or camera.resolution is None:
+            return value
+        return with_distortion_of_wavefront(value, psf, camera)
+
     @field_validator("sensor")
     @classmethod
     def _with_an_opening_that_stays(cls, value: Sensor | None, info: ValidationInfo) -> Sensor | None:
@@ -226,7 +234,9 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _psf_fits_the_aperture(self) -> Self:
-        self.__dict__["lens"] = with_distortion_of_wavefront(self.lens, self.psf, self.camera)
+        if self.psf.seidel.W311 and self.camera.resolution is None:
+            unknown = fault("needs camera.resolution, as it is of the corner of the frame")
+            raise at_keys([(("psf", "seidel", "W311"), unknown, self.psf.seidel.W311)])
         check_opening(self.lens, self.psf)
         if faults := misfit(self.psf, self.aperture):
             key, rule, value = faults

@@ -4,6 +4,9 @@ The studio listens on the loopback interface, which all users of the machine and
 reach. So a request must name this server as its host (a foreign name that resolves to it is DNS rebinding), come from
 the studio's own page, and have a cookie that is only given to a browser with the address printed at the start. Browsers
 send cookies to all ports of a host, so the cookie is limited to a path that no other server knows.
+
+When the studio has ended, another user can listen at its port. So an open page sends nothing there, neither path nor
+cookie, before the server has proved at `/prove` that it knows the key of the page.
 """
 
 from __future__ import annotations
@@ -27,6 +30,8 @@ CODE_SECONDS = 120.0  # in which the browser that is opened has to come
 HEADER_SECONDS = 10.0  # from the connection, or the end of the request before, to the end of a header
 MOST_WAITING = 64  # connections whose header has not come
 TICK = 0.5  # s between looks at them
+PROOF, MAX_NUMBER = "/prove", 64
+"""Path at which the server proves who it is, and characters of the number that it proves it for."""
 
 # The one script in a page is that which goes from the first address to the next; others are files of ours.
 _POLICY = (
@@ -61,6 +66,8 @@ class Guard:
         Unguessable path of everything except the first address.
     cookie : str
         Unguessable name of the cookie.
+    proof_key : str
+        Key by which the server proves to its pages that it is the one that made them, hexadecimal.
     """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str], token: str, key: bytes) -> None:
@@ -71,6 +78,7 @@ class Guard:
         self._code, self._code_ends = b"", 0.0
         port = next(iter(hosts)).rpartition(":")[2]
         self.place, self.cookie = f"/{_derived(key, f'place {port}')}", f"clsco-{_derived(key, f'cookie {port}')}"
+        self.proof_key = hmac.digest(key, f"proof {port}".encode(), "sha256").hex()
         sockets = " ".join(f"ws://{host}" for host in sorted(self._hosts) if not host.startswith("["))
         self._script = _GO_ON.format(place=self.place)
         digest = base64.b64encode(hashlib.sha256(self._script.encode()).digest()).decode()
@@ -96,6 +104,8 @@ class Guard:
         headers = Headers(scope=scope)
         if (rule := self._forgery(scope, headers)) is None and self._is_first(scope):
             await self._admit(scope, receive, send_with_headers)
+        elif rule is None and scope["type"] == "http" and scope["path"] == PROOF:
+            await self._prove(scope, receive, send_with_headers)
         elif (rule := rule or self._unknown(scope, headers)) is not None:
             close = {"connection": "close"}  # what is left of the body is not read
             await PlainTextResponse(f"refused: {rule}\n", 403, close)(scope, receive, send_with_headers)
@@ -146,6 +156,12 @@ class Guard:
             self._code_ends = 0.0
             return True
         return bool(kind == b"t" and hmac.compare_digest(secret, self._token))
+
+    async def _prove(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a page's random number with its code of authentication (HMAC-SHA256)."""
+        number = scope["query_string"][:MAX_NUMBER]
+        code = hmac.digest(bytes.fromhex(self.proof_key), number, "sha256").hex()
+        await PlainTextResponse(code, headers={"cache-control": "no-store"})(scope, receive, send)
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Exchange the secret in the address for a cookie, and redirect to an address without it.

@@ -163,8 +163,8 @@ class Jobs:
             self._tell()
             try:
                 job.message = await self._work(job)
-            except (OSError, ValueError) as error:  # it cannot be started, or prints too long a line
-                job.message = f"clsco: must run; got {error}"
+            except Exception as error:  # it cannot be started, or prints too long a line
+                job.message = f"clsco: must run; got {error or type(error).__name__}"
             job.status = "failed" if job.message else "done"
 
     async def _work(self, job: CommandJob) -> str:

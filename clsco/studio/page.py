@@ -71,7 +71,7 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
 
 def _draw(page: Page, name: str, studio: Studio) -> None:
     session = studio.tabs[name].session
-    with say("div", id="studio", data_tab=name, data_page=page.key):
+    with say("div", id="studio", data_tab=name, data_page=page.key, data_proof=studio.proof_key):
         say("div", id="lost", role="status", hidden=True)
         with say("header"):
             _header(session, studio, name)

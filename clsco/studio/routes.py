@@ -22,6 +22,7 @@ from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.pictures import small_png
 from clsco.studio.session import Document, StateFolder
+from clsco.studio.store import from_link
 
 LARGEST_PICTURE = 2**18  # bytes
 _PICTURE = re.compile(r"(kept|file)_[A-Za-z0-9_-]{1,80}\.jpg")
@@ -68,7 +69,8 @@ class Addresses:
         content = await request.body()  # before any answer, or a connection with what is not read yet is reset
         session = self._session(request)
         try:
-            session.load_share(content.decode("ascii", "replace"))
+            text = content.decode("ascii", "replace")
+            session.load_share(await asyncio.to_thread(from_link, text, session.readable))
         except SceneError as error:
             return _refused("\n".join(error.messages))
         return JSONResponse({})

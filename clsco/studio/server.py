@@ -8,13 +8,13 @@ import json
 import math
 import os
 import secrets
-import socket
 import threading
 import traceback
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,18 +28,20 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from clsco.errors import FileError, SceneError
 from clsco.scene.model import Scene
+from clsco.studio.background import keep_running
 from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import Guard, close_half_open
 from clsco.studio.jobs import Jobs
 from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.lens import lens_line
+from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
-from clsco.studio.store import digest_of
+from clsco.studio.store import digest_of, from_link
 from clsco.studio.tables import is_path
 from clsco.studio.widgets.html import Page
 
@@ -96,6 +98,7 @@ class Studio:
         self.renderer = Renderers(device)
         self.jobs, self.state = Jobs(self.root), StateFolder(self.root)
         self.tabs: dict[str, Tab] = {}
+        self.proof_key = ""  # as of `Guard`
         old = self.kept_scenes()[MOST_KEPT:]
         pictures = sorted(self.state.path.glob(f"{SHOWN}*.jpg"), key=_changed_at)[:-MOST_SHOWN]
         self.state.remove(*(name for path in old for name in (path.name, f"{path.stem}.jpg")))
@@ -122,8 +125,11 @@ class Studio:
         if known is not None and known.preview is None:
             return name
         forgotten = [name for name, tab in self.tabs.items() if tab.preview is None]
-        for old in forgotten[: max(len(self.tabs) - MOST_TABS + 1, 0)]:
+        excess = forgotten[: max(len(self.tabs) - MOST_TABS + 1, 0)]
+        for old in excess:
             self.tabs.pop(old).page.end()
+        if excess:
+            gc.collect()  # a page refers to itself, and short commands let much garbage gather
         new = secrets.token_urlsafe(12)
         self.tabs[new] = Tab(self.new_session())
         return new
@@ -158,10 +164,16 @@ class Studio:
         return self.state.path / f"{KEPT}{name}.json"
 
     async def watch(self) -> None:
-        """Save the scenes for recovery at regular intervals, until canceled."""
-        while True:
-            await asyncio.sleep(TICK)
-            self.keep()
+        """Wait for TICK, and save the scenes for recovery."""
+        await asyncio.sleep(TICK)
+        self.keep()
+
+    async def report(self, messages: list[str]) -> None:
+        """Show messages in all open tabs."""
+        for tab in tuple(self.tabs.values()):
+            if tab.preview is not None:
+                with suppress(WebSocketDisconnect):
+                    await tab.preview.tell(error=messages)
 
     async def frames(self, socket: WebSocket) -> None:
         """Serve a tab's socket: receive changes, send pictures."""
@@ -177,12 +189,21 @@ class Studio:
 
         async def send(data: bytes) -> None:
             async with sending:
-                await socket.send_bytes(data)
+                try:
+                    await socket.send_bytes(data)
+                except RuntimeError as error:  # as Starlette says that the tab is closed
+                    raise WebSocketDisconnect from error
 
         preview = tab.preview = Preview(tab.session, self.renderer, send)
         pointer = Pointer(tab.session, preview)
         endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
-        tasks = [asyncio.create_task(preview.run()), asyncio.create_task(_tell(tab, preview))]
+
+        async def report(messages: list[str]) -> None:
+            with suppress(WebSocketDisconnect):
+                await preview.tell(error=messages)
+
+        loops = (preview.run, partial(_tell, tab, preview))
+        tasks = [asyncio.create_task(keep_running(loop, report, (WebSocketDisconnect,))) for loop in loops]
         try:
             with suppress(WebSocketDisconnect, RuntimeError, asyncio.CancelledError):  # the last: the studio ends
                 while True:
@@ -218,8 +239,8 @@ class Studio:
         except SceneError as error:
             await preview.tell(error=error.messages)
         except Exception as error:  # a fault of ours, which is no reason to end the tab
-            if isinstance(error, WebSocketDisconnect | RuntimeError) and not isinstance(error, RecursionError):
-                raise  # nobody is there to be told
+            if isinstance(error, WebSocketDisconnect):
+                raise  # the tab is closed
             traceback.print_exc()
             await preview.tell(error=[f"studio: must not fail; got {type(error).__name__}"])
 
@@ -249,12 +270,13 @@ class Studio:
             case {"keyframe": str(path), "remove": int(index)}:
                 remove_keyframe(tab.session, path, index)
             case {"link": str(link)}:
-                tab.session.load_share(link)
+                tab.session.load_share(await asyncio.to_thread(from_link, link, tab.session.readable))
             case {"do": "keep"}:
                 await preview.tell(kept=tab.session.remembered())
             case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
                 if before not in self.tabs:  # else it is still there, and this is a copy of its page
-                    tab.session.resume(link, file, digest)
+                    linked = await asyncio.to_thread(from_link, link, tab.session.readable)
+                    tab.session.resume(linked, file, digest)
                     await preview.tell(resumed=True)
             case {"do": "undo" | "redo" | "reset" as what}:
                 getattr(tab.session, what)()
@@ -381,7 +403,7 @@ def application(studio: Studio, draw: Draw) -> Starlette:
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        watching = asyncio.create_task(studio.watch())
+        watching = asyncio.create_task(keep_running(studio.watch, studio.report))
         yield
         watching.cancel()
         await studio.jobs.close()
@@ -401,18 +423,6 @@ def application(studio: Studio, draw: Draw) -> Starlette:
     return Starlette(routes=[*ours, *Addresses(studio.jobs, studio.state, session_of).routes()], lifespan=lifespan)
 
 
-def listening(host: str, port: int) -> socket.socket:
-    """Open a socket whose connections send without delay.
-
-    A picture is several packets, and the kernel would hold back the last one until the browser has acknowledged the
-    others. asyncio disables that only for sockets with an explicit protocol, which sockets from `create_server` do not
-    have.
-    """
-    listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return listener
-
-
 def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str], None], opens_browser: bool) -> None:
     """Serve the studio until interrupted.
 
@@ -420,7 +430,7 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     ----------
     studio : Studio
     host : str
-        Address to listen on.
+        Address to listen on; "" for `own_address`, or with a port 127.0.0.1.
     port : int
         0 for any free port.
     draw : function
@@ -431,16 +441,18 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
 
     Raises
     ------
-    OSError
-        The address is in use.
+    ArgumentError
+        The port is in use.
     """
-    listener = listening(host, port)
+    host = host or ("127.0.0.1" if port else own_address())
+    listener = listen(host, port)
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(32)
     shown = f"[{host}]" if ":" in host else host
     state = studio.state
-    hosts = [f"{name}:{port}" for name in (shown, *LOOPBACK)]
+    hosts = [f"{name}:{port}" for name in ((shown, *LOOPBACK) if shown in LOOPBACK else (shown,))]
     guard = Guard(application(studio, draw), hosts, token, state.key())
+    studio.proof_key = guard.proof_key
     os.environ["WEBSOCKETS_MAX_LINE_LENGTH"] = str(MAX_HEADER)  # read by what uvicorn imports now
     config = uvicorn.Config(
         guard, log_level="warning", access_log=False, server_header=False, proxy_headers=False, http="h11",
@@ -458,7 +470,8 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
             state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
             address = (state.path / OPENING).as_uri()
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # which nobody waits for
-        closing = asyncio.create_task(close_half_open(server.server_state.connections))
+        connections = server.server_state.connections
+        closing = asyncio.create_task(keep_running(partial(close_half_open, connections), studio.report))
         await serving
         closing.cancel()
 

@@ -20,9 +20,9 @@ from clsco.studio.editing import Editor, State
 from clsco.studio.folder import below
 from clsco.studio.store import (
     ConflictError,
+    Linked,
     difference,
     digest_of,
-    from_link,
     keep,
     link_of,
     moved,
@@ -107,12 +107,12 @@ class Document(Editor):
         """URL fragment that contains the scene: "#s=..."."""
         return link_of(self.table, self.folder, self.root)
 
-    def load_share(self, text: str) -> None:
-        """Go to the scene of a link, as an undo step.
+    def load_share(self, linked: Linked) -> None:
+        """Go to the scene of a link, from `from_link`, as an undo step.
 
         `refused` gets the names of missing images. Raises SceneError; then the state is unchanged.
         """
-        table, missing = from_link(text, self.readable)
+        table, missing = linked
         self.take(self._state_of(table, None), missing)
 
     def remembered(self) -> dict[str, Any]:
@@ -125,9 +125,11 @@ class Document(Editor):
             "typed": self.refused,
         }
 
-    def resume(self, link: str, file: str, digest: str) -> None:
-        """Go to a scene described by `remembered`, as an undo step. Raises SceneError; then the state is unchanged."""
-        table, missing = from_link(link, self.readable)
+    def resume(self, linked: Linked, file: str, digest: str) -> None:
+        """Go to a scene described by `remembered`, with its link read by `from_link`, as an undo step. Raises
+        SceneError; then the state is unchanged.
+        """
+        table, missing = linked
         target = self.inside(Path(file)) if file else None
         start = target.parent if target is not None else self.root
         self.take(self._state_of(moved(table, self.root, start), target), missing)

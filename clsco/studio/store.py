@@ -10,7 +10,9 @@ import os
 import re
 import tomllib
 import zlib
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,10 @@ from clsco.studio.tables import Table, at, sparse
 
 LARGEST = 2**20  # bytes of a scene file, or of a link's content
 LARGEST_IMAGE = 2**30  # bytes of a file that has a digest
+MOST_FILES = 512  # that a link may name: 64 objects have at most 7 each
 START = "#s="
+Linked = tuple[Table, dict[str, tuple[Any, str]]]
+"""Scene of a link, and its missing images; see `from_link`."""
 
 
 class ConflictError(ClscoError):
@@ -211,12 +216,13 @@ def link_of(table: Table, start: Path, root: Path) -> str:
         each file.
     """
     files: dict[str, str] = {}
+    digest = cache(digest_of)
 
     def shared(_: Location, name: str) -> str:
         path = (start / name).resolve()
-        found = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
-        files[found] = digest_of(path)
-        return found
+        short = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+        files[short] = digest(path)
+        return short
 
     few = relocated(sparse(table), shared)
     content: Table = few | ({"files": files} if files else {})
@@ -225,7 +231,7 @@ def link_of(table: Table, start: Path, root: Path) -> str:
     return START + base64.urlsafe_b64encode(pressed.compress(text) + pressed.flush()).decode().rstrip("=")
 
 
-def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple[Any, str]]]:
+def from_link(text: str, places: Iterable[Path]) -> Linked:
     """The scene of a link.
 
     Parameters
@@ -245,28 +251,39 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
     Raises
     ------
     SceneError
-        The text is not a link, holds more than 1 MiB, or needs a missing depth map.
+        The text is not a link, holds more than 1 MiB, names more than MOST_FILES files, or needs a missing depth map.
+
+    Notes
+    -----
+    Each file is hashed once, and folders are searched once; call this in a thread, since files may be large.
     """
     content = _unpacked(text.strip().rpartition(START)[2])
     digests = content.pop("files", {})
     missing: dict[str, tuple[Any, str]] = {}
     first, *others = places
-    for place, name in list(named_files(content)):
+    named = list(named_files(content))
+    if len(named) > MOST_FILES:
+        raise SceneError(f"link: must name at most {MOST_FILES} files; got {len(named)}")
+    digest = cache(digest_of)
+
+    @cache
+    def files() -> dict[str, list[Path]]:
+        """Files of all folders but the first, by name."""
+        by_name = defaultdict[str, list[Path]](list)
+        for path in (path for folder in others for path in folder.rglob("*")):
+            by_name[path.name].append(path)
+        return by_name
+
+    for place, name in named:
         stated = digests.get(name) if isinstance(digests, Mapping) else None
         if Path(name).is_absolute():
             raise SceneError(f"scene: {key_name(place)}: must not be an absolute path in a link")
         parts = [str(part) for part in place]
         item, key = at(content, parts[:-1]), parts[-1]
-        if digest_of(first / name) == stated and stated:
+        if stated and digest(first / name) == stated:
             continue
-        found = [
-            path
-            for folder in others
-            for path in folder.rglob("*")
-            if path.name == Path(name).name and digest_of(path) == stated
-        ]
-        if stated and found:
-            item[key] = str(found[0])
+        if stated and (same := [path for path in files()[Path(name).name] if digest(path) == stated]):
+            item[key] = str(same[0])
             continue
         rule = f"needs the file {Path(name).name} (SHA-256 {str(stated)[:12]}...), which is not there: choose it"
         if key in ("depth", "image"):

@@ -41,6 +41,45 @@ def test_the_process_ends_with_its_status_and_all_its_output(words: tuple[str, .
     assert "Traceback" not in process.stderr
 
 
+AT_IMPORT = """
+import builtins, os, signal
+imports = builtins.__import__
+def interrupt(name, *rest):
+    if name == "{place}":
+        os.kill(os.getpid(), signal.{name})
+    return imports(name, *rest)
+builtins.__import__ = interrupt
+"""
+AT_CLASS = """
+import functools, os, signal
+set_name = functools.cached_property.__set_name__
+def interrupt(self, owner, name):
+    if name == "{place}":
+        os.kill(os.getpid(), signal.{name})
+    set_name(self, owner, name)
+functools.cached_property.__set_name__ = interrupt
+"""
+
+
+@pytest.mark.parametrize(
+    ("setup", "place", "name", "end"),
+    [
+        (AT_IMPORT, "clsco.cli.main", "SIGINT", (130, "interrupted\n")),
+        (AT_IMPORT, "click", "SIGTERM", (143, "terminated\n")),
+        (AT_IMPORT, "clsco.scene.quantities", "SIGTERM", (143, "terminated\n")),
+        (AT_CLASS, "apart", "SIGINT", (130, "interrupted\n")),  # of Plan: Python raises RuntimeError there
+    ],
+)
+def test_a_signal_while_modules_are_imported_ends_with_one_line(
+    setup: str, place: str, name: str, end: tuple[int, str]
+) -> None:
+    script = setup.format(place=place, name=name) + COMMAND.format(before="")
+    scene = Path(__file__).parents[2] / "examples" / "sphere.toml"
+    command = [sys.executable, "-c", script, "plan", str(scene)]
+    process = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert (process.returncode, process.stderr) == end
+
+
 def test_a_thread_that_works_is_waited_for() -> None:
     process = ended("--version", before=THREAD, capture_output=True)
     assert process.returncode == 0

@@ -11,7 +11,8 @@ import pytest
 import clsco
 from clsco.errors import ClscoError, SceneError
 from clsco.frame.frame import Frame
-from clsco.frame.outputs import ALL_TRUTH, TRUTH_NAMES
+from clsco.frame.outputs import ALL_TRUTH, TRUTH_NAMES, truth_names
+from clsco.frame.truth_files import array_names
 from clsco.opencl.session import DeviceLike, Session
 
 SMALL = {"resolution": [24, 16], "pixel_pitch": 0.1}
@@ -25,7 +26,10 @@ STEREO = clsco.parse_scene(DATA | {"stereo": {"baseline": 10.0}})
     ("options", "message"),
     [
         ({"truth": ["depht"]}, 'truth: must be "all" or some of sharp, depth, blur_radius, '),
-        ({"truth": "depths"}, "got 'depths'"),
+        ({"truth": "depths"}, "got 'depths' (did you mean depth?)"),
+        ({"truth": "depth,flwo"}, "got 'flwo' (did you mean flow?)"),
+        ({"truth": ["color"]}, "got 'color'"),
+        ({"truth": [1.5]}, "got 1.5"),
         ({"truth": 5}, "truth: must be names of outputs; got 5"),
         ({"frames": [5]}, "frames: must lie from 0 to 1; got 5"),
         ({"frames": [-1]}, "frames: must lie from 0 to 1; got -1"),
@@ -108,3 +112,9 @@ def test_devices_contexts_and_queues_of_pyopencl_are_worked_on(session: Session)
         assert same(clsco.render_frame(SCENE, device=place), expected)
         assert np.array_equal(clsco.defocus(image, radii, device=place), clsco.defocus(image, radii))
         assert np.array_equal(clsco.inpaint(image, holes, device=place), clsco.inpaint(image, holes))
+
+
+def test_outputs_have_the_names_of_files_as_well() -> None:
+    for truth in ("blur_radius,depth", "coc,depth,", ("coc", "depth", "blur_radius")):
+        assert truth_names(truth) == ("blur_radius", "depth")
+    assert array_names("depth,blur_radius") == array_names(["coc", "depth"]) == ("depth", "coc")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsco.errors import FileError
+from clsco.errors import ArgumentError, FileError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
@@ -30,6 +30,14 @@ def test_a_frame_prints_as_one_line() -> None:
     frame = made((2, 2), blur_radius=radius, mask=np.ones((2, 2), np.bool_), eye="left")
     assert repr(frame) == "<Frame 3 (left): 2 x 2 px, gray, f/2, R -1.23 to 4 px; blur_radius mask>"
     assert repr(made((1500, 900, 3))) == "<Frame 3: 900 x 1500 px, color, f/2; no truth>"
+
+
+def test_an_output_that_is_not_there_is_an_error() -> None:
+    frame = made(blur_radius=np.ones((6, 8), np.float32))
+    assert frame.require("coc") is frame.require("blur_radius") is frame.blur_radius
+    assert frame.require("color") is frame.color
+    with pytest.raises(ArgumentError, match=r"^frame 3: must have depth; got color, coc$"):
+        frame.require("depth")
 
 
 @pytest.mark.parametrize("shape", [(6, 8), (6, 8, 3)])

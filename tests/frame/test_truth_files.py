@@ -55,7 +55,7 @@ def test_arrays_go_to_the_formats_that_can_hold_them() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("npz",), "truth: must be some of color,sharp,.*; got npz"),
+        (("npz",), "truth: must be \"all\" or some of color, sharp, .*; got 'npz'"),
         (("depth", "flo"), "format: flo must hold some of depth; got flow,flow_backward"),
         (("depth,flow", "flo"), "format: must be one that holds depth; got flo"),
         (("depth", "npz,tif"), "format: must be some of npz,exr,.*; got tif"),

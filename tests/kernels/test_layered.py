@@ -15,10 +15,11 @@ from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.session import Session
 from clsco.optics import depth_layers
 from clsco.optics.point_spread import point_spread
-from clsco.passes.blur import Area, Image, blur_target
+from clsco.passes.blur import Image, blur_target
 from clsco.passes.blur import Sources as Light
 from clsco.passes.clusters import Clusters, layered_program
 from clsco.passes.frame_blur import make_blur
+from clsco.passes.job import Job
 from clsco.passes.layered import DepthLayers
 from clsco.passes.pack import grid_struct
 from clsco.plan.methods import Blur
@@ -88,7 +89,7 @@ class Device:
         self.blur = make_blur(target, spec, tallest, grid)
         kernels = layered_program(session, spec, channels, real)
         self.clusters, self.layers = Clusters(kernels, spec, tallest), DepthLayers(self.blur, kernels, tallest)
-        self.at = Area(strip=Strip(0, view.shape[0], guard, guard), grid=grid, events=[])
+        self.job = Job(strip=Strip(0, view.shape[0], guard, guard), grid=grid, events=[])
         self.maps = upload(session, view.coc.astype(REAL[real])), upload(session, view.valid.astype(np.uint8))
 
     def image(self, moments: int = 1) -> tuple[Array, int]:
@@ -98,10 +99,10 @@ class Device:
         self.blur.clear()
         for _ in range(moments):
             cl.enqueue_copy(self.session.queue, image.value, light)  # "renormalize" writes to it
-            self.clusters.find(self.at, image)
-            layers = self.clusters.divide(self.at, image, self.clusters.found())
-            self.layers.add(self.at, layers)
-        plane = self.blur.plane(self.at.events).read(self.session)
+            self.clusters.find(self.job, image)
+            layers = self.clusters.divide(self.job, image, self.clusters.found())
+            self.layers.add(self.job, layers)
+        plane = self.blur.plane(self.job.events).read(self.session)
         return plane.reshape(*self.view.shape, -1), layers.count
 
     def read(self, name: str, dtype: Any) -> Array:
@@ -149,7 +150,7 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     latest, largest_sum = twin.find_discontinuities(
         view.coc, view.valid, low, bins, 2 * point_spread(view.psf).reach(view.largest) + 1
     )
-    device.clusters.find(device.at, Image(empty(session, 1), device.maps))
+    device.clusters.find(device.job, Image(empty(session, 1), device.maps))
     found = download(session, device.clusters.buffers["latest"], (latest.size + 1,), np.int32)
     np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
     layer = twin.label_depth_layers(view.coc, view.valid, low, bins, depth_layers.layer_bounds(latest.astype(np.int32)))

@@ -184,14 +184,19 @@ def test_real(session: Session, real: str, size: int) -> None:
 
 
 @pytest.mark.processor
-def test_a_build_error_names_file_and_line(session: Session, kernels: Path) -> None:
+def test_a_build_error_names_file_and_line(
+    session: Session, kernels: Path, caplog: pytest.LogCaptureFixture
+) -> None:  # fmt: skip
     (kernels / "work.cl").write_text(
         WORK.replace("out[2] = sqrt", "out[2] = sqroot").replace("scene.last", "scene.lost")
     )
+    caplog.set_level("INFO")
     with pytest.raises(KernelError, match=r"^work\.cl: must build on ") as caught:
         built(session)
-    line = 1 + WORK[: WORK.index("scene.last")].count("\n")
-    assert f"work.cl:{line}:" in str(caught.value)
+    line, message = 1 + WORK[: WORK.index("scene.last")].count("\n"), str(caught.value)
+    assert f"work.cl:{line}:" in message
+    assert "-DVECTOR_WIDTH=" not in message
+    assert "-DVECTOR_WIDTH=" in caplog.text
 
 
 @pytest.mark.processor

@@ -58,7 +58,9 @@ class Running:
 
     def client(self) -> httpx.Client:
         """A browser's requests from the studio's own page."""
-        return httpx.Client(base_url=self.page, headers={**self.cookie, "Origin": self.origin}, timeout=20)
+        return httpx.Client(
+            base_url=self.page, headers={**self.cookie, "Origin": self.origin}, timeout=20, trust_env=False
+        )
 
 
 @contextmanager
@@ -73,7 +75,7 @@ def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
         assert process.stderr is not None
         line = process.stdout.readline()
         assert line.startswith("http://"), process.stderr.read()
-        answer = httpx.get(line.strip(), timeout=30)
+        answer = httpx.get(line.strip(), timeout=30, trust_env=False)
         place = re.search(r'"(/\w+)/"', answer.text)
         assert place is not None, answer.text
         yield Running(line.strip(), process, place[1], {"Cookie": answer.headers["set-cookie"].partition(";")[0]})

@@ -23,9 +23,11 @@ pytest.importorskip("starlette", reason="needs the extra clsco[studio]")
 import uvicorn
 from uvicorn.server import ServerState
 
+from clsco.errors import ArgumentError
 from clsco.studio import guard
 from clsco.studio.guard import MOST_WAITING, close_half_open
-from clsco.studio.server import MAX_HEADER, listening
+from clsco.studio.listener import listen
+from clsco.studio.server import MAX_HEADER
 from tests.studio.browser import chromium, rest
 from tests.studio.running import Running, studio
 
@@ -65,10 +67,19 @@ def test_connections_without_a_header_do_not_keep_others_out(running: Running) -
 
 
 def test_connections_send_at_once() -> None:
-    with listening("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
+    with listen("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
         connection, _ = listener.accept()
         with connection:
             assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_a_port_in_use_is_one_message() -> None:
+    with listen("127.0.0.1", 0) as listener:
+        port = listener.getsockname()[1]
+        with pytest.raises(
+            ArgumentError, match=rf"^port: must be free at 127\.0\.0\.1; got {port} \(Address already in use\)$"
+        ):
+            listen("127.0.0.1", port)
 
 
 async def _app(scope: Any, receive: Any, send: Any) -> None:

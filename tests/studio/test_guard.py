@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hmac
 import json
 import re
 from collections.abc import Iterator
@@ -58,6 +59,16 @@ def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see(running: Run
 def test_other_first_addresses_are_refused(running: Running) -> None:
     for query in ("t=wrong", "t=", "c=", "c=wrong", f"T={running.address.rpartition('=')[2]}"):
         assert httpx.get(f"{running.origin}/?{query}").status_code == 403
+
+
+def test_the_server_proves_that_it_made_a_page(running: Running) -> None:
+    (key,) = re.findall(r'data-proof="([0-9a-f]{64})"', get(running).text)
+    for number in ("0" * 32, "5f" * 16):
+        answer = httpx.get(f"{running.origin}/prove?{number}")
+        assert answer.text == hmac.digest(bytes.fromhex(key), number.encode(), "sha256").hex()
+        assert "set-cookie" not in answer.headers
+    assert httpx.post(f"{running.origin}/prove?1").status_code == 403
+    assert httpx.get(f"{running.origin}/prove?1", headers={"Host": "evil.example"}).status_code in (400, 403)
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import time
 import tomllib
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
 from clsco.scene.sweep import parse_sweep
 from clsco.studio.session import Document
+from clsco.studio.store import from_link
 from tests.studio.browser import box, chromium, number, open_scene, rest, type_in
 from tests.studio.running import studio
 
@@ -28,7 +33,7 @@ def test_a_scene_is_resumed_with_its_file(tmp_path: Path) -> None:
     first.patch("object.0.radius", -1.0)
     kept = first.remembered()
     assert kept["typed"] == {"object.0.radius": -1.0}
-    second.resume(kept["scene"], kept["file"], kept["digest"])
+    second.resume(from_link(kept["scene"], second.readable), kept["file"], kept["digest"])
     assert (second.scene, second.path) == (first.scene, first.path)
     second.save()
     assert "focal_length = 21" in (tmp_path / "deep" / "a.toml").read_text()
@@ -41,7 +46,7 @@ def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path)
     shutil.copy(EXAMPLES / "sphere.toml", tmp_path)
     with chromium() as context:
         page = context.new_page()
-        with studio(tmp_path, "--device", "pocl") as running:
+        with studio(tmp_path, "--device", "pocl", "--host", "127.0.0.1") as running:
             page.goto(running.address)
             rest(page)
             open_scene(page, "sphere.toml")
@@ -83,3 +88,51 @@ def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path)
             page.locator("#save").click()
             page.wait_for_timeout(700)
             assert "radius = 27.5" in (tmp_path / "sphere.toml").read_text()  # no question: the file is as it was
+
+
+class Thief(ThreadingHTTPServer):
+    """A server at the address of a studio that has ended, which answers everything and notes what it is sent."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self.noted: list[tuple[str, dict[str, str]]] = []
+        super().__init__(address, ThiefHandler)
+
+
+class ThiefHandler(BaseHTTPRequestHandler):
+    server: Thief
+
+    def do_GET(self) -> None:
+        self.server.noted.append((self.path, dict(self.headers)))
+        self.send_response(200)
+        self.send_header("content-length", "64")
+        self.end_headers()
+        self.wfile.write(64 * b"0")
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.browser
+def test_who_takes_the_port_of_a_studio_is_sent_nothing(tmp_path: Path) -> None:
+    with chromium() as context:
+        page = context.new_page()
+        with studio(tmp_path, "--device", "pocl") as running:
+            page.goto(running.address)
+            rest(page)
+            running.process.kill()
+        host, port = running.host.split(":")
+        assert host.startswith("127.")
+        assert host != "127.0.0.1"
+        with Thief((host, int(port))) as thief:
+            Thread(target=thief.serve_forever, daemon=True).start()
+            end = time.monotonic() + 20.0
+            while len(thief.noted) < 3:
+                assert time.monotonic() < end
+                page.wait_for_timeout(100)
+            thief.shutdown()
+        for path, headers in thief.noted:
+            assert re.fullmatch(r"/prove\?[0-9a-f]{32}", path)
+            assert not {"cookie", "referer"} & {name.lower() for name in headers}
+        assert len({path for path, _ in thief.noted}) == len(thief.noted)
+        assert page.evaluate("document.querySelector('#studio').dataset.tab")  # it was not loaded again
+        assert "does not answer" in page.locator("#lost").inner_text()

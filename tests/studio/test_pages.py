@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import re
 from html.parser import HTMLParser
@@ -195,7 +196,10 @@ def test_a_tab_has_one_page_and_those_that_are_forgotten_end(tmp_path: Path, mon
                     found += re.findall(r'data-tab="([\w-]+)" data-page="([\w-]+)"', text)
         return found
 
+    monkeypatch.setattr(gc, "collect", lambda: collected.append(len(studio.tabs)))
+    collected = list[int]()
     loaded = asyncio.run(load())
+    assert collected == [3]  # when the first tab was forgotten
     assert len({page for _, page in loaded}) == 10
     assert len({tab for tab, _ in loaded}) == 5
     assert all(studio.tabs[tab].page.key == page for tab, page in loaded[1::2] if tab in studio.tabs)

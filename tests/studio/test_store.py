@@ -7,14 +7,16 @@ import json
 import shutil
 import tomllib
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from clsco import SceneError, load_scene, load_sweep
 from clsco.scene.sweep import parse_sweep
+from clsco.studio import store
 from clsco.studio.session import ConflictError, Document
-from clsco.studio.store import from_link, link_of
+from clsco.studio.store import digest_of, from_link, link_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENES = [*sorted(EXAMPLES.glob("*.toml")), *sorted(EXAMPLES.glob("thesis/*.toml"))]
@@ -84,7 +86,7 @@ def test_examples_come_back_from_a_link_and_from_a_file(tmp_path: Path, path: Pa
     link = session.share()
     assert 40 < len(link) < 700
     other = Document(EXAMPLES)
-    other.load_share(link)
+    other.load_share(from_link(link, other.readable))
     assert other.scene == scene
     assert not other.faults
     for image in EXAMPLES.glob("**/*.png"):
@@ -287,12 +289,12 @@ def test_open_is_a_step_of_undo(session: Document) -> None:
 def test_a_link_asks_for_images_that_are_not_there(session: Document, elsewhere: Path) -> None:
     link = session.share()
     other = Document(elsewhere)
-    other.load_share(link)
+    other.load_share(from_link(link, other.readable))
     assert other.scene.objects[1].texture == "bricks"
     assert other.refused == {"object.1.texture": "a.png"}
     assert "needs the file a.png" in other.fault("object.1.texture")
     shutil.copy(EXAMPLES / "damaged.png", other.root / "a.png")  # another image of this name
-    other.load_share(link)
+    other.load_share(from_link(link, other.readable))
     assert other.refused
     shutil.copy(session.root / "a.png", other.root / "a.png")
     assert other.patch("object.1.texture", "a.png")
@@ -319,13 +321,40 @@ def linked(content: bytes) -> str:
         (linked(b'{"object": [{"shape": "plane", "texture": "/etc/passwd"}]}'), "must not be an absolute path"),
         (linked(b'{"object": [{"shape": "depth_map", "depth": "d.png"}]}'), "needs the file d.png"),
         (linked(b'{"object": [{"shape": "plane"}]}')[:-6], "must be"),
+        (linked(json.dumps({"object": [{"texture": "a.png"}] * 513}).encode()), "at most 512 files; got 513"),
     ],
 )
 def test_bad_links_are_refused(session: Document, link: str, rule: str) -> None:
     before = session.table
     with pytest.raises(SceneError, match=rule):
-        session.load_share(link)
+        session.load_share(from_link(link, session.readable))
     assert session.table is before
+
+
+def test_a_file_that_many_objects_name_is_hashed_once(
+    session: Document, elsewhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(session.root / "a.png", elsewhere / "a.png")
+    plane = {"shape": "plane", "distance": 300.0, "texture": "a.png"}
+    link = link_of({"object": [plane] * 60}, session.root, session.root)
+    hashed, walked = list[Path](), list[Path]()
+
+    def digest(path: Path) -> str:
+        hashed.append(path)
+        return digest_of(path)
+
+    def walk(folder: Path, pattern: str) -> Iterator[Path]:
+        walked.append(folder)
+        return rglob(folder, pattern)
+
+    rglob = Path.rglob
+    monkeypatch.setattr(store, "digest_of", digest)
+    monkeypatch.setattr(Path, "rglob", walk)
+    for here, other in ((elsewhere, tmp := elsewhere / "empty"), (tmp, elsewhere)):
+        table, missing = from_link(link, [here, other])
+        assert (len(table["object"]), missing) == (60, {})
+    assert hashed == [elsewhere / "a.png", tmp / "a.png", elsewhere / "a.png"]
+    assert walked == [elsewhere]
 
 
 def test_what_was_kept_is_recovered(session: Document) -> None:

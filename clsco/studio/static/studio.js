@@ -35,6 +35,26 @@ studio.isOpen = () => socket?.readyState === WebSocket.OPEN;
 const send = (content) => { if (studio.isOpen()) socket?.send(JSON.stringify(content)); };
 studio.send = send;
 
+// Another server may listen at the address after the studio has ended: nothing else is sent there before it has proved
+// that it knows the key of the page. Browsers offer the code only to secure pages: others are to be loaded anew by hand.
+const isOurs = async () => {
+  if (!window.isSecureContext) return false;
+  const bytes = (text) => Uint8Array.from(text.match(/../g) ?? [], (pair) => parseInt(pair, 16));
+  const number = [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+  const kind = { name: "HMAC", hash: "SHA-256" };
+  try {
+    const key = await crypto.subtle.importKey("raw", bytes(one("#studio").dataset.proof), kind, false, ["verify"]);
+    const answer = await fetch(`${location.origin}/prove?${number}`, { credentials: "omit", cache: "no-store", redirect: "error" });
+    return await crypto.subtle.verify(kind, key, bytes(await answer.text()), new TextEncoder().encode(number));
+  } catch { return false; }
+};
+
+const again = () => {
+  studio.closed();
+  tries += 1;
+  setTimeout(async () => { if (await isOurs()) connect(); else again(); }, Math.min(250 * 2 ** tries, 8000));
+};
+
 const connect = () => {
   socket = new WebSocket(new URL(`frames?tab=${studio.tab}&page=${one("#studio").dataset.page}`, location.href.replace(/^http/, "ws")));
   socket.binaryType = "arraybuffer";
@@ -51,11 +71,9 @@ const connect = () => {
     studio.opened();
   };
   socket.onmessage = (event) => received(event.data);
-  socket.onclose = ({ code }) => {
-    if (code === GONE) { location.reload(); return; }
-    studio.closed();
-    tries += 1;
-    setTimeout(connect, Math.min(250 * 2 ** tries, 8000));
+  socket.onclose = async ({ code }) => {
+    if (code === GONE && await isOurs()) location.reload();
+    else again();
   };
 };
 

@@ -14,7 +14,7 @@ from clsco.studio.folder import SCENES, listed
 from clsco.studio.presets import load_preset, presets
 from clsco.studio.server import Studio
 from clsco.studio.session import ConflictError, Document
-from clsco.studio.store import read_kept
+from clsco.studio.store import from_link, read_kept
 from clsco.studio.widgets.html import Dialog, button, notify, page, say, text_box
 
 
@@ -156,7 +156,7 @@ def share_dialog(session: Document) -> Callable[[], None]:
     typed = {"link": ""}
 
     def load() -> None:
-        session.load_share(typed["link"])
+        session.load_share(from_link(typed["link"], session.readable))
         dialog.close()
 
     def show() -> None:
