@@ -1,10 +1,12 @@
-"""The command `clsco check`: differences of frames from the NumPy reference per output, and of color from rays."""
+"""The command `clsco check`: differences of frames from the NumPy reference per output, and of color from rays, as
+tables or a file.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,7 @@ from clsco.cli.output import echo
 from clsco.cli.tables import print_tables, table
 from clsco.engine.sequence import render
 from clsco.errors import ClscoError
+from clsco.files.images import save_image, write_json
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES
 from clsco.optics.sensor import camera_word, sensor_model
@@ -183,10 +186,16 @@ def _judged_tables(judgement: Judgement) -> list[RenderableType]:
     return tables
 
 
+def require_report(out: Path) -> None:
+    """Raise ClscoError if `out` is not a type of file that a report can have."""
+    if out.suffix.lower() not in (".json", ".png"):
+        raise ClscoError(f"-o: must be a file .json or .png; got {out}")
+
+
 def check_scene(
-    path: Path, scene: Scene, extent: tuple[int, float], device: str | None, precision: str | None
+    path: Path, scene: Scene, extent: tuple[int, float], out: Path | None, device: str | None, precision: str | None
 ) -> None:  # fmt: skip
-    """Print how every view of a scene differs from the reference and from rays.
+    """Print how every view of a scene differs from the reference and from rays, and write the report to `out`.
 
     extent: most rays per pixel, and seconds for all of them. Raises ClscoError if a difference is too large.
     """
@@ -197,21 +206,43 @@ def check_scene(
         from clsco.truth.problem import make_problem, not_judged
 
         why = not_judged(scene)
-    wrong: list[str] = []
+    views: list[tuple[Checked, Judgement]] = []
     count = scene.sequence.frames * (1 if scene.stereo is None else 2)
     for checked in compare_frames(scene, device, precision):
         print_tables(*_reference_tables(checked))
-        place = f"in frame {checked.index}" + (f" ({checked.eye})" if checked.eye else "")
-        color = checked.differences[0]
+        color, view = checked.differences[0], f" ({checked.eye})" if checked.eye else ""
         if not color.agrees:
-            got = f"{color.largest:.2g} {place} ({color.count} pixels above)"
+            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
             raise ClscoError(f"{path}: color must agree within {color.figure:g} of white; got {got}")
         if why is None:
             problem = make_problem(scene, checked.index, checked.eye)
             judged = judge(problem, checked.frame.color, rays, seconds / count)
             print_tables(*_judged_tables(judged))
-            wrong += [] if judged.agrees else [f"{judged.wrong} {place}"]
+            views.append((replace(checked, eye=view), judged))
     if why is not None:
         echo(f"the lens: not judged: {why}")
-    if wrong:
+    if out is not None:
+        _write_report(out, views, why)
+    if wrong := [f"{judged.wrong} in frame {each.index}{each.eye}" for each, judged in views if not judged.agrees]:
         raise ClscoError(f"{path}: pixels must be within 0.01 of white and 5 errors of rays; got {'; '.join(wrong)}")
+
+
+def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
+    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames of all views, one below the
+    other: red if too bright, blue if too dark, green if they agree; colors saturate at 0.01 of white.
+    """
+    if out.suffix.lower() == ".json":
+        values = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
+        write_json(out, {"not_judged": why, "views": values})
+        return
+    if why is not None:
+        raise ClscoError(f"-o: a picture needs rays; got {why}")
+    pictures = []
+    for each, judged in views:
+        light = np.clip(each.frame.color.reshape(*each.frame.color.shape[:2], -1).mean(axis=2), 0.0, 1.0)
+        picture = np.repeat(0.25 * light[..., None], 3, axis=2)
+        off = (judged.got - judged.right).mean(axis=1) / 0.01
+        tried = np.stack([off, 1.0 - np.abs(off), -off], axis=-1)
+        picture[judged.pixels.row, judged.pixels.column] = np.clip(tried, 0.0, 1.0)
+        pictures.append(picture.astype(np.float32))
+    save_image(out, np.concatenate(pictures), 8)

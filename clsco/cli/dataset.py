@@ -217,6 +217,26 @@ def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) 
     echo(f"{name}: {len(there.samples)} samples as recorded, {len(chosen)} rendered again{more}")
 
 
+@dataset.command()
+@data_argument
+@click.option("-o", "out", metavar="DATA", help="Folder or address of the new set; by default it is removed again.")
+@click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
+@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Processes, as of clsco dataset make.")
+@base_option
+@quiet_option
+def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | None, base: Path, quiet: bool) -> None:
+    """Make a set again by what its card says, and compare. Exit status 1 and a line for each difference."""
+    from clsco.data import copies
+
+    require_opencl()
+    differences = copies.remake(data, out, folder=base, devices=devices, workers=workers, progress=_bar(quiet))
+    for line in differences:
+        echo(line)
+    if differences:
+        raise ClscoError(f"{data}: must be what is made again; got {len(differences)} differences")
+    echo(f"{click.format_filename(data)}: made again, all bytes are the same")
+
+
 @dataset.command(name="open")
 @data_argument
 @click.option("--sheet", metavar="FILE", type=PATH, help="Also write pictures of the first samples, as PNG.")
@@ -278,7 +298,7 @@ def show(data: str, number: int, base: Path) -> None:
 @quiet_option
 def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
     """Write the data set DATA in another format. All arrays keep their bits."""
-    from clsco.data.convert import convert as convert_set
+    from clsco.data.copies import convert as convert_set
     from clsco.data.storage import open_storage
 
     with ExitStack() as stack:

@@ -130,6 +130,9 @@ def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
     "--seconds", metavar="S", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
     help="Time for all rays, which ends at a standard error of 1e-3 of white.",
 )  # fmt: skip
+@click.option(
+    "-o", "out", metavar="OUT", type=PATH, help="File: .json for all figures, .png for a picture of the pixels tried."
+)
 @set_option
 @device_option
 @precision_option
@@ -137,6 +140,7 @@ def check(
     scene: Path,
     rays: int,
     seconds: float,
+    out: Path | None,
     overrides: tuple[str, ...],
     device: str | None,
     precision: str | None,
@@ -147,15 +151,17 @@ def check(
     more than 1 of 500 pixels), or pixels from rays by more than 0.01 of white and 5 standard errors. Rays need the
     extra check.
     """
-    from clsco.cli.check import check_scene
+    from clsco.cli.check import check_scene, require_report
 
+    if out is not None:
+        require_report(out)
     if rays:
         from clsco.truth import require_rays
 
         require_rays()
     first = first_scene(scene, overrides, request_for((), precision=precision))
     require_device(device)
-    check_scene(scene, first.scene, (rays, seconds), device, precision)
+    check_scene(scene, first.scene, (rays, seconds), out, device, precision)
 
 
 @click.command()

@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from clsco.data.copies import remake as remake
     from clsco.data.creation import FailedSamplesError as FailedSamplesError
     from clsco.data.creation import make as make
     from clsco.data.dataset import Dataset as Dataset
@@ -23,8 +24,9 @@ _HOME = {
     "open": "clsco.data.dataset",
     "Dataset": "clsco.data.dataset",
     "Record": "clsco.data.record",
+    "remake": "clsco.data.copies",
 }
-__all__ = ["Dataset", "FailedSamplesError", "Record", "make", "open"]
+__all__ = ["Dataset", "FailedSamplesError", "Record", "make", "open", "remake"]
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -131,6 +131,20 @@ class Judgement:
             "psnr": round(-10 * math.log10(square), 1), "psnr_noise": round(-10 * math.log10(noise), 1),
             "mean": round(float(off.mean()), 5), "pixels": len(off), "deviations": int(self.deviations.sum()),
             "lights": len(self.lights), "lights_off": len(self.dim),
+        }  # fmt: skip
+
+    def values(self) -> dict[str, Any]:
+        """Figures and pixels as JSON types."""
+        pixels, kinds = self.pixels, [CLASSES[k] for k in self.pixels.kind]
+        numbers = (pixels.column, pixels.row, self.right, self.got, self.error)
+        names = ("class", "column", "row", "right", "got", "error")
+        table = zip(kinds, *(each.tolist() for each in numbers), strict=True)
+        return {
+            "classes": [asdict(row) | {"psnr": row.decibels} for row in self.classes],
+            "objects": [asdict(row) | {"psnr": row.decibels} for row in self.objects],
+            "lights": [asdict(light) for light in self.lights],
+            "pixels": [dict(zip(names, each, strict=True)) for each in table],
+            "deviations": int(self.deviations.sum()), "rays": self.rays, "seconds": round(self.seconds, 3),
         }  # fmt: skip
 
 

@@ -36,7 +36,8 @@ ONLY = {
     "truth": {"errors", "files", "frame", "inputs", "resources", "scene"},  # and no formula of what it judges
 }
 ON_OPENCL = (
-    "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify", "cli.check",
+    "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
+    "cli.check",
 )  # fmt: skip
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +13,10 @@ import pytest
 
 import clsco
 from clsco.cli import check
+from clsco.files.images import read_image
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import MOTION_NAMES, TRUTH_NAMES
-from tests.cli.test_main import BALL
+from tests.cli.test_main import BALL, messages
 from tests.command import clsco_
 from tests.scenes import scene_file
 
@@ -62,8 +64,9 @@ def test_in_single_precision_a_pixel_in_500_may_differ() -> None:
     assert not check.difference("color", got, expected, single=True).agrees
 
 
-def test_check_agrees(ball: Path) -> None:
-    result = clsco_("check", ball, "--rays", 512, "--set", "sequence.frames=2")
+def test_check_agrees(ball: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    result = clsco_("check", ball, "--rays", 512, "--set", "sequence.frames=2", "-o", report)
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.output.splitlines()]
     for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
@@ -72,14 +75,20 @@ def test_check_agrees(ball: Path) -> None:
         assert all(row[-2] == "0" for row in named)  # pixels above the figure
     assert result.output.count("reference: ") == 2
     assert result.output.count("Pixels against rays") == 2
-    assert sum(row[:1] == ["outline"] for row in rows) == 2
+    views = json.loads(report.read_text())["views"]
+    assert [(view["frame"], view["deviations"]) for view in views] == [(0, 0), (1, 0)]
+    assert {row["name"] for row in views[0]["classes"]} >= {"outline", "random"}
 
 
-def test_check_finds_by_rays_what_the_reference_shares(ball: Path) -> None:
+def test_check_finds_by_rays_what_the_reference_shares(ball: Path, tmp_path: Path) -> None:
     """Weights at the centers of pixels alone: device and reference agree, and both are off."""
-    result = clsco_("check", ball, "--rays", 512, "--set", "psf.edge=sampled")
+    picture = tmp_path / "tried.png"
+    result = clsco_("check", ball, "--rays", 512, "--set", "psf.edge=sampled", "-o", picture)
     assert result.exit_code == 1
     assert result.stderr.startswith(f"error: {ball}: pixels must be within 0.01 of white and 5 errors of rays; got ")
+    assert len(np.unique(read_image(picture).data.reshape(-1, 3), axis=0)) > 10
+    (line,) = messages(clsco_("check", ball, "-o", "report.txt"), 1)
+    assert line == "error: -o: must be a file .json or .png; got report.txt"
 
 
 def changed(**places: Any) -> Callable[..., Iterator[Frame]]:

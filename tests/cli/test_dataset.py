@@ -199,9 +199,29 @@ def test_a_folder_without_a_set_is_no_set(place: Path) -> None:
 
 def test_help_has_the_commands() -> None:
     shown = dataset("--help").stdout
-    for name in ("make", "status", "verify", "show", "convert", "open"):
+    for name in ("make", "status", "verify", "show", "convert", "open", "remake"):
         assert f"\n  {name} " in shown
     assert "--shard-size" in dataset("make", "--help").stdout
+
+
+def test_a_set_is_made_again_from_its_card(place: Path) -> None:
+    Path("base.toml").write_text(DISTRIBUTION)
+    Path("set.toml").write_text('base = "base.toml"\n[vary.camera]\nf_number = { choice = [2, 4] }\n')
+    words = ("--set", "object.0.radius=25", "--split", "a=0.5,b=0.5", "--truth", "depth", "--types", "color=uint8")
+    assert make("-o", "one", "--count", 6, "--seed", 3, "--license", "MIT", *words).exit_code == 0
+    for name in ("set.toml", "base.toml"):
+        (place / name).unlink()
+    result = dataset("remake", "one", "-o", "two")
+    assert (result.exit_code, result.stdout) == (0, "one: made again, all bytes are the same\n")
+    assert files(place / "one") == files(place / "two")
+    card = (place / "one" / "dataset.json").read_text()
+    (place / "one" / "dataset.json").write_text(card.replace('"radius": 25', '"radius": 24'))
+    result = dataset("remake", "one")
+    lines = result.stdout.splitlines()
+    assert result.exit_code == 1
+    assert lines[0].startswith("distribution must be ")
+    assert "manifest/000000.jsonl: samples 0-3 must be what is made again; got others" in lines
+    assert result.stderr == f"error: one: must be what is made again; got {len(lines)} differences\n"
 
 
 def test_a_set_is_opened(place: Path) -> None:

@@ -38,7 +38,7 @@ def test_a_converted_set_is_as_if_made_so(one: str, other: str, tmp_path: Path) 
 def test_a_conversion_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = make_set(tmp_path / "source")
     wanted = contents(make_set(tmp_path / "wanted", "npz"))
-    monkeypatch.setattr("clsco.data.convert.CONTAINERS", {**CONTAINERS, "npz": failing(3)})
+    monkeypatch.setattr("clsco.data.copies.CONTAINERS", {**CONTAINERS, "npz": failing(3)})
     run = convert(source, tmp_path / "out", "npz")
     assert (run.exit_code, run.output) == (1, "error: npz: no space\n")
     with pytest.raises(KeyError):

@@ -68,11 +68,6 @@ def test_a_file_its_content_and_its_command_make_one_set(place: Path) -> None:
     assert [record.sha256() for record in one] == [record.sha256() for record in two]
     assert two.card["recipe"] == toml_text(two.card["distribution"])
     assert one.card["recipe"] == DISTRIBUTION
-    Path("more.toml").write_text('base = "set.toml"\n[vary.camera]\nf_number = { choice = [2, 4] }\n')
-    clsco.data.make("more.toml", "more", **SMALL)
-    more = clsco.data.open("more")
-    clsco.data.make(more.card["distribution"], "again", **SMALL)
-    assert [record.sha256() for record in clsco.data.open("again")] == [record.sha256() for record in more]
 
 
 def test_a_function_draws_scenes(place: Path) -> None:

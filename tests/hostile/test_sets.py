@@ -24,7 +24,7 @@ from clsco.cli.main import main
 from clsco.cli.tables import print_tables, table
 from clsco.data.build import located
 from clsco.data.containers import CONTAINERS
-from clsco.data.convert import convert
+from clsco.data.copies import convert
 from clsco.data.manifest import part_key
 from clsco.data.sets import open_set, status_of
 from clsco.data.storage import open_storage

@@ -155,8 +155,7 @@ def test_the_same_seed_has_the_same_bits_and_another_one_agrees() -> None:
     given = scene(BALL, WALL | {"texture": "bricks"})
     image, _ = traced(given, 256)
     first, again = (judged(given, image, seed=3) for _ in range(2))
-    assert (first.classes, first.objects, first.lights) == (again.classes, again.objects, again.lights)
-    np.testing.assert_array_equal(first.error, again.error)
+    assert first.values() | {"seconds": 0} == again.values() | {"seconds": 0}
     one, error = traced(given, 1024, seed=1)
     other, _ = traced(given, 1024, seed=2)
     assert np.sqrt(np.mean((one - other) ** 2)) < 2 * np.sqrt(2 * np.mean(error**2))

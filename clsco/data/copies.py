@@ -1,21 +1,107 @@
-"""Data sets written in another format."""
+"""Data sets made again from their cards, and compared."""
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from clsco.data.card import CARD
 from clsco.data.containers import CONTAINERS, container_named
+from clsco.data.creation import DistributionLike, Progress, make
 from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
-from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, status_of
-from clsco.data.storage import Storage, remove_path
-from clsco.errors import FileError
+from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, ranges, status_of
+from clsco.data.storage import Storage, open_storage, remove_path
+from clsco.errors import FileError, SceneError
 from clsco.files.atomic import file_digests
 from clsco.files.strict_json import strict_json
+
+
+def remake(
+    data: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    distribution: DistributionLike | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    devices: str | Sequence[str] = (),
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Make a data set again from its card, and compare the bytes.
+
+    Parameters
+    ----------
+    data : path
+        Folder or address of the set, which is not changed.
+    out : path, optional
+        Folder or address of the new set; by default a temporary folder that is removed.
+    distribution : path, mapping or callable, optional
+        As for `clsco.data.make`; by default that of the card. If a function made the set, give the function, as code in
+        a set is never run.
+    folder : path, optional
+        Folder of the distribution file's textures; by default the current one.
+    devices, workers, progress
+        As for `clsco.data.make`.
+
+    Returns
+    -------
+    list of str
+        A line for each difference; empty if all bytes are the same.
+
+    Raises
+    ------
+    SceneError
+        A function made the set, and `distribution` is missing; or as `clsco.data.make`.
+    FileError
+        The set does not exist, or is damaged.
+
+    Examples
+    --------
+    >>> import clsco.data
+    >>> clsco.data.remake("DATA")  # doctest: +SKIP
+    []
+    """
+    with ExitStack() as stack:
+        storage = open_storage(data)
+        stack.callback(storage.close)
+        original = open_set(storage)
+        identity = original.identity
+        made_by = original.about.get("distribution") if distribution is None else distribution
+        if made_by is None:
+            name = original.about.get("function", "none")
+            raise SceneError(
+                f"distribution: must be given for a set that a function made, as it is not run; got {name}"
+            )
+        target = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else os.fspath(out)
+        make(
+            made_by, target, only=original.samples, seed=identity.seed, truth=set(identity.arrays) - {"color"},
+            color="color" in identity.arrays, types=dict(identity.types), splits=identity.splits or None,
+            format=identity.format, shard_size=identity.shard_size, precision=identity.precision, devices=devices,
+            workers=workers, folder=folder, license=str(original.about.get("license", "")), progress=progress,
+            allow_failures=len(original.samples),
+        )  # fmt: skip
+        remade = open_storage(target)
+        stack.callback(remade.close)
+        return list(_differences(original, open_set(remade)))
+
+
+def _differences(original: DataSet, remade: DataSet) -> Iterator[str]:
+    yield from remade.identity.differences(original.identity.record())
+    for shard in original.shards:
+        key = part_key(shard)
+        part = original.storage.read(key)
+        if part is None:
+            yield f"{key}: shard {shard} must be there; got none"
+        elif part != remade.storage.read(key):
+            old, new = ([*rows, *failures] for rows, failures in (original.lines(shard), remade.lines(shard)))
+            others = ranges(row["number"] for row in old if row not in new)
+            yield f"{key}: {f'samples {others}' if others else 'files'} must be what is made again; got others"
+
 
 OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # of a card, not carried over
 
