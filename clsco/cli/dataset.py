@@ -292,7 +292,7 @@ def show(data: str, number: int, base: Path) -> None:
 @click.option("-o", "out", metavar="OUT", required=True, help="Folder for it, or an address like s3://bucket/set.")
 @click.option(
     "--format", "form", metavar="NAME", type=SET_FORMAT, required=True,
-    help="webdataset, npz or hdf5, each also uncompressed, like npz+raw.",
+    help="webdataset, npz, hdf5 or zarr, each also uncompressed, like npz+raw.",
 )  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the conversion in OUT.")
 @quiet_option

@@ -75,7 +75,7 @@ def _encoding(form: str, about: Mapping[str, Any]) -> str:
     picture = is_png(about["dtype"], tuple(about["shape"]))
     if name == "webdataset":
         return "npy" if raw else "png" if picture else "npy.zst"
-    return {"npz": "npy", "hdf5": "dataset"}[name]
+    return {"npz": "npy", "hdf5": "dataset", "zarr": "array"}[name]
 
 
 def _loading(form: str, first: _SampleDescription) -> dict[str, str]:
@@ -95,6 +95,7 @@ def _loading(form: str, first: _SampleDescription) -> dict[str, str]:
             "datasets": f'datasets.load_dataset("webdataset", data_files={pattern}, streaming=True)',
         },
         "hdf5": {"h5py": f"h5py.File({shard})[{json.dumps(f'{first.key}/{name}')}][()]"},
+        "zarr": {"zarr": f'zarr.open_group({shard}, mode="r")[{array}][0]'},
         "npz": {"numpy": f"numpy.load({json.dumps(f'DATA/{first.file}/{first.key}.npz')})[{array}]"},
     }
     return code | more.get(form.partition("+")[0], {})

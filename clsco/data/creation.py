@@ -197,7 +197,10 @@ def make(  # noqa: PLR0913, a parameter for each option
 
 
 def distribution_of(
-    distribution: DistributionLike, overrides: Sequence[str] = (), splits: SplitsLike = None, folder: Path | None = None
+    distribution: DistributionLike,
+    overrides: Sequence[str] = (),
+    splits: SplitsLike = None,
+    folder: Path | None = None,
 ) -> Distribution | ScriptedDistribution:
     """The distribution of a file, its content, or a function. Raises SceneError."""
     if not callable(distribution):

@@ -182,6 +182,7 @@ def _not_analytic(parts: VariedKeys) -> list[str]:
 
 def _digest(tables: DistributionTables, splits: Splits, folder: Folder) -> str:
     content = [VERSION, tables.scene, tables.vary, tables.accept, tables.derive, splits, sorted(folder.digests.items())]
+    content += [tables.check] if tables.check else []
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()
 
 

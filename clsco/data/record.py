@@ -30,6 +30,7 @@ PICTURES = ("color", "sharp")  # what codes can hold
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
 _OF_FRAMES = (
     "frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities",
+    "check",
 )  # fmt: skip
 
 

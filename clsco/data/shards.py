@@ -118,6 +118,7 @@ class ShardMaker:
         identity = job.identity
         self.container: Container = container_named(identity.format)
         self.arrays, self.types = identity.arrays, dict(identity.types)
+        self.every = job.distribution.tables.check.get("every", 0) if isinstance(job.distribution, Distribution) else 0
         self.renderer = SampleRenderer(device, self.arrays, identity.precision)
 
     def make(
@@ -158,6 +159,10 @@ class ShardMaker:
                 start = time.perf_counter()
                 try:
                     frames = self.renderer.render(sample)
+                    if self.every and sample.number % self.every == 0:
+                        from clsco.truth.judge import judged_frame
+
+                        frames[0][0] = judged_frame(sample.scenes[0], frames[0][0])
                     spent["render"] += time.perf_counter() - start
                     record = make_record(sample, self.job.identity.seed, frames, self.arrays, self.types)
                 except (SceneError, FileError, MissingDependencyError, KernelError) as error:

@@ -18,8 +18,9 @@ from clsco.scene.changes import displace, entry_at, key_parts, override
 from clsco.scene.file import read_mapping
 from clsco.scene.text import shown
 
-OWN = ("base", "vary", "accept", "derive")
+OWN = ("base", "vary", "accept", "derive", "check")
 MAX_BASES = 8
+EVERY = 1000  # samples of which one is compared with rays
 MAX_DEPTH = 12  # tables and lists in each other
 
 
@@ -31,11 +32,12 @@ class DistributionTables:
     vary: dict[str, Any]
     accept: Any
     derive: Any
+    check: dict[str, int]  # `every`: of one sample in so many the first frame is compared with rays; empty for none
     is_joined: bool = False  # with those of a base
 
     def content(self) -> dict[str, Any]:
         """Content of one file without a base that gives the same samples."""
-        own = {"vary": self.vary, "accept": self.accept, "derive": self.derive}
+        own = {"vary": self.vary, "accept": self.accept, "derive": self.derive, "check": self.check}
         return self.scene | {name: table for name, table in own.items() if table}
 
 
@@ -56,11 +58,18 @@ def read_tables(
     accept, derive = data.pop("accept", {}), data.pop("derive", {})
     if not isinstance(vary, dict):
         raise SceneError(f"{where}: vary: must be a table; got {shown(vary)}")
+    check = data.pop("check", None)
+    if check is not None:
+        every = check.get("every", EVERY) if isinstance(check, dict) and check.keys() <= {"every"} else None
+        if type(every) is not int or every < 1:
+            rule = "must be a table with every, a whole number from 1 on"
+            raise SceneError(f"{where}: check: {rule}; got {shown(check)}")
+        check = {"every": every}
     for text in overrides:
         parts = key_parts(text.partition("=")[0].strip())
         if parts[0] not in OWN:
             _unvaried(vary, parts, data)
-    return DistributionTables(data, vary, accept, derive, is_joined)
+    return DistributionTables(data, vary, accept, derive, check or {}, is_joined)
 
 
 def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, names: list[str]) -> dict[str, Any]:

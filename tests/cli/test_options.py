@@ -38,7 +38,7 @@ def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch
         ("render --truth depth,no", ["depth,normal", "depth,noise_sigma"]),
         ("render --format npz,kitti_f", ["npz,kitti_flow"]),
         ("render --types depth=", ["depth=float32", "depth=float16"]),
-        ("dataset make --format hd", ["hdf5", "hdf5+raw"]),
+        ("dataset make --format za", ["zarr", "zarr+raw"]),
         ("defocus --unit inv", ["inverse_mm", "inverse_m"]),
         ("video --preset ff", ["ffv1", "ffv1-16"]),
         ("inpaint --method t", ["texture"]),

@@ -14,10 +14,11 @@ import pytest
 
 from clsco.data.containers import CONTAINERS, container_named
 from clsco.data.record import Record, make_record
-from clsco.errors import MissingDependencyError, SceneError
+from clsco.errors import FileError, MissingDependencyError, SceneError
 from tests.data.samples import contents, drawn, frame, record, same
 
 EACH = pytest.mark.parametrize("form", CONTAINERS)
+ONE_SHAPE = ("zarr", "zarr+raw")  # for all samples of a shard
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -37,7 +38,9 @@ def digest(path: Path) -> str:
 
 @EACH
 def test_records_come_back_bit_by_bit(form: str, tmp_path: Path) -> None:
-    records = [record(number) for number in range(6)]
+    # Of formats with columns more than a block of records.
+    some_arrays = ("color", "depth", "object_id") if form in ONE_SHAPE else ()
+    records = [record(number, wanted=some_arrays) for number in range(18 if form in ONE_SHAPE else 6)]
     reader = CONTAINERS[form].read(written(tmp_path, form, records))
     assert len(reader) == len(records)
     assert list(reader.keys) == [each.key for each in records]
@@ -62,10 +65,29 @@ def test_prefixes_grays_halves_and_missing_arrays(form: str, tmp_path: Path) -> 
     wanted = ("color", "sharp", "depth", "normal")
     types = {"depth": "float16", "sharp": "uint8", "normal": "float16"}
     made = make_record(drawn(1, 2), 0, [views] * 2, wanted, types)
-    records = [made, record(2, (4, 6), ("depth",))]
+    records = [made] if form in ONE_SHAPE else [made, record(2, (4, 6), ("depth",))]
     found = list(CONTAINERS[form].read(written(tmp_path, form, records)))
     assert list(map(same, found, records)) == [True] * len(records)
     assert found[0]["v01.f0001.left.depth"].dtype == np.float16
+
+
+def test_one_shape_for_all_where_columns_need_it(tmp_path: Path) -> None:
+    for form in ONE_SHAPE:
+        for number, other in enumerate((record(2, (4, 6)), record(2, wanted=("depth",)))):
+            path = tmp_path / f"{number}{form}"
+            with pytest.raises(FileError, match="must have the same arrays in all samples, of one type and size; got"):
+                CONTAINERS[form].write(path, iter([record(1), other]))
+        with pytest.raises(FileError, match="must have a sample; got none"):
+            CONTAINERS[form].write(tmp_path / f"empty{form}", iter([]))
+
+
+def test_large_records_are_not_kept_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("clsco.data.containers.base.MOST_BYTES", 1)
+    records = [record(number, wanted=("color", "depth")) for number in range(3)]
+    for form in ONE_SHAPE:
+        path = written(tmp_path, form, records)
+        assert all(map(same, CONTAINERS[form].read(path), records))
+    assert len(list((tmp_path / "zarr.zarr/depth/c").iterdir())) == 3
 
 
 def test_the_same_bytes_at_another_time_and_in_another_process(tmp_path: Path) -> None:
@@ -109,7 +131,7 @@ def test_memory_does_not_grow_with_the_shard(form: str, tmp_path: Path) -> None:
 
 
 def test_unknown_and_missing_formats(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*hdf5\+raw; got tar"):
+    with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*zarr\+raw; got tar"):
         container_named("tar")
     monkeypatch.setattr("clsco.data.containers.find_spec", lambda name: None)
     with pytest.raises(

@@ -70,6 +70,15 @@ def test_a_file_its_content_and_its_command_make_one_set(place: Path) -> None:
     assert one.card["recipe"] == DISTRIBUTION
 
 
+def test_samples_that_are_compared_with_rays(place: Path) -> None:
+    content: dict[str, Any] = CONTENT | {"check": {"every": 2}}
+    clsco.data.make(content, "CHECKED", count=3, seed=7, folder=place)
+    frames = [record.meta["frames"][0] for record in clsco.data.open("CHECKED")]
+    assert [frame.get("check", {}).get("pixels", 0) > 50 for frame in frames] == [True, False, True]
+    with pytest.raises(SceneError, match="check: must be a table with every, a whole number from 1 on; got a table"):
+        clsco.data.make(content | {"check": {"every": 0}}, "OTHER", count=1, folder=place)
+
+
 def test_a_function_draws_scenes(place: Path) -> None:
     clsco.data.make(draw, "one", count=6, shard_size=4, seed=5, splits={"a": 0.5, "b": 0.5})
     for part in (1, 0):

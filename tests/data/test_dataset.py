@@ -132,14 +132,14 @@ def test_a_million_samples_open_at_once(folder: Path, tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("form", ["webdataset", "npz", "hdf5"])
+@pytest.mark.parametrize("form", ["webdataset", "npz", "hdf5", "zarr"])
 @pytest.mark.parametrize(("splits", "variants"), [(True, 1), (False, 2)])
 def test_the_examples_of_a_sets_own_readme_run(
     form: str, splits: bool, variants: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = (make_set(tmp_path / "DATA", form, splits=splits, variants=variants) / "README.md").read_text("utf-8")
     monkeypatch.chdir(tmp_path)
-    names = {"clsco": "clsco", "webdataset": "webdataset", "hdf5": "h5py", "npz": "numpy"}
+    names = {"clsco": "clsco", "webdataset": "webdataset", "hdf5": "h5py", "zarr": "zarr", "npz": "numpy"}
     examples = dict(re.findall(r"^(\w+):\n\n```python\n(.*?)\n```", text, re.DOTALL | re.MULTILINE))
     for name in ("clsco", names[form]):
         exec(examples[name], {name: import_module(name), "glob": import_module("glob")})
@@ -192,7 +192,7 @@ def test_an_order_follows_from_seed_and_epoch(folder: Path) -> None:
     assert numbers(pickle.loads(pickle.dumps(opened.shuffle(1)))) == orders[0]
 
 
-@pytest.mark.parametrize("form", ["webdataset", "npz"])
+@pytest.mark.parametrize("form", ["webdataset", "npz", "zarr"])
 def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

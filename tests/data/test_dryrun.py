@@ -67,7 +67,13 @@ def test_a_dry_run_says_what_a_set_will_be(
     assert found.measures[2].high == 0.0  # nothing moves
     print_dry_run(found)
     printed = capsys.readouterr().out
-    for part in ("Parameters of 20 samples", "object.ball.radius", "train", "blur radius |R|, px", "no device here"):
+    for part in (
+        "Parameters of 20 samples",
+        "object.ball.radius",
+        "train",
+        "blur radius |R|, px",
+        "no device here",
+    ):
         assert part in printed
     assert dry_run(distribution, 1, 5000, arrays=("color",)).parameters == found.parameters
 

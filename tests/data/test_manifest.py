@@ -3,17 +3,37 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from clsco.data.manifest import Identity, Merged, numbers_of, parsed_part, part_bytes, part_key, rows_of, shard_numbers
+from clsco.data.manifest import (
+    Identity,
+    Merged,
+    numbers_of,
+    parsed_part,
+    part_bytes,
+    part_key,
+    rows_of,
+    shard_numbers,
+)
 from clsco.data.sets import DataSet, finish
 from clsco.data.storage import _Folder, open_storage
 from clsco.errors import FileError
 
 IDENTITY = Identity("d", 1, 0, 4, "webdataset", ("color",), "double", (("train", 0.5), ("test", 0.5)), "1.0", "cpu")
+
+
+def test_what_differs_from_a_set_is_named() -> None:
+    assert IDENTITY.differences(IDENTITY.record()) == []
+    other = replace(IDENTITY, seed=2, arrays=("color", "depth"))
+    assert IDENTITY.differences(other.record()) == [
+        "seed must be 1, as in the set; got 2",
+        'arrays must be ["color"], as in the set; got ["color", "depth"]',
+    ]
+    assert other.digest != IDENTITY.digest
 
 
 def test_shards_hold_all_samples_once() -> None:
@@ -26,7 +46,14 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
     empty: dict[str, Any] = {"file": "data/000002.tar", "split": "", "parameters": {}, "arrays": {}}
     rows = [{"number": 8 + k, "offset": k, **empty} for k in range(2)]
     failures: list[dict[str, Any]] = [{"number": 10 + k, "error": "e", "scene": None} for k in range(2)]
-    data = part_bytes(2, "id", range(8, 12), {"data/000002.tar": (3, "ab")}, rows, failures)
+    data = part_bytes(
+        2,
+        "id",
+        range(8, 12),
+        {"data/000002.tar": (3, "ab")},
+        rows,
+        failures,
+    )
     part = parsed_part(data)
     assert (part.shard, part.numbers, part.made, part.failed) == (2, range(8, 12), 2, 2)
     assert rows_of(data) == (rows, failures)

@@ -86,6 +86,18 @@ def test_h5py(form: str, tmp_path: Path) -> None:
         check(RECORDS[1], {name: group[name][()] for name in group if name != "meta"})
 
 
+def test_zarr(tmp_path: Path) -> None:
+    path = written(tmp_path, "zarr")
+    group = pytest.importorskip("zarr").open_group(path, mode="r")
+    check(RECORDS[1], {name: group[name][1] for name in RECORDS[1].arrays})
+    first, end = group["meta_ends"][1:3]
+    assert json.loads(group["meta"][first:end].tobytes()) == RECORDS[1].meta
+    assert group["keys"][:].tolist() == [0, 1, 2]
+    assert len([each for each in path.rglob("*") if each.is_file()]) == 1 + 2 * (
+        len(RECORDS[0].arrays) + 3
+    )  # few files
+
+
 def test_opencv(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
     with tarfile.open(written(tmp_path, "webdataset")) as tar:

@@ -123,6 +123,26 @@ def test_a_shard_counts_when_it_is_whole(tmp_path: Path) -> None:
     assert list(grown.done(grown.shards, False, [])) == [0]
 
 
+def test_a_set_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
+    wanted = set_of(job_of(tmp_path, 8))
+    assert not check_resumable(wanted, resumes=False)
+    wanted.write({"license": "CC0"})
+    assert open_set(wanted.storage) == wanted or open_set(wanted.storage).identity == wanted.identity
+    with pytest.raises(SceneError, match="must hold no data set, unless that is resumed; got one"):
+        check_resumable(wanted, resumes=False)
+    assert check_resumable(wanted, resumes=True)
+    assert check_resumable(replace(wanted, samples=range(20)), resumes=True)
+    with pytest.raises(SceneError, match="count must be at least 8, as in the set; got 4"):
+        check_resumable(replace(wanted, samples=range(4)), resumes=True)
+    other = replace(wanted, identity=replace(wanted.identity, seed=5, device_family="gpu"))
+    with pytest.raises(SceneError) as raised:
+        check_resumable(other, resumes=True)
+    assert [message.partition(": ")[2] for message in raised.value.messages] == [
+        "seed must be 1, as in the set; got 5",
+        f"device family must be {wanted.identity.device_family}, as in the set; got gpu",
+    ]
+
+
 def test_other_files_and_damaged_cards_are_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.pdf").write_bytes(b"")
     wanted = set_of(job_of(tmp_path, 8))

@@ -35,16 +35,16 @@ def test_files_and_folders_are_put_listed_read_and_removed(storage: Storage) -> 
     folder = storage.scratch() / "folder"
     (folder / "inner").mkdir(parents=True)
     (folder / "inner" / "b").write_bytes(b"12345")
-    storage.put("data/shard", folder)
+    storage.put("data/zarr", folder)
     storage.write("card.json", b"{}")
     assert storage.has_others()
-    assert storage.sizes("data") == {"data/a": 3, "data/shard/inner/b": 5}
+    assert storage.sizes("data") == {"data/a": 3, "data/zarr/inner/b": 5}
     assert storage.read("data/a") == b"abc"
     assert storage.digest("data/a") == hashlib.sha256(b"abc").hexdigest()
-    assert (storage.local("data/shard") / "inner" / "b").read_bytes() == b"12345"
+    assert (storage.local("data/zarr") / "inner" / "b").read_bytes() == b"12345"
     storage.write("data/a", b"other")
     assert storage.read("data/a") == b"other"
-    storage.remove("data/shard")
+    storage.remove("data/zarr")
     storage.remove("data/none")
     assert storage.sizes("data") == {"data/a": 5}
     storage.close()

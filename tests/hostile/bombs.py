@@ -18,6 +18,8 @@ import imagecodecs
 import numpy as np
 import OpenEXR
 import tifffile
+import zarr
+from zarr.codecs import ZstdCodec
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.containers.base import meta_bytes, npy_bytes
@@ -130,6 +132,18 @@ def _deflated_chunk(folder: Path) -> Made:
     return "bomb.h5", CONTAINERS["hdf5"].read
 
 
+def _zarr_chunk(folder: Path) -> Made:
+    """Zarr as clsco writes it, with a large chunk in place of a file of several."""
+    own = record(1, (64, 64), ("depth",))
+    CONTAINERS["zarr"].write(folder / "bomb.zarr", iter([own]))
+    group = zarr.open_group(folder / "bomb.zarr", mode="r+", zarr_format=3)
+    zstd = ZstdCodec()
+    group.create_array("depth", shape=(1, 64, 64), dtype="f4", chunks=(1, 64, 64), compressors=zstd, filters=None,
+                       overwrite=True)[:] = 1  # fmt: skip
+    (folder / "bomb.zarr/depth/c/0/0/0").write_bytes(imagecodecs.zstd_encode(bytes(ZEROS), 3))
+    return "bomb.zarr", CONTAINERS["zarr"].read
+
+
 def _tar_with_header(folder: Path, records: bytes) -> Made:
     """A tar of one member, with these records in its extended header."""
     path, head = folder / "bomb.tar", tarfile.TarInfo("././@PaxHeader")
@@ -177,6 +191,7 @@ BOMBS: dict[str, Callable[[Path], Made]] = {
     "depth npz of bzip2": _npz(zipfile.ZIP_BZIP2, _HEAD, read_depth),
     "sample npz deflated": _sample_npz,
     "hdf5 chunk deflated": _deflated_chunk,
+    "zarr chunk": _zarr_chunk,
     "tar pax records": _pax,
     "tar sparse map": _sparse_pax,
     "tar chain of headers": _pax_chain,

@@ -270,6 +270,8 @@ class TestNoRegularFiles:
         [
             ("webdataset", "dataset.json"), ("webdataset", part_key(0)), ("webdataset", "train/000000.tar"),
             ("npz", "train/000000/000000000.npz"), ("hdf5", "train/000000.h5"),
+            ("zarr", "train/000000.zarr/zarr.json"), ("zarr", "train/000000.zarr/depth/zarr.json"),
+            ("zarr", "train/000000.zarr/depth/c/0/0/0"), ("zarr", "train/000000.zarr/keys/c/0"),
         ],
     )  # fmt: skip
     def test_sets(self, form: str, name: str, kind: str, tmp_path: Path, one_set: Callable[[str], Path]) -> None:

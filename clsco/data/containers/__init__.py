@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from importlib.util import find_spec
 
-from clsco.data.containers import hdf5, npz, webdataset
+from clsco.data.containers import hdf5, npz, webdataset, zarr3
 from clsco.data.containers.base import NEEDS
 from clsco.data.containers.base import Container as Container
 from clsco.data.containers.base import ShardReader as ShardReader
@@ -22,6 +22,8 @@ CONTAINERS = {
         Container("npz+raw", "", partial(npz.write, raw=True), npz.NpzReader),
         Container("hdf5", ".h5", hdf5.write, hdf5.Hdf5Reader, hdf5.NEEDS),
         Container("hdf5+raw", ".h5", partial(hdf5.write, raw=True), hdf5.Hdf5Reader, hdf5.NEEDS),
+        Container("zarr", ".zarr", zarr3.write, zarr3.ZarrReader, zarr3.NEEDS),
+        Container("zarr+raw", ".zarr", partial(zarr3.write, raw=True), zarr3.ZarrReader, zarr3.NEEDS),
     )
 }
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from clsco.files.archives import npy_array as npy_array
 from clsco.files.archives import npy_bytes as npy_bytes
 from clsco.files.archives import npy_size as npy_size
 from clsco.files.atomic import raise_file_error
+from clsco.files.decoder_process import run_decoder
 from clsco.files.decoders import unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 from clsco.files.strict_json import strict_json
@@ -89,11 +90,47 @@ def translate_errors(path: Path, kind: str) -> Iterator[None]:
 
 
 Layout = dict[str, tuple["np.dtype[Any]", tuple[int, ...]]]
+MOST_SAMPLES, MOST_BYTES = 16, 2**26  # of a block
+
+
+def block_size(layout: Layout) -> int:
+    """Records per block in memory: 16, or fewer if they exceed 64 MiB."""
+    return max(1, min(MOST_SAMPLES, MOST_BYTES // max(record_bytes(layout), 1)))
 
 
 def record_bytes(layout: Layout) -> int:
     """Bytes of the arrays of a record."""
     return sum(prod(shape) * dtype.itemsize for dtype, shape in layout.values())
+
+
+def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[Layout, list[Record]]]:
+    """The layout of all records, with up to `block_size` records at a time.
+
+    Raises FileError: two records have different layouts, or there is no record.
+    """
+    layout: Layout | None = None
+    block: list[Record] = []
+    for record in records:
+        own = {name: (array.dtype, array.shape) for name, array in record.arrays.items()}
+        layout = own if layout is None else layout
+        if own != layout:
+            rule = f"{kind} must have the same arrays in all samples, of one type and size"
+            raise_file_error(path, rule, f"{_differing(layout, own)} in sample {record.key}")
+        block.append(record)
+        if len(block) == block_size(layout):
+            yield layout, block
+            block = []
+    if layout is None:
+        raise_file_error(path, f"{kind} must have a sample", "none")
+    if block:
+        yield layout, block
+
+
+def _differing(layout: Layout, own: Layout) -> str:
+    name = next((name for name in (*layout, *own) if layout.get(name) != own.get(name)), "another order")
+    if name not in own:
+        return f"no {name}"
+    return f"{name} {own[name][0]} {own[name][1]}"
 
 
 NEEDS = ("imagecodecs", "formats")  # the one package with both Zstandard and PNG of 16 bits in color
@@ -211,6 +248,17 @@ def _layout_of(path: Path, name: str, about: Any) -> tuple[np.dtype[Any], tuple[
 def chosen(layout: Layout, names: Collection[str] | None) -> Layout:
     """Arrays of a layout selected by full name or by kind."""
     return {name: about for name, about in layout.items() if is_named(name, names)}
+
+
+def confined_arrays(function: str, file: BinaryIO, layout: Layout, **options: Any) -> dict[str, NDArray[Any]]:
+    """Arrays of a record, read by a function in a process with limits. Raises ValueError for other types, shapes or
+    more bytes than in the layout.
+    """
+    _, arrays = run_decoder(function, file, record_bytes(layout), names=list(layout), **options)
+    for (name, about), array in zip(layout.items(), arrays, strict=True):
+        if (array.dtype, array.shape) != about:
+            raise ValueError(f"{name} of {array.dtype} {array.shape}")
+    return dict(zip(layout, arrays, strict=True))
 
 
 def split_name(member: str) -> tuple[str, str] | None:

@@ -12,9 +12,9 @@ from clsco.data.containers.base import (
     LARGEST_META,
     ShardReader,
     chosen,
+    confined_arrays,
     meta_bytes,
     parsed_meta,
-    record_bytes,
     translate_errors,
 )
 from clsco.data.record import Record
@@ -60,9 +60,5 @@ class Hdf5Reader(ShardReader):
         with translate_errors(self.path, "HDF5 file"), open_regular(self.path) as file:
             _, (text,) = run_decoder(f"{_FILE}:meta", file, LARGEST_META, key=key)
             meta, layout = parsed_meta(self.path, text.tobytes())
-            wanted = chosen(layout, names)
-            _, arrays = run_decoder(f"{_FILE}:arrays", file, record_bytes(wanted), key=key, names=list(wanted))
-            for (name, about), array in zip(wanted.items(), arrays, strict=True):
-                if (array.dtype, array.shape) != about:
-                    raise ValueError(f"{name} of {array.dtype} {array.shape}")
-        return Record(key, dict(zip(wanted, arrays, strict=True)), meta)
+            arrays = confined_arrays(f"{_FILE}:arrays", file, chosen(layout, names), key=key)
+        return Record(key, arrays, meta)

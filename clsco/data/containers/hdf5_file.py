@@ -23,7 +23,7 @@ def meta(file: BinaryIO, key: str) -> tuple[dict[str, Any], list[NDArray[Any]]]:
 
 
 def arrays(file: BinaryIO, key: str, names: Sequence[str]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Arrays of a record."""
+    """Bytes of the JSON text that describes a record."""
     with _opened(file) as opened:
         group = _stored(opened, key)
         return {}, [_stored(group, name)[()] for name in names]
