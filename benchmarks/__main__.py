@@ -20,9 +20,8 @@ from clsco.cli.options import PATH, device_option, quiet_option, require_device
 from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.cli.tables import print_tables
-from clsco.errors import ClscoError
+from clsco.errors import ClscoError, require_extra
 from clsco.files.atomic import make_writable_folder, remove_file
-from clsco.files.plots import require_matplotlib
 from clsco.opencl.device import Device, choose
 
 Advance = Callable[[], object]
@@ -50,7 +49,7 @@ class Blur:
     grid: BenchGrid
 
     def notices(self) -> list[str]:
-        require_matplotlib("blur", "bench")
+        require_extra("blur", "matplotlib", "bench")
         return []
 
     def steps(self, device: Device) -> int:
@@ -69,7 +68,7 @@ class Stability:
     quick: bool
 
     def notices(self) -> list[str]:
-        require_matplotlib("stability", "bench")
+        require_extra("stability", "matplotlib", "bench")
         return []
 
     def steps(self, device: Device) -> int:

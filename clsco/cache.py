@@ -28,10 +28,7 @@ class _Key:
 class Cache:
     """A table of values with a limit on their bytes; the least recently used ones are evicted. Threads may share it.
 
-    Parameters
-    ----------
-    limit : int
-        Most bytes of all values together; a larger value is not cached.
+    limit: most bytes of all values together; a larger value is not cached.
     """
 
     def __init__(self, limit: int) -> None:
@@ -41,19 +38,9 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
-        """The value of a key, computed if it is not cached.
+        """The value of a key, which callers must not change; `make` computes it if it is not cached.
 
-        Parameters
-        ----------
-        key : hashable
-        make : callable
-            Computes a missing value; two threads may call it at the same time, and get the same value.
-        size : callable
-            Bytes of a value.
-
-        Returns
-        -------
-        The value, which callers must not change.
+        Two threads may call `make` at the same time, and get the same value. size: bytes of a value.
         """
         place = _Key(key)
         with self._lock:

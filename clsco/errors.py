@@ -62,21 +62,9 @@ class KernelError(ClscoError):
 
 
 def import_extra(where: object, module: str, extra: str) -> Any:
-    """Import a module that an extra of clsco installs.
+    """Import a module that an extra of clsco installs; raises MissingDependencyError.
 
-    Parameters
-    ----------
-    where : object
-        File or option that needs the module, for the message.
-    module, extra : str
-
-    Returns
-    -------
-    module
-
-    Raises
-    ------
-    MissingDependencyError
+    where: file or option that needs the module, for the message.
     """
     try:
         return import_module(module)
@@ -94,18 +82,8 @@ def visible(text: str, lines: bool = False) -> str:
     r"""A text with escapes in place of invisible characters other than spaces, such as control characters, marks of
     writing direction, and lone surrogates, because names of files and texts in them may be untrusted.
 
-    Parameters
-    ----------
-    text : str
-    lines : bool
-        Leave ends of lines and tabs unchanged.
+    lines: leave ends of lines and tabs unchanged.
 
-    Returns
-    -------
-    str
-
-    Examples
-    --------
     >>> from clsco.errors import visible
     >>> visible("a\x1b[2J b")
     'a\\x1b[2J b'

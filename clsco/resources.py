@@ -79,26 +79,10 @@ class ExposedFolderError(Exception):
 def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: Kind = "cache") -> Path:
     """A folder in the user's cache or state folder that nobody else can write to, created if necessary.
 
-    Parameters
-    ----------
-    *names : str
-        Names of nested folders, outermost first.
-    environ : mapping
-        XDG_CACHE_HOME names the cache folder, by default ~/.cache; XDG_STATE_HOME that of state, by default
-        ~/.local/state.
-    kind : {"cache", "state"}
-        State is data that cannot be computed again.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    ExposedFolderError
-        Another user owns the folder or one of its parents created here, or may write to it.
-    OSError, RuntimeError
-        It cannot be made, or the user has no home.
+    names: of nested folders, outermost first. kind: state is data that cannot be computed again. XDG_CACHE_HOME names
+    the cache folder, by default ~/.cache; XDG_STATE_HOME that of state, by default ~/.local/state. Raises
+    ExposedFolderError if another user owns the folder or one of its parents created here, or may write to it; OSError
+    or RuntimeError if it cannot be made, or the user has no home.
     """
     variable, default = _PLACES[kind]
     root = Path(environ.get(variable) or Path.home() / default)
@@ -132,29 +116,9 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False) -> BufferedReader:
     """Open a regular file for reading; anything else is opened only briefly, to determine its kind.
 
-    Parameters
-    ----------
-    path : path
-    most : int, optional
-        Most bytes of the file. A file can grow while it is read: `read_regular` enforces the limit then, too.
-    follow : bool
-        Allow a symbolic link, as users may name one. Links among its parent folders are always followed.
-
-    Returns
-    -------
-    BufferedReader
-
-    Raises
-    ------
-    OSError
-        It cannot be opened, is not a regular file, or is too large; `strerror` says what it is, as in "a device or a
-        pipe".
-
-    Examples
-    --------
-    >>> from clsco.resources import open_regular
-    >>> with open_regular(__file__, 2**20, follow=True) as file:
-    ...     line = file.readline()
+    most: bytes of the file; it can grow while it is read: `read_regular` enforces the limit then, too. follow: allow a
+    symbolic link, as users may name one; links among its parent folders are always followed. Raises OSError if it
+    cannot be opened, is not a regular file, or is too large; `strerror` says what it is, as in "a device or a pipe".
     """
     flags = _SAFELY & ~getattr(os, "O_NOFOLLOW", 0) if follow else _SAFELY
     try:

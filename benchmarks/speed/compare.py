@@ -16,7 +16,7 @@ from benchmarks.speed import lens, peers, warp
 from benchmarks.speed.lens import Lens, LensRow
 from benchmarks.speed.lensreport import lens_plot, lens_table
 from benchmarks.speed.warp import WarpRow, warp_table
-from clsco.files.plots import require_matplotlib
+from clsco.errors import require_extra
 from clsco.opencl.device import Device
 
 Advance = Callable[[], object]
@@ -63,7 +63,7 @@ class Comparison:
 
     def notices(self) -> list[str]:
         """Notes on peers that are left out, a line each. Raises ClscoError where plots could not be made."""
-        require_matplotlib("bench", "bench")
+        require_extra("bench", "matplotlib", "bench")
         lines = [f"{tool}: left out, as {why}" for tool, why in self.missing.items()]
         if self.frames and (absent := lens.missing()):
             lines.append(f"traced frames: left out, as they need {absent}: pip install 'clsco[bench]'")

@@ -1,22 +1,34 @@
-"""Comparison of the device with the NumPy reference: errors per output, and both times."""
+"""The command `clsco check`: differences of frames from the NumPy reference per output, and of color from rays, as
+tables or a file.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import RenderableType
+from rich.text import Text
 
 from clsco import reference
+from clsco.cli.output import echo
+from clsco.cli.tables import print_tables, table
 from clsco.engine.sequence import render
+from clsco.errors import ClscoError
+from clsco.files.images import save_image, write_json
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES
 from clsco.optics.sensor import camera_word, sensor_model
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.scene.model import Scene
+
+if TYPE_CHECKING:  # which needs the extra
+    from clsco.truth.judge import Judgement
 
 # Single precision has ten times the figures, and may have one pixel in so many on the other side of an edge.
 LEAST_AGREEING = 500
@@ -129,3 +141,108 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
             sum(spent for name, spent in metadata["seconds"].items() if name != "host"), middle - start, end - middle,
             frame,
         )  # fmt: skip
+
+
+def _reference_tables(checked: Checked) -> list[RenderableType]:
+    """Differences of one frame from the reference, and both times."""
+    columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
+    rows = [
+        (d.output, f"{d.largest:.2e}", f"{d.rms:.2e}", d.unit, f"{d.row}", f"{d.column}", f"{d.count}", f"{d.figure:g}")
+        for d in checked.differences
+    ]
+    view = f", {checked.eye} view," if checked.eye else ""
+    compared = table(
+        f"Frame {checked.index}{view} against the reference", columns, rows, right=columns[1:3] + columns[4:]
+    )
+    times = (
+        f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
+        f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
+    )
+    return [compared, Text(times)]
+
+
+def _judged_tables(judgement: Judgement) -> list[RenderableType]:
+    """Deviations of one frame from rays through the lens, by class of pixel and by object, and the light of small
+    objects.
+    """
+    columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
+    tables: list[RenderableType] = []
+    for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
+        cells = [
+            (
+                r.name, f"{r.pixels}", f"{r.rms:.5f}", f"{r.noise:.5f}", f"{r.decibels:.1f}", f"{r.mean:+.5f}",
+                f"{r.beyond}", f"{r.column}", f"{r.row}", f"{r.right:.4f}", f"{r.got:.4f}", f"{min(r.errors, 999):.1f}",
+            )
+            for r in rows
+        ]  # fmt: skip
+        tables.append(table(title, columns, cells, right=columns[1:]))
+    if judgement.lights:
+        lights = [
+            (r.name, f"{r.right:.4f}", f"{r.error:.4f}", f"{r.got:.4f}", f"{r.own:.4f}") for r in judgement.lights
+        ]
+        names = ("small object", "right", "noise", "got", "its own")
+        tables.append(table("Light around small objects, px of white", names, lights, right=names[1:]))
+    tables.append(Text(f"{judgement.rays} rays in {judgement.seconds:.1f} s"))
+    return tables
+
+
+def require_report(out: Path) -> None:
+    """Raise ClscoError if `out` is not a type of file that a report can have."""
+    if out.suffix.lower() not in (".json", ".png"):
+        raise ClscoError(f"-o: must be a file .json or .png; got {out}")
+
+
+def check_scene(
+    path: Path, scene: Scene, extent: tuple[int, float], out: Path | None, device: str | None, precision: str | None
+) -> None:  # fmt: skip
+    """Print how every view of a scene differs from the reference and from rays, and write the report to `out`.
+
+    extent: most rays per pixel, and seconds for all of them. Raises ClscoError if a difference is too large.
+    """
+    rays, seconds = extent
+    why = "no rays were asked for" if not rays else None
+    if rays:
+        from clsco.truth.judge import judge
+        from clsco.truth.problem import make_problem, not_judged
+
+        why = not_judged(scene)
+    views: list[tuple[Checked, Judgement]] = []
+    count = scene.sequence.frames * (1 if scene.stereo is None else 2)
+    for checked in compare_frames(scene, device, precision):
+        print_tables(*_reference_tables(checked))
+        color, view = checked.differences[0], f" ({checked.eye})" if checked.eye else ""
+        if not color.agrees:
+            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
+            raise ClscoError(f"{path}: color must agree within {color.figure:g} of white; got {got}")
+        if why is None:
+            problem = make_problem(scene, checked.index, checked.eye)
+            judged = judge(problem, checked.frame.color, rays, seconds / count)
+            print_tables(*_judged_tables(judged))
+            views.append((replace(checked, eye=view), judged))
+    if why is not None:
+        echo(f"the lens: not judged: {why}")
+    if out is not None:
+        _write_report(out, views, why)
+    if wrong := [f"{judged.wrong} in frame {each.index}{each.eye}" for each, judged in views if not judged.agrees]:
+        raise ClscoError(f"{path}: pixels must be within 0.01 of white and 5 errors of rays; got {'; '.join(wrong)}")
+
+
+def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
+    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames of all views, one below the
+    other: red if too bright, blue if too dark, green if they agree; colors saturate at 0.01 of white.
+    """
+    if out.suffix.lower() == ".json":
+        values = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
+        write_json(out, {"not_judged": why, "views": values})
+        return
+    if why is not None:
+        raise ClscoError(f"-o: a picture needs rays; got {why}")
+    pictures = []
+    for each, judged in views:
+        light = np.clip(each.frame.color.reshape(*each.frame.color.shape[:2], -1).mean(axis=2), 0.0, 1.0)
+        picture = np.repeat(0.25 * light[..., None], 3, axis=2)
+        off = (judged.got - judged.right).mean(axis=1) / 0.01
+        tried = np.stack([off, 1.0 - np.abs(off), -off], axis=-1)
+        picture[judged.pixels.row, judged.pixels.column] = np.clip(tried, 0.0, 1.0)
+        pictures.append(picture.astype(np.float32))
+    save_image(out, np.concatenate(pictures), 8)

@@ -96,7 +96,7 @@ base_option = click.option(
 @click.option("--resume", is_flag=True, help="Go on with the set in DATA.")
 @click.option("--only", metavar="A:B", type=_parse_numbers, help="Samples A to B - 1 alone.")
 @click.option("--part", metavar="I/N", type=_parse_part, help="Only every N-th shard, from I = 0 on, for array jobs.")
-@click.option("--dry-run", is_flag=True, help="Draw only: histograms, a contact sheet, predicted time and bytes.")
+@click.option("--dry-run", is_flag=True, help="Draw only: ranges, a contact sheet, predicted time and bytes.")
 @click.option("--license", metavar="TEXT", default="", help="For the data card.")
 @click.option(
     "--allow-failures", metavar="N", type=click.IntRange(0), default=0, show_default=True,
@@ -292,7 +292,7 @@ def show(data: str, number: int, base: Path) -> None:
 @click.option("-o", "out", metavar="OUT", required=True, help="Folder for it, or an address like s3://bucket/set.")
 @click.option(
     "--format", "form", metavar="NAME", type=SET_FORMAT, required=True,
-    help="webdataset, folders, npz, hdf5 or zarr, each also uncompressed, like npz+raw; parquet.",
+    help="webdataset, npz, hdf5 or zarr, each also uncompressed, like npz+raw.",
 )  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the conversion in OUT.")
 @quiet_option

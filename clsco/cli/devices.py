@@ -12,8 +12,7 @@ from clsco.errors import ClscoError, DeviceError
 @click.command()
 @device_option
 @click.option("--self-test", "tested", is_flag=True, help="Run small kernels on each device.")
-@click.option("--warm", "warms", is_flag=True, help="Compile the kernels of usual scenes ahead: some minutes.")
-def devices(device: str | None, tested: bool, warms: bool) -> None:
+def devices(device: str | None, tested: bool) -> None:
     """List OpenCL devices, what each can do, and which one is used and why."""
     require_opencl()
     from clsco.cli.tables import device_tables, print_tables
@@ -30,8 +29,3 @@ def devices(device: str | None, tested: bool, warms: bool) -> None:
     failed = [f"{item}: {check.name}" for item, results in checks.items() for check in results if not check.passed]
     if failed:
         raise ClscoError(f"self-test: every check must pass; got failures in {', '.join(failed)}")
-    if warms:
-        from clsco.cli.warm import compile_usual_kernels
-
-        runs, programs = compile_usual_kernels(device)
-        echo(f"warm: {programs} programs compiled or cached, for {runs} renders")

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import RenderableType
 
 from clsco.cli.tables import print_tables, table
-from clsco.data.dryrun import DryRun, SeenHistogram
+from clsco.data.dryrun import DryRun, Summary
 from clsco.scene.formatting import format_bytes, format_seconds
-
-BAR = 40  # characters of the longest bar
 
 
 def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
     """Tables of a planned data set: parameters, measures of samples, size and time."""
-    parameters = [
-        (one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in dry_run.parameters
-    ]
     tables: list[RenderableType] = [
-        table(
-            f"Parameters of {dry_run.looked_at - len(dry_run.failed)} samples",
-            ("parameter", "lowest", "mean", "highest", ""),
-            parameters,
-            ("lowest", "mean", "highest"),
-        )
+        _summaries(f"Parameters of {dry_run.looked_at - len(dry_run.failed)} samples", "parameter", dry_run.parameters)
     ]
     if dry_run.splits:
         rows = [(name, f"{share * dry_run.count:.0f}", f"{share:.2%}") for name, share in dry_run.splits.items()]
@@ -35,7 +27,8 @@ def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
     ]
     of = f"{dry_run.looked_at} of {dry_run.count} samples"
     tables.append(table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
-    tables += [_histogram(one) for one in dry_run.histograms]
+    if dry_run.measures:
+        tables.append(_summaries("What rays see", "measure", dry_run.measures))
     sizes = [(name, format_bytes(size), format_bytes(size * dry_run.count)) for name, size in dry_run.bytes.items()]
     total = sum(dry_run.bytes.values())
     sizes.append(("in all", format_bytes(total), format_bytes(total * dry_run.count)))
@@ -54,13 +47,9 @@ def print_dry_run(dry_run: DryRun) -> None:
         print_tables(f"{dry_run.sheet}: pictures of some samples")
 
 
-def _histogram(one: SeenHistogram) -> RenderableType:
-    most = max(one.shares)
-    rows = [
-        (f"{low:.4g} to {high:.4g}", f"{share:.1%}", "#" * round(BAR * share / most))
-        for low, high, share in zip(one.edges, one.edges[1:], one.shares, strict=False)
-    ]
-    return table(one.name, ("from, to", "share", ""), rows, ("from, to", "share"))
+def _summaries(title: str, what: str, summaries: Sequence[Summary]) -> RenderableType:
+    rows = [(one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in summaries]
+    return table(title, (what, "lowest", "mean", "highest", ""), rows, ("lowest", "mean", "highest"))
 
 
 def _number(value: float | None) -> str:

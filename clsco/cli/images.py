@@ -143,9 +143,6 @@ def defocus(
     "-o", "out", metavar="OUT", required=True, type=PATH, help="File for the filled image: .png, .tif or .exr."
 )
 @click.option(
-    "--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages."
-)
-@click.option(
     "--method", metavar="METHOD", type=Names(lambda: ("auto", "mean-median", "biharmonic", "texture")),
     default="auto", show_default=True,
     help="mean-median, biharmonic, texture, or auto for the better of the last two.",
@@ -167,7 +164,6 @@ def inpaint(
     image: Path,
     mask: Path,
     out: Path,
-    folder: Path | None,
     image_layer: str | None,
     threshold: float | None,
     device: str | None,
@@ -190,13 +186,7 @@ def inpaint(
     from clsco import inpaint as fill
     from clsco.cli.progress import shares
     from clsco.cli.tables import inpaint_tables, print_tables
-    from clsco.files.atomic import make_writable_folder
-    from clsco.files.plots import require_matplotlib
-    from clsco.inpainting.report import write_report
 
-    if folder is not None:
-        require_matplotlib("report", "report")
-        make_writable_folder(folder)
     method = options.pop("method")
     chosen = mean_median_options(method, options)
     with shares(quiet) as progress:
@@ -204,8 +194,6 @@ def inpaint(
             pixels, missing, method=method, device=device, progress=progress, options=chosen, return_report=True
         )
     writer.save(out, filled, color)
-    if folder is not None:
-        write_report(folder, report, pixels, missing, filled)
     print_tables(*inpaint_tables(report))
     if not report.missing_pixels:
         echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")

@@ -16,18 +16,14 @@ from clsco.plan.plan import Plan
 from clsco.plan.unused_keys import unused_keys
 
 if TYPE_CHECKING:  # what needs OpenCL
-    from clsco.cli.plan_time import Setting
     from clsco.engine.probe import FrameTime
 
 
-def plan_tables(
-    plans: Sequence[Plan], device: str, time: FrameTime | None, cheaper: Sequence[tuple[Setting, float]]
-) -> list[RenderableType]:
-    """Tables of a plan: its passes, the features it leaves out, its costs, cheaper settings, and unused keys of the
-    scene.
+def plan_tables(plans: Sequence[Plan], device: str, time: FrameTime | None) -> list[RenderableType]:
+    """Tables of a plan: its passes, the features it leaves out, its costs, and unused keys of the scene.
 
     plans: one, or those of the left and the right view; device: the device in use, or the reason why there is none;
-    time: time of a frame, or None if unknown; cheaper: settings with their seconds.
+    time: time of a frame, or None if unknown.
     """
     plan = plans[0]
     scene = plan.scene
@@ -50,15 +46,10 @@ def plan_tables(
     ]
     if unused := unused_keys(plan):
         tables.append(table("Keys that this scene has no use for", ("key", "why"), unused))
-    if cheaper:
-        rows = [(one.text, duration(seconds), f"{one.error} ({one.page})") for one, seconds in cheaper]
-        tables.append(table("What takes less time", ("key", "frame", "PSNR against the lens"), rows, ("frame",)))
     return tables
 
 
-def planned_values(
-    plans: Sequence[Plan], device: str, time: FrameTime | None, cheaper: Sequence[tuple[Setting, float]]
-) -> dict[str, Any]:
+def planned_values(plans: Sequence[Plan], device: str, time: FrameTime | None) -> dict[str, Any]:
     """The figures of `plan_tables` for programs: bytes, px, seconds per frame; null if unknown."""
     first = plans[0]
     views = []
@@ -77,9 +68,6 @@ def planned_values(
         "seconds": None if time is None else time.seconds,
         "device": None if time is None else device,
         "views": views,
-        "cheaper": [
-            {"key": one.key, "value": one.value, "seconds": spent, "psnr": one.error} for one, spent in cheaper
-        ],
     }
 
 

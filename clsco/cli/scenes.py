@@ -28,7 +28,6 @@ from clsco.cli.render import request_for, require_uncolored
 from clsco.errors import DeviceError, MissingDependencyError, SceneError
 
 if TYPE_CHECKING:
-    from clsco.cli.plan_time import Setting
     from clsco.frame.truth_files import TruthFile
     from clsco.opencl.session import Session
 
@@ -94,17 +93,15 @@ def plan(
     from clsco.cli.plan_tables import plan_tables, planned_values
     from clsco.cli.tables import print_tables
 
-    time, cheaper = None, list[tuple["Setting", float]]()
+    time = None
     if session is not None:
-        from clsco.cli.plan_time import cheaper_settings
         from clsco.engine.probe import measure_frame
 
         time = measure_frame(session, first)
-        cheaper = cheaper_settings(session, first, time)
     if machine:
-        echo(json.dumps(planned_values(first.plans, used, time, cheaper), indent=2))
+        echo(json.dumps(planned_values(first.plans, used, time), indent=2))
     else:
-        print_tables(*plan_tables(first.plans, used, time, cheaper))
+        print_tables(*plan_tables(first.plans, used, time))
 
 
 def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
@@ -154,7 +151,7 @@ def check(
     more than 1 of 500 pixels), or pixels from rays by more than 0.01 of white and 5 standard errors. Rays need the
     extra check.
     """
-    from clsco.cli.check_scene import check_scene, require_report
+    from clsco.cli.check import check_scene, require_report
 
     if out is not None:
         require_report(out)

@@ -1,4 +1,4 @@
-"""Comparisons, fillings and devices as tables for the terminal."""
+"""Fillings and devices as tables for the terminal."""
 
 from __future__ import annotations
 
@@ -14,11 +14,9 @@ from rich.text import Text
 from clsco.errors import visible
 
 if TYPE_CHECKING:
-    from clsco.cli.check import Checked
     from clsco.inpainting.report import Report
     from clsco.opencl.device import Device
     from clsco.opencl.self_test import Check
-    from clsco.truth.judge import Judgement
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Group:
@@ -31,49 +29,6 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], rig
     return Group(
         Text(visible(title), no_wrap=True, overflow="ignore", style="italic"), body
     )  # a table would wrap its own
-
-
-def check_tables(checked: Checked) -> list[RenderableType]:
-    """Differences of one frame from the reference, and both times."""
-    columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
-    rows = [
-        (d.output, f"{d.largest:.2e}", f"{d.rms:.2e}", d.unit, f"{d.row}", f"{d.column}", f"{d.count}", f"{d.figure:g}")
-        for d in checked.differences
-    ]
-    view = f", {checked.eye} view," if checked.eye else ""
-    compared = table(
-        f"Frame {checked.index}{view} against the reference", columns, rows, right=columns[1:3] + columns[4:]
-    )
-    times = (
-        f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
-        f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
-    )
-    return [compared, Text(times)]
-
-
-def judged_tables(judgement: Judgement) -> list[RenderableType]:
-    """Deviations of one frame from rays through the lens, by class of pixel and by object, and the light of small
-    objects.
-    """
-    columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
-    tables: list[RenderableType] = []
-    for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
-        cells = [
-            (
-                r.name, f"{r.pixels}", f"{r.rms:.5f}", f"{r.noise:.5f}", f"{r.decibels:.1f}", f"{r.mean:+.5f}",
-                f"{r.beyond}", f"{r.column}", f"{r.row}", f"{r.right:.4f}", f"{r.got:.4f}", f"{min(r.errors, 999):.1f}",
-            )
-            for r in rows
-        ]  # fmt: skip
-        tables.append(table(title, columns, cells, right=columns[1:]))
-    if judgement.lights:
-        lights = [
-            (r.name, f"{r.right:.4f}", f"{r.error:.4f}", f"{r.got:.4f}", f"{r.own:.4f}") for r in judgement.lights
-        ]
-        names = ("small object", "right", "noise", "got", "its own")
-        tables.append(table("Light around small objects, px of white", names, lights, right=names[1:]))
-    tables.append(Text(f"{judgement.rays} rays in {judgement.seconds:.1f} s"))
-    return tables
 
 
 def inpaint_tables(report: Report) -> list[RenderableType]:

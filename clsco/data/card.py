@@ -21,7 +21,6 @@ _HUB_LICENSES = (
     "odc-by", "odbl", "pddl", "cdla-permissive-2.0", "mit", "apache-2.0", "bsd-3-clause",
 )  # fmt: skip
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
-_HUB_FORMATS = ("webdataset", "parquet")
 
 
 def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, int]]) -> None:
@@ -74,10 +73,8 @@ def _describe_sample(storage: Storage, identity: Identity, files: Sequence[str])
 def _encoding(form: str, about: Mapping[str, Any]) -> str:
     name, _, raw = form.partition("+")
     picture = is_png(about["dtype"], tuple(about["shape"]))
-    if name in ("webdataset", "folders"):
+    if name == "webdataset":
         return "npy" if raw else "png" if picture else "npy.zst"
-    if name == "parquet":
-        return "Image" if picture else f"Array{len(about['shape'])}D"
     return {"npz": "npy", "hdf5": "dataset", "zarr": "array"}[name]
 
 
@@ -97,7 +94,6 @@ def _loading(form: str, first: _SampleDescription) -> dict[str, str]:
             "webdataset": f"webdataset.WebDataset(glob.glob({pattern}), shardshuffle=100).decode()",
             "datasets": f'datasets.load_dataset("webdataset", data_files={pattern}, streaming=True)',
         },
-        "parquet": {"datasets": f'datasets.load_dataset("parquet", data_files={pattern})'},
         "hdf5": {"h5py": f"h5py.File({shard})[{json.dumps(f'{first.key}/{name}')}][()]"},
         "zarr": {"zarr": f'zarr.open_group({shard}, mode="r")[{array}][0]'},
         "npz": {"numpy": f"numpy.load({json.dumps(f'DATA/{first.file}/{first.key}.npz')})[{array}]"},
@@ -153,7 +149,7 @@ def _header(card: Mapping[str, Any]) -> list[str]:
     total = card["counts"]["samples"]
     lines += ["size_categories:", f"- {next((text for most, text in _SIZES if total < most), 'n>10M')}"]
     form = identity["format"]
-    if form.partition("+")[0] in _HUB_FORMATS:
+    if form.startswith("webdataset"):
         lines += ["configs:", "- config_name: default", "  data_files:"]
         for split in card["files"]:
             path = json.dumps(f"{split or UNSPLIT}/*{CONTAINERS[form].suffix}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import logging
 import os
 import pickle
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from clsco import __version__
 from clsco.data.pool import DIED, Schedule, ShardTask, device_of, failure_of, limit_threads, perform, stoppable
 from clsco.data.storage import open_storage
-from clsco.errors import ClscoError, DeviceError, MissingDependencyError
+from clsco.errors import ClscoError, DeviceError, import_extra
 from clsco.resources import processors
 
 if TYPE_CHECKING:
@@ -121,11 +120,7 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
 
 
 def _distributed() -> Any:
-    try:
-        return importlib.import_module("distributed")
-    except ImportError:
-        rule = "needs dask.distributed: pip install 'clsco[distributed]'"
-        raise MissingDependencyError(f"scheduler: {rule}; got no such module") from None
+    return import_extra("scheduler", "distributed", "distributed")
 
 
 def _workers(client: Any, address: str) -> Mapping[str, Any]:

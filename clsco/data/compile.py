@@ -13,7 +13,7 @@ from clsco.data.folder import Folder, RefusedError
 from clsco.data.forms import FORMS, ChoiceForm, Files, Form, FormContext, Frustum, Integers, form_of, is_form
 from clsco.data.tables import DistributionTables
 from clsco.scene.changes import displace, put
-from clsco.scene.file import FILE_KEYS, names_file
+from clsco.scene.file import FILE_KEYS, named_files, names_file
 from clsco.scene.objects import MAX_OBJECTS
 from clsco.scene.text import key_name, shown
 
@@ -89,10 +89,9 @@ class Reader:
                 self._faulty(("vary", section), "must be a table", value)
         derived = self._derived()
         parameters += [target for _, target in derived if isinstance(target, Parameter)]
-        self._check_files(self._scene.get("object"), ("object",))
-        self._check_files([self._scene.get("aperture")], ("aperture",))
-        for number, population in enumerate(populations):
-            self._check_files([population.constants], ("vary", "object", populations[number].entry))
+        self._check_files(self._scene)
+        for population in populations:
+            self._check_files({"object": [population.constants]}, ("vary", "object", population.entry))
         if self._count > MAX_PARAMETERS:
             self.faults.append(f"vary: must have at most {MAX_PARAMETERS} distributions; got {self._count}")
         names = [one.name for one in parameters]
@@ -266,13 +265,10 @@ class Reader:
             return parameter
         return None
 
-    def _check_files(self, items: Any, key: Location) -> None:
-        """Register the files that tables name, as objects and the aperture do."""
-        for index, item in enumerate(items) if isinstance(items, list) else ():
-            for name in FILE_KEYS if isinstance(item, Mapping) else ():
-                if name in item and item[name] is not None:
-                    place = (*key, index) if key == ("object",) else key
-                    self._check_file(item[name], (*place, name))
+    def _check_files(self, table: Mapping[str, Any], start: Location = ()) -> None:
+        """Register the files that the content of a scene file names; start: replaces the location of its object."""
+        for place, name in named_files(table):
+            self._check_file(name, (*start, place[-1]) if start else place)
 
     def _check_file(self, name: Any, key: Location) -> None:
         """Register a file that an object names, and report names that are not strings."""

@@ -41,21 +41,10 @@ MAX_NUMBER = 2**63 - 1
 class Sample:
     """One sample: its drawn values and its scenes.
 
-    Attributes
-    ----------
-    number : int
-    split : str
-        "" without splits.
-    attempts : int
-        Number of draws until it was accepted, from 1.
-    parameters : dict
-        Values by name, such as "camera.focus_distance", of types that JSON has.
-    table : dict
-        Content of a scene file that renders the sample by itself, in the folder of the distribution file.
-    labels : tuple of str
-        Labels of the variants, as of a sweep; ("",) for one.
-    scenes : tuple of Scene
-        One for each label.
+    split: "" without splits. attempts: number of draws until it was accepted, from 1. parameters: values by name, such
+    as "camera.focus_distance", of types that JSON has. table: content of a scene file that renders the sample by
+    itself, in the folder of the distribution file. labels: of the variants, as of a sweep; ("",) for one. scenes: one
+    for each label.
     """
 
     number: int
@@ -92,24 +81,10 @@ class Distribution:
         return {"recipe": self.recipe, "distribution": self.tables.content()}
 
     def draw(self, seed: int, number: int) -> Sample:
-        """Draw a sample.
+        """Draw a sample; seed: 0 to 2^64 - 1; number: 0 to 2^63 - 1.
 
-        Parameters
-        ----------
-        seed : int
-            0 to 2^64 - 1.
-        number : int
-            0 to 2^63 - 1.
-
-        Returns
-        -------
-        Sample
-            The same for the same file, files that it names, seed, number and version of this package.
-
-        Raises
-        ------
-        SceneError
-            The sample is no valid scene, or none of 100 attempts is accepted.
+        It is the same for the same file, files that it names, seed, number and version of this package. Raises
+        SceneError: the sample is no valid scene, or none of 100 attempts is accepted.
         """
         check_numbers(seed, number)
         position = split_of(self.splits, seed, number)
@@ -158,23 +133,11 @@ def load_distribution(
     splits: SplitsLike = None,
     folder: Path | None = None,
 ) -> Distribution:
-    """Read a distribution.
+    """Read a distribution: a .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
 
-    Parameters
-    ----------
-    distribution : str, os.PathLike or mapping
-        A .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
-    overrides : sequence of str
-        As for `clsco.load_scene`; a key that is given does not vary any more.
-    splits : str, mapping, sequence of (str, float) or None
-        Shares of the splits, such as "train=0.9,val=0.05,test=0.05".
-    folder : Path, optional
-        Start of the paths of a mapping; by default the current folder.
-
-    Raises
-    ------
-    SceneError
-        One message per fault, `file: key: rule; got value`. Scenes of extreme values are validated as well.
+    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. splits: their shares, such as
+    "train=0.9,val=0.05,test=0.05". folder: start of the paths of a mapping, by default the current folder. Raises
+    SceneError with one message per fault, `file: key: rule; got value`; scenes of extreme values are validated as well.
     """
     content = distribution if isinstance(distribution, Mapping) else None
     where = "distribution" if isinstance(distribution, Mapping) else os.fspath(distribution)
@@ -257,8 +220,6 @@ class ScriptedDistribution:
     def draw(self, seed: int, number: int) -> Sample:
         """Draw a sample; arguments and errors as of `Distribution.draw`.
 
-        Notes
-        -----
         The generator is NumPy's Philox with the key (seed, number): its bits depend on nothing else.
         """
         check_numbers(seed, number)

@@ -12,7 +12,6 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsco.data.acceptance import looks_of
 from clsco.data.dataset import record_sheet
@@ -26,31 +25,19 @@ from clsco.scene.model import Scene
 
 MOST_DRAWN = 128  # samples that are drawn, and at which rays are cast
 MOST_RENDERED, RENDER_S = 16, 30.0  # samples that are rendered, and s after which no further one is
-BINS = 12
 VALUES = 8  # of a choice that are listed
 _MEMBER = re.compile(r"^(object\.[^.]+\.)\d+\.")  # name of a parameter of an object of a population
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Values of one parameter: lowest, mean and highest number, the shares of texts, or the number of different
-    values.
-    """
+    """Values of a parameter or measure: lowest, mean and highest number, shares of texts, or number of values."""
 
     name: str
     low: float | None
     mean: float | None
     high: float | None
     note: str
-
-
-@dataclass(frozen=True)
-class SeenHistogram:
-    """Shares of values in BINS bins, or in one bin if all are equal; edges: one more than bins."""
-
-    name: str
-    edges: tuple[float, ...]
-    shares: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -69,7 +56,7 @@ class DryRun:
     parameters: tuple[Summary, ...]
     attempts: int
     failed: tuple[str, ...]
-    histograms: tuple[SeenHistogram, ...]
+    measures: tuple[Summary, ...]
     frames: float
     bytes: dict[str, float]
     seconds: float | None
@@ -94,7 +81,7 @@ def dry_run(
     if not samples:
         raise SceneError(failed)
     frames = [len(s.scenes) * s.scenes[0].sequence.frames * len(views(s.scenes[0])) for s in samples]
-    parameters, histograms = _summaries(samples), _histograms(samples)
+    parameters, measures = _summaries(samples), _measures(samples)
     records, seconds, basis = _render(samples[:MOST_RENDERED], seed, arrays, failed)
     if sheet_path is not None and records:
         write_png(sheet_path, record_sheet(records))
@@ -105,7 +92,7 @@ def dry_run(
         looked_at=many,
         attempts=sum(sample.attempts for sample in samples),
         failed=tuple(failed),
-        histograms=histograms,
+        measures=measures,
         frames=fmean(frames),
         bytes=_sizes(records, arrays),
         seconds=fmean(seconds[1:] or seconds) * count if seconds else None,  # the first one is compiled for
@@ -132,8 +119,8 @@ def _summary(name: str, values: list[Any]) -> Summary:
     return Summary(name, None, None, None, listed if len(counts) <= VALUES else f"{len(counts)} values")
 
 
-def _histograms(samples: Sequence[Sample]) -> tuple[SeenHistogram, ...]:
-    """Histograms of depth, blur and motion over samples without depth maps, at which rays cannot be cast."""
+def _measures(samples: Sequence[Sample]) -> tuple[Summary, ...]:
+    """Summaries of depth, blur and motion over samples without depth maps, at which rays cannot be cast."""
     analytic = [sample for sample in samples if all(scene.is_analytic for scene in sample.scenes)]
     looks = [look for sample in analytic for look in looks_of([_with_resolution(s) for s in sample.scenes])]
     if not looks:
@@ -144,14 +131,10 @@ def _histograms(samples: Sequence[Sample]) -> tuple[SeenHistogram, ...]:
         "flow, px": np.concatenate([look.flow for look in looks]),
         "share of valid pixels": np.array([look.valid for look in looks]),
     }
-    return tuple(_histogram(name, each) for name, each in values.items() if each.size)
-
-
-def _histogram(name: str, values: NDArray[np.float64]) -> SeenHistogram:
-    low, high = float(values.min()), float(values.max())
-    edges = np.linspace(low, high, BINS + 1) if high > low else np.array([low, high])
-    shares = np.histogram(values, edges)[0] / values.size if high > low else np.ones(1)
-    return SeenHistogram(name, tuple(edges.tolist()), tuple(shares.tolist()))
+    ends = {
+        name: (float(each.min()), float(each.mean()), float(each.max())) for name, each in values.items() if each.size
+    }
+    return tuple(Summary(name, *numbers, note="") for name, numbers in ends.items())
 
 
 def _with_resolution(scene: Scene) -> Scene:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import os
 import secrets
 import shutil
@@ -14,7 +13,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
-from clsco.errors import ClscoError, FileError, MissingDependencyError
+from clsco.errors import ClscoError, FileError, import_extra
 from clsco.files.atomic import file_sha256, raise_file_error
 from clsco.resources import open_regular, read_regular, remove_left, work_name
 
@@ -183,11 +182,7 @@ class _Remote:
     is_local = False
 
     def __init__(self, url: str) -> None:
-        try:
-            core = importlib.import_module("fsspec.core")
-        except ImportError:
-            rule = "an address needs fsspec: pip install 'clsco[distributed]'"
-            raise MissingDependencyError(f"{url}: {rule}; got no such module") from None
+        core = import_extra(url, "fsspec.core", "distributed")
         self.where = url
         try:
             self.system, self.root = core.url_to_fs(url, use_listings_cache=False)

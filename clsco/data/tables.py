@@ -14,7 +14,7 @@ import numpy as np
 from clsco.data.folder import Folder, RefusedError
 from clsco.data.forms import is_form
 from clsco.errors import SceneError
-from clsco.scene.changes import displace, key_parts, override
+from clsco.scene.changes import displace, entry_at, key_parts, override
 from clsco.scene.file import read_mapping
 from clsco.scene.text import shown
 
@@ -150,7 +150,7 @@ def _deeper(value: Any, most: int) -> str | None:
 
 def _unvaried(vary: dict[str, Any], parts: list[str], scene: Mapping[str, Any]) -> None:
     """Remove distributions at keys that now have values, and at keys that contradict these."""
-    displace(vary, ".".join(parts), _at(scene, parts))
+    displace(vary, ".".join(parts), entry_at(scene, parts))
     node: Any = vary
     if parts[0] in ("object", "group") and len(parts) > 1:
         entries = vary.get(parts[0])
@@ -161,9 +161,3 @@ def _unvaried(vary: dict[str, Any], parts: list[str], scene: Mapping[str, Any]) 
         node = node.get(part) if isinstance(node, dict) and not is_form(node.get(part)) else None
     if isinstance(node, dict) and parts:
         node.pop(parts[-1], None)
-
-
-def _at(node: Any, parts: Sequence[str]) -> Any:
-    for part in parts:
-        node = node.get(part) if isinstance(node, dict) else None
-    return node

@@ -37,12 +37,9 @@ def user_cache(name: str) -> ArrayCache:
 
 
 class ArrayCache:
-    """Named arrays by key, in a folder. Several processes may use it at the same time.
+    """Named arrays by key, in a folder used only by this cache. Several processes may use it at the same time.
 
-    Parameters
-    ----------
-    folder : Path or None
-        Folder used only by this cache; None for a cache that stores nothing.
+    folder: None for a cache that stores nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""Runs untrusted decoders, such as those of TIFF and Parquet, in a child process with memory and CPU limits.
+"""Runs untrusted decoders, such as those of TIFF and HDF5, in a child process with memory and CPU limits.
 
 The process starts at the first call, serves later calls, and ends with its parent. It is restarted after a limit or a
 crash has ended it.
@@ -55,7 +55,7 @@ class _Serving:
                 [sys.executable, "-P", "-c", _COMMAND], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL, pipesize=_PIPE,
                 start_new_session=True,  # or Ctrl-C would end it before its parent
-                env={**os.environ, "PYTHONPATH": path, "MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"},
+                env={**os.environ, "PYTHONPATH": path, "MALLOC_ARENA_MAX": "1"},
             )  # fmt: skip
         return self.process
 

@@ -13,11 +13,7 @@ from clsco.errors import FileError
 def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
     """The first wrong value, its position, and the number of wrong values: "nan at row 0, column 1 (2 in all)".
 
-    Parameters
-    ----------
-    values : ndarray, (rows, columns[, ...])
-    wrong : ndarray of bool, (rows, columns) or of the shape of `values`
-        True for at least one value. Without a channel axis, all channels of the pixel are shown.
+    wrong: of the shape of `values`, or without its channel axis; then all channels of the pixel are shown.
     """
     first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
     shown = ", ".join(f"{value:.6g}" for value in np.ravel(values[first]))

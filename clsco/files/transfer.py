@@ -19,10 +19,8 @@ CODES = np.arange(2**16, dtype=np.uint16)
 class Curve:
     """A transfer curve other than `TRANSFERS`, such as that of a color profile.
 
-    Attributes
-    ----------
-    radiance : ndarray of float64, (1 or 3, 65536)
-        Linear radiance of each 16-bit code, not decreasing: for all channels, or for red, green and blue.
+    radiance: (1 or 3, 65536), linear radiance of each 16-bit code, not decreasing: for all channels, or for red, green
+    and blue.
     """
 
     radiance: NDArray[np.float64]

@@ -32,28 +32,12 @@ one, and for red where blue is measured and the other way round."""
 
 
 def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -> Array:
-    """Red, green and blue of all pixels.
+    """Red, green and blue of all pixels, (rows, columns, 3), from a plane (rows, columns) of measured values.
 
-    Parameters
-    ----------
-    plane : ndarray (rows, columns)
-        Measured values of the pixels.
-    filters : sequence of four int
-        Channels of a block of 2 x 2 pixels, row by row.
-    method : {"bilinear", "malvar", "menon"}
+    filters: channels of a block of 2 x 2 pixels, row by row; method: bilinear, malvar or menon, which raises
+    MissingDependencyError without colour-demosaicing. The mosaic is extended by reflection, which preserves its
+    pattern.
 
-    Returns
-    -------
-    ndarray of float64, (rows, columns, 3)
-        The mosaic is extended by reflection, which preserves its color pattern.
-
-    Raises
-    ------
-    MissingDependencyError
-        For "menon", if colour-demosaicing is not installed.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> from clsco.frame.demosaicing import demosaic
     >>> demosaic(np.array([[0.0, 4.0], [4.0, 8.0]]), (0, 1, 1, 2), "bilinear")[0, 0].tolist()

@@ -98,19 +98,10 @@ def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
 
 
 def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
-    """List the frames of a folder from their JSON files.
+    """List the frames of a folder, or those with numbers in `only`, from their JSON files.
 
-    Parameters
-    ----------
-    folder : Path
-    only : range, optional
-        Numbers of the frames to use; by default all.
-
-    Raises
-    ------
-    SceneError
-        All faults at once: no frames, missing numbers, an invalid JSON file, frames that differ in interval, transfer
-        or stereo, a missing PNG.
+    Raises SceneError with all faults: no frames, missing numbers, an invalid JSON file, frames that differ in interval,
+    transfer or stereo, a missing PNG.
     """
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)

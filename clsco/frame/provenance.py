@@ -13,7 +13,8 @@ from clsco.files.atomic import raise_file_error, sha256
 from clsco.optics.motion import Eye
 from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import dump, table_at
-from clsco.scene.model import Scene, Within
+from clsco.scene.model import Scene
+from clsco.scene.quantities import Within
 
 # Units of derived parameters and of a frame's metadata, where the name does not say them.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}

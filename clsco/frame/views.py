@@ -109,8 +109,6 @@ VIEWS = {
 def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
     """Colors of numbers, (rows, columns) to (rows, columns, 3), from dark at `low` to bright at `high`.
 
-    Notes
-    -----
     Interpolated between 18 of the 256 colors of viridis; within 5 codes of all of them (tests/frame/test_views.py).
     """
     table = np.array([list(bytes.fromhex(color)) for color in VIRIDIS.split()], np.float64)

@@ -46,24 +46,8 @@ class Seidel(Strict):
     def radial_distortion(self, wavelength: float, diameter: float, corner: float) -> float:
         """Coefficient k1 of the radial distortion that W311 causes.
 
-        Parameters
-        ----------
-        wavelength : float
-            Wavelength of green light, nm.
-        diameter : float
-            Diameter of the lens, mm.
-        corner : float
-            Slope of the ray to the corner of the frame.
-
-        Notes
-        -----
+        wavelength: of green light, nm; diameter: of the lens, mm; corner: slope of the ray to the corner of the frame.
         A wavefront tilted by W at the edge of the lens turns rays by 2 W / D, and k1 corner^3 is that change of slope.
-
-        Examples
-        --------
-        >>> from clsco.scene.aberrations import Seidel
-        >>> round(Seidel(W311=10.0).radial_distortion(550.0, 10.0, 0.25), 6)
-        0.0704
         """
         return 2e-6 * wavelength * self.W311 / (diameter * corner**3)
 

@@ -24,14 +24,8 @@ Kind = Literal["texture", "depth"]
 class ArrayInput:
     """An array that a scene has in place of a file: a read-only copy, compared by content.
 
-    Attributes
-    ----------
-    array : ndarray
-        Texture in uint8, uint16 or float32, (rows, columns) or (rows, columns, 3), or depth in integers or float64,
-        (rows, columns).
-    kind : {"texture", "depth"}
-    sha256 : str
-        Hash of its type, shape and values, hexadecimal.
+    array: texture in uint8, uint16 or float32, (rows, columns[, 3]), or depth in integers or float64, (rows, columns).
+    sha256: hash of its type, shape and values, hexadecimal.
     """
 
     __slots__ = ("array", "kind", "sha256")
@@ -66,11 +60,7 @@ class ArrayInput:
 class LayerInput(os.PathLike[str]):
     """A layer of an EXR file with several; in messages, and for `os.fspath`, its path.
 
-    Attributes
-    ----------
-    path : str
-    layer : str
-        Name as for `clsco.files.layers.image_channels` or `clsco.files.layers.depth_channels`.
+    layer: name as for `clsco.files.layers.image_channels` or `depth_channels`.
     """
 
     path: str

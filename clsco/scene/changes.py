@@ -172,8 +172,8 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
     parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]
     known = dump(scene)
     for end in range(1, len(parts)):  # a component of a default: the others stay what they are
-        default = _at(known, parts[:end])
-        if default is not None and not isinstance(default, dict) and _at(data, parts[:end]) is None:
+        default = entry_at(known, parts[:end])
+        if default is not None and not isinstance(default, dict) and entry_at(data, parts[:end]) is None:
             put(data, parts[:end], default)
     displace(data, ".".join(parts), new)
     if (fault := put(data, parts, new)) is not None:
@@ -181,7 +181,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
     return parsed(type(scene), data, "scene")
 
 
-def _at(node: Any, parts: Sequence[str]) -> Any:
+def entry_at(node: Any, parts: Sequence[str]) -> Any:
     """The entry at `parts`, None if there is none."""
     for part in parts:
         if isinstance(node, list):

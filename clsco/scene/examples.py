@@ -28,21 +28,6 @@ EXAMPLES = {
 
 
 def example(name: str) -> Scene:
-    """Load an example scene.
-
-    Parameters
-    ----------
-    name : str
-        A key of `EXAMPLES`.
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    SceneError
-        No example has this name.
-    """
+    """Load an example scene, a key of `EXAMPLES`. Raises SceneError for another name."""
     with as_file(folder("examples") / f"{name}.toml") as path:
         return load_scene(path)

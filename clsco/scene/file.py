@@ -7,6 +7,7 @@ import json
 import os
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -162,18 +163,10 @@ def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str
     """Messages on files that do not exist, for a scene with other faults: for a valid scene, reading its files reports
     them.
     """
-    aperture = data.get("aperture")
-    tables: list[tuple[str, Mapping[str, Any], tuple[str, ...]]] = []
-    tables += [("aperture", aperture, ("image",))] if isinstance(aperture, Mapping) else []
-    keys = ("texture", *SixSided.__annotations__, "depth")
-    tables += [(f"object[{index}]", item, keys) for index, item in enumerate(items(data)[:MAX_MESSAGES])]
+    missing = ((place, name) for place, name in named_files(data) if name and not _exists(folder, name))
     return [
-        f"{where}: {place}.{key}: {missing_input(key, name)}; got {shown(name)}"
-        for place, table, of_table in tables
-        for key in of_table
-        for name in (table.get(key),)
-        if isinstance(name, str) and name and not _exists(folder, name)
-        if names_file(key, name)
+        f"{where}: {key_name(place)}: {missing_input(str(place[-1]), name)}; got {shown(name)}"
+        for place, name in islice(missing, MAX_MESSAGES)
     ]
 
 

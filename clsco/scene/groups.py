@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator
 from pydantic_core import PydanticCustomError
 
 from clsco.scene.motions import ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, repeated_names
-from clsco.scene.quantities import Name, Point, Strict, Vector, at_keys, fault
+from clsco.scene.quantities import Name, Point, Strict, Vector, array_of_tables, at_keys, fault
 from clsco.scene.shapes import AnyShape, origin
 from clsco.scene.text import shown
 
@@ -27,19 +27,7 @@ class Group(Strict):
 
 
 def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
-    """Point about which a group rotates.
-
-    Parameters
-    ----------
-    group : Group
-    objects : sequence of AnyShape
-        Objects of the scene, at least one of them in the group.
-
-    Returns
-    -------
-    tuple of three float
-        Camera frame, mm.
-    """
+    """Point about which a group rotates, mm; `objects`: all of the scene, at least one of them in the group."""
     if group.origin is not None:
         return group.origin
     return next(origin(item) for item in objects if item.group == group.name)
@@ -48,33 +36,14 @@ def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
 def unknown_groups(
     members: Iterable[str | None], names: Iterable[str | None]
 ) -> list[tuple[int, PydanticCustomError, str]]:
-    """Find objects whose groups do not exist.
+    """Position, fault and group of each object whose group does not exist.
 
-    Parameters
-    ----------
-    members : iterable of str or None
-        Group of each object; None without one.
-    names : iterable of str or None
-        Names of the groups.
-
-    Returns
-    -------
-    list of (int, PydanticCustomError, str)
-        Position of the object, fault and name of the group.
+    members: group of each object, None without one; names: of the groups.
     """
     known = list(dict.fromkeys(name for name in names if name is not None))
     some = ", ".join(map(shown, known[:8])) + (", ..." if len(known) > 8 else "")
     rule = f"must be the name of a group, {some}" if known else "must be the name of a group; there is none"
     return [(k, fault(rule), name) for k, name in enumerate(members) if name is not None and name not in known]
-
-
-def _groups(value: Any) -> Any:
-    """Convert the array of tables to a tuple; reject too many groups."""
-    if not isinstance(value, list | tuple):
-        raise fault("must be an array of tables, [[group]]")
-    if len(value) > MAX_OBJECTS:
-        raise fault(f"must hold at most {MAX_OBJECTS} groups", got=str(len(value)))
-    return tuple(value)
 
 
 def _distinct(groups: tuple[Group, ...]) -> tuple[Group, ...]:
@@ -84,4 +53,4 @@ def _distinct(groups: tuple[Group, ...]) -> tuple[Group, ...]:
     return groups
 
 
-Groups = Annotated[tuple[Group, ...], AfterValidator(_distinct), BeforeValidator(_groups)]
+Groups = Annotated[tuple[Group, ...], AfterValidator(_distinct), array_of_tables("group", "groups", MAX_OBJECTS)]

@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from clsco.scene.motions import (
-    NONE,
-    Interpolation,
-    LensKeyframes,
-    Outside,
-    check_interpolation,
-    default_of_keyframes,
-)
+from clsco.scene.motions import NONE, Interpolation, LensKeyframes, Outside, check_interpolation, default_of_keyframes
 from clsco.scene.quantities import MAX_LENGTH_MM, Pair, Strict, Triple, Within, as_python, at_keys, fault
 
 if TYPE_CHECKING:

@@ -13,13 +13,21 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from clsco.scene.arrays import HasInputs
-from clsco.scene.camera import Camera, FollowedDistance, image_distance
+from clsco.scene.camera import Camera as Camera
+from clsco.scene.camera import FollowedDistance, image_distance
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
-from clsco.scene.groups import Group, Groups, unknown_groups
-from clsco.scene.lens import Lens, check_opening, with_distortion_of_wavefront
-from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, LensKeyframe, ObjectMotion
-from clsco.scene.objects import MAX_OBJECTS, Object, Objects
+from clsco.scene.groups import Group as Group
+from clsco.scene.groups import Groups, unknown_groups
+from clsco.scene.lens import Lens as Lens
+from clsco.scene.lens import check_opening, with_distortion_of_wavefront
+from clsco.scene.motions import CameraMotion as CameraMotion
+from clsco.scene.motions import CameraShake as CameraShake
+from clsco.scene.motions import Keyframe as Keyframe
+from clsco.scene.motions import LensKeyframe as LensKeyframe
+from clsco.scene.motions import ObjectMotion as ObjectMotion
+from clsco.scene.objects import MAX_OBJECTS, Objects
+from clsco.scene.objects import Object as Object
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -33,65 +41,27 @@ from clsco.scene.quantities import (
     at_keys,
     fault,
 )
-from clsco.scene.sensor import Sensor
-from clsco.scene.sequence import Sequence
-from clsco.scene.shapes import (
-    AnyShape,
-    Background,
-    Box,
-    Cone,
-    Cylinder,
-    DepthMap,
-    Disc,
-    Ellipsoid,
-    Plane,
-    Quadric,
-    Rectangle,
-    Sphere,
-    origin,
-)
-from clsco.scene.spread import NEEDS_RAYS, Aperture, Psf, misfit
-from clsco.scene.texture_keys import BUILT_IN_TEXTURES, Fault
+from clsco.scene.sensor import Sensor as Sensor
+from clsco.scene.sequence import Sequence as Sequence
+from clsco.scene.shapes import AnyShape as AnyShape
+from clsco.scene.shapes import Background as Background
+from clsco.scene.shapes import Box as Box
+from clsco.scene.shapes import Cone as Cone
+from clsco.scene.shapes import Cylinder as Cylinder
+from clsco.scene.shapes import DepthMap as DepthMap
+from clsco.scene.shapes import Disc as Disc
+from clsco.scene.shapes import Ellipsoid as Ellipsoid
+from clsco.scene.shapes import Plane as Plane
+from clsco.scene.shapes import Quadric as Quadric
+from clsco.scene.shapes import Rectangle as Rectangle
+from clsco.scene.shapes import Sphere as Sphere
+from clsco.scene.spread import NEEDS_RAYS, misfit
+from clsco.scene.spread import Aperture as Aperture
+from clsco.scene.spread import Psf as Psf
+from clsco.scene.texture_keys import Fault
 
 Place = tuple[str] | tuple[str, int]
 """Table of a scene file: ("aperture",) or ("object", 0)."""
-
-__all__ = [
-    "BUILT_IN_TEXTURES",
-    "AnyShape",
-    "Aperture",
-    "Background",
-    "Box",
-    "Camera",
-    "CameraMotion",
-    "CameraShake",
-    "Cone",
-    "Cylinder",
-    "DepthMap",
-    "Disc",
-    "Ellipsoid",
-    "Fill",
-    "Group",
-    "ImageOptions",
-    "Keyframe",
-    "Lens",
-    "LensKeyframe",
-    "Light",
-    "Motion",
-    "Object",
-    "ObjectMotion",
-    "Plane",
-    "Psf",
-    "Quadric",
-    "Rectangle",
-    "Scene",
-    "Sensor",
-    "Sequence",
-    "Sphere",
-    "Stereo",
-    "Within",
-    "origin",
-]
 
 
 class Motion(Strict):
@@ -184,10 +154,7 @@ class Scene(Strict):
     sensor: Annotated[Sensor | None, Deferred()] = None
     """Counts electrons; none if not given, and frames are light."""
     groups: Groups = Field(
-        default=(),
-        validation_alias="group",
-        serialization_alias="group",
-        json_schema_extra={"maxItems": MAX_OBJECTS},
+        default=(), validation_alias="group", serialization_alias="group", json_schema_extra={"maxItems": MAX_OBJECTS}
     )
     """Groups of objects that move together; none if not given."""
     objects: Objects = Field(

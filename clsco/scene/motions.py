@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from clsco.scene.quantities import (
     Acceleration,
@@ -21,7 +21,7 @@ from clsco.scene.quantities import (
     Vector,
     Velocity,
     Within,
-    as_python,
+    array_of_tables,
     at_keys,
     fault,
 )
@@ -44,16 +44,6 @@ class Keyframe(Strict):
     """Displacement from the reference pose, in the directions of velocity; mm."""
     rotation: EulerAngles = NONE
     """Rotation from the reference pose as motion.rotation says, about the axes of angular_velocity; deg."""
-
-
-def listed_keyframes(value: Any) -> Any:
-    """Convert the array of tables to a tuple; reject none, and too many. Raises the fault that says so."""
-    value = as_python(value)
-    if not isinstance(value, list | tuple):
-        raise fault("must be an array of tables, [[...keyframe]]")
-    if not 1 <= len(value) <= MAX_KEYFRAMES:
-        raise fault(f"must hold 1 to {MAX_KEYFRAMES} keyframes", got=str(len(value)))
-    return tuple(value)
 
 
 def in_order(value: Any) -> Any:
@@ -82,8 +72,9 @@ def check_interpolation(value: Any, keyframes: Any) -> Any:
     return value
 
 
+LISTED = array_of_tables("...keyframe", "keyframes", MAX_KEYFRAMES, least=1)
 SCHEMA = Field(json_schema_extra={"minItems": 1, "maxItems": MAX_KEYFRAMES})
-Keyframes = Annotated[tuple[Keyframe, ...], SCHEMA, AfterValidator(in_order), BeforeValidator(listed_keyframes)]
+Keyframes = Annotated[tuple[Keyframe, ...], SCHEMA, AfterValidator(in_order), LISTED]
 
 
 class ObjectMotion(Strict):
@@ -193,4 +184,4 @@ class LensKeyframe(Strict):
         return self
 
 
-LensKeyframes = Annotated[tuple[LensKeyframe, ...], SCHEMA, AfterValidator(in_order), BeforeValidator(listed_keyframes)]
+LensKeyframes = Annotated[tuple[LensKeyframe, ...], SCHEMA, AfterValidator(in_order), LISTED]

@@ -19,7 +19,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from clsco.scene.quantities import at_keys, fault
+from clsco.scene.quantities import array_of_tables, at_keys, fault
 from clsco.scene.rotations import depth_row
 from clsco.scene.shapes import IN_FRONT, SHAPES, AnyShape, Box, origin
 from clsco.scene.texture_keys import texture_faults
@@ -56,29 +56,10 @@ def _known_shape(value: Any) -> Any:
     return value
 
 
-def _objects(value: Any) -> Any:
-    """Convert the array of tables to a tuple; reject too few and too many objects."""
-    if not isinstance(value, list | tuple):
-        raise fault("must be an array of tables, [[object]]")
-    if not 1 <= len(value) <= MAX_OBJECTS:
-        raise fault(f"must hold 1 to {MAX_OBJECTS} objects", got=str(len(value)))
-    return tuple(value)
-
-
 def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
-    """Find names that an earlier object already has.
+    """Position, fault and name of each object whose name an earlier one has.
 
-    Parameters
-    ----------
-    names : iterable of str or None
-        Name of each object; None without one.
-    table : str
-        Name of the objects' array in a file.
-
-    Returns
-    -------
-    list of (int, PydanticCustomError, str)
-        Position, fault and name of each repetition.
+    names: of all objects, None for those without one; table: name of their array in a file.
     """
     first: dict[str, int] = {}
     repeated = []
@@ -171,5 +152,5 @@ Objects = Annotated[
     AfterValidator(_one_background),
     AfterValidator(_named),
     AfterValidator(_without_boxes),
-    BeforeValidator(_objects),
+    array_of_tables("object", "objects", MAX_OBJECTS, least=1),
 ]

@@ -38,51 +38,22 @@ def as_python(value: Any) -> Any:
 
 
 def fault(rule: str, got: str | None = None) -> PydanticCustomError:
-    """Build the error that states a violated rule.
-
-    Parameters
-    ----------
-    rule : str
-        "must be ...".
-    got : str, optional
-        Replaces an input that is too long to show in the message.
-
-    Returns
-    -------
-    PydanticCustomError
-    """
+    """Build the error that states a violated rule, "must be ..."; got: shown in place of an input that is too long."""
     context = {"rule": rule} if got is None else {"rule": rule, "got": got}
     return PydanticCustomError("rule", "{rule}", context)
 
 
 def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
-    """Combine several faults into one error, each reported at its own key.
-
-    Parameters
-    ----------
-    faults : list of (location, fault, value)
-        Location of the key, fault from `fault`, and the invalid value.
-
-    Returns
-    -------
-    ValidationError
-    """
+    """Combine faults into one error; of each its location, the error from `fault`, and the invalid value."""
     details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in faults]
     return ValidationError.from_exception_data("scene", details)
 
 
 @dataclass(frozen=True)
 class Within:
-    """Constraint on a number: finite and inside an interval.
+    """Constraint on a number: finite and between `low` and `high`, in `unit`.
 
-    Attributes
-    ----------
-    low, high : float
-        Ends of the interval, in `unit`.
-    unit : str
-        Unit for messages; empty for a pure number.
-    ends : {"[]", "[)", "()"}
-        Brackets that say which limits belong to the interval.
+    ends: brackets that say which limits belong to the interval.
     """
 
     low: float
@@ -144,6 +115,23 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
         raise fault(f"must be a list of {count} {what}")
 
     return convert
+
+
+def array_of_tables(header: str, what: str, most: int, least: int = 0) -> BeforeValidator:
+    """Constraint on an array of tables, which becomes a tuple: its number of tables. header: as in a file; what: word
+    for the tables.
+    """
+
+    def convert(value: Any) -> Any:
+        value = as_python(value)
+        if not isinstance(value, list | tuple):
+            raise fault(f"must be an array of tables, [[{header}]]")
+        if not least <= len(value) <= most:
+            count = f"{least} to {most}" if least else f"at most {most}"
+            raise fault(f"must hold {count} {what}", got=str(len(value)))
+        return tuple(value)
+
+    return BeforeValidator(convert)
 
 
 def _single_line(value: str) -> str:

@@ -63,23 +63,11 @@ Rotation = Annotated[EulerAngles | AxisAngle | UnitQuaternion, BeforeValidator(_
 
 
 def rotation_rows(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> Rows:
-    """Matrix of a static rotation, in the frame x right, y up, z away from the camera.
+    """Rows of the matrix of a static rotation, in the frame x right, y up, z away from the camera; None: no rotation.
 
-    Parameters
-    ----------
-    rotation : Euler angles in deg, AxisAngle, UnitQuaternion or None
-        None: no rotation.
-
-    Returns
-    -------
-    tuple of three rows
-        Orthonormal; exact for quarter turns about x, y and z.
-
-    Notes
-    -----
-    Order and sense are those of a motion (2.14 to 2.23): first about x, then y, then z, which points to the camera; a
-    positive angle about x turns the top away, about y it brings the right side nearer, about z it turns clockwise.
-    Validated against `clsco.optics.motion.rotation_matrix`.
+    Exact for quarter turns about x, y and z. Order and sense are those of a motion (2.14 to 2.23): first about x, then
+    y, then z, which points to the camera; a positive angle about x turns the top away, about y it brings the right side
+    nearer, about z it turns clockwise. Validated against `clsco.optics.motion.rotation_matrix`.
     """
     if rotation is None:
         return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

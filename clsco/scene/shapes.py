@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
@@ -34,13 +35,6 @@ ROUNDING = 1e-15  # of a direction's component that a rotation leaves of 0
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
-def _reaching(center: Vector, reach: float | None) -> Vector:
-    """Reject a body that ends at or behind the lens; `reach`: extent from its center along z, mm, None if unknown."""
-    if reach is not None and center[2] + reach <= 0.0:
-        raise fault(IN_FRONT)
-    return center
-
-
 class _Object(Textured):
     """Keys that every shape has."""
 
@@ -55,6 +49,22 @@ class _Object(Textured):
     """Velocities; static if none are given."""
     group: Name | None = None
     """Name of the group that the object moves with; none if not given."""
+
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        """Extent of a body with these keys from its center along z, mm; None if unlimited."""
+        del keys
+        return None
+
+    @field_validator("center", "apex", check_fields=False)
+    @classmethod
+    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
+        """Reject a body that ends at or behind the lens."""
+        with suppress(KeyError):  # of a key that was refused
+            reach = cls._reach(info.data)
+            if reach is not None and center[2] + reach <= 0.0:
+                raise fault(IN_FRONT)
+        return center
 
     @property
     def is_analytic(self) -> bool:
@@ -106,14 +116,11 @@ class Rectangle(_Object):
         deep = max(width, height)
         return (-width, width), (-height, height), (self.offset - deep, self.offset + deep)
 
-    @field_validator("center")
-    @classmethod
-    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        if not {"size", "offset", "rotation"} <= info.data.keys():
-            return center
-        row = depth_row(info.data["rotation"])
-        sides = sum(0.5 * side * abs(r) for side, r in zip(info.data["size"], row[:2], strict=True))
-        return _reaching(center, sides + info.data["offset"] * row[2])
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        row = depth_row(keys["rotation"])
+        sides = sum(0.5 * side * abs(r) for side, r in zip(keys["size"], row[:2], strict=True))
+        return float(sides + keys["offset"] * row[2])
 
 
 class Disc(_Object):
@@ -134,13 +141,10 @@ class Disc(_Object):
         """Sides of the square around the disc, mm."""
         return 2.0 * self.radius, 2.0 * self.radius
 
-    @field_validator("center")
-    @classmethod
-    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        if not {"radius", "offset", "rotation"} <= info.data.keys():
-            return center
-        row = depth_row(info.data["rotation"])
-        return _reaching(center, info.data["radius"] * math.hypot(*row[:2]) + info.data["offset"] * row[2])
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        row = depth_row(keys["rotation"])
+        return float(keys["radius"] * math.hypot(*row[:2]) + keys["offset"] * row[2])
 
 
 class Box(SixSided, _Object):
@@ -159,13 +163,10 @@ class Box(SixSided, _Object):
         x, y, z = (0.5 * side for side in self.size)
         return (-x, x), (-y, y), (-z, z)
 
-    @field_validator("center")
-    @classmethod
-    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        if not {"size", "rotation"} <= info.data.keys():
-            return center
-        pairs = zip(info.data["size"], depth_row(info.data["rotation"]), strict=True)
-        return _reaching(center, sum(0.5 * side * abs(row) for side, row in pairs))
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        pairs = zip(keys["size"], depth_row(keys["rotation"]), strict=True)
+        return float(sum(0.5 * side * abs(row) for side, row in pairs))
 
     @property
     def has_sides(self) -> bool:
@@ -209,15 +210,12 @@ class Cylinder(_Bounded):
     center: Point = (0.0, 0.0, 280.0)
     """Point on the axis, mm; the origin."""
 
-    @field_validator("center")
-    @classmethod
-    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        if not {"axis", "radius", "rotation"} <= info.data.keys():
-            return center
-        axis, row = info.data["axis"], depth_row(info.data["rotation"])
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        axis, row = keys["axis"], depth_row(keys["rotation"])
         # An axis that leaves the plane of the lens always runs to its front on one side.
         along = abs(sum(a * r for a, r in zip(axis, row, strict=True)))
-        return _reaching(center, info.data["radius"] if along <= ROUNDING * math.hypot(*axis) else None)
+        return float(keys["radius"]) if along <= ROUNDING * math.hypot(*axis) else None
 
 
 class Sphere(SixSided, _Bounded):
@@ -230,10 +228,9 @@ class Sphere(SixSided, _Bounded):
     center: Point = (0.0, 0.0, 280.0)
     """Center, mm; the origin."""
 
-    @field_validator("center")
-    @classmethod
-    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        return _reaching(center, info.data.get("radius"))
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        return float(keys["radius"])
 
 
 class Cone(_Bounded):
@@ -248,16 +245,13 @@ class Cone(_Bounded):
     apex: Point = (0.0, 0.0, 250.0)
     """Apex, mm; the origin."""
 
-    @field_validator("apex")
-    @classmethod
-    def _visible(cls, apex: Vector, info: ValidationInfo) -> Vector:
-        if not {"half_angle", "nappe", "rotation"} <= info.data.keys():
-            return apex
-        opening = depth_row(info.data["rotation"])[2] * (1.0 if info.data["nappe"] == "away" else -1.0)
-        half = math.radians(info.data["half_angle"])
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        opening = depth_row(keys["rotation"])[2] * (1.0 if keys["nappe"] == "away" else -1.0)
+        half = math.radians(keys["half_angle"])
         # The line of the cone that runs most away from the camera.
         away = opening * math.cos(half) + math.sqrt(max(0.0, 1.0 - opening * opening)) * math.sin(half)
-        return _reaching(apex, 0.0 if away <= 0.0 else None)
+        return 0.0 if away <= 0.0 else None
 
 
 class Ellipsoid(SixSided, _Bounded):
@@ -270,13 +264,10 @@ class Ellipsoid(SixSided, _Bounded):
     center: Point = (0.0, 0.0, 300.0)
     """Center, mm; the origin."""
 
-    @field_validator("center")
-    @classmethod
-    def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
-        if not {"semi_axes", "rotation"} <= info.data.keys():
-            return center
-        pairs = zip(info.data["semi_axes"], depth_row(info.data["rotation"]), strict=True)
-        return _reaching(center, math.hypot(*(a * r for a, r in pairs)))
+    @staticmethod
+    def _reach(keys: Mapping[str, Any]) -> float | None:
+        pairs = zip(keys["semi_axes"], depth_row(keys["rotation"]), strict=True)
+        return math.hypot(*(a * r for a, r in pairs))
 
 
 class Quadric(_Bounded):
@@ -340,16 +331,9 @@ class DepthMap(_Bounded):
             raise fault("belongs to depths in EXR files")
         return value
 
-    @field_validator("bounds")
+    @field_validator("bounds", "rotation")
     @classmethod
-    def _unbounded(cls, value: Any) -> Any:
-        if value is not None:
-            raise fault("belongs to analytic shapes, not to depth_map")
-        return value
-
-    @field_validator("rotation")
-    @classmethod
-    def _unrotated(cls, value: Any) -> Any:
+    def _not_analytic(cls, value: Any) -> Any:
         if value is not None:
             raise fault("belongs to analytic shapes, not to depth_map")
         return value
@@ -436,16 +420,9 @@ SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind fo
 
 
 def origin(shape: AnyShape) -> Vector:
-    """Origin of an object's own frame: the object rotates about it, and its bounds are relative to it.
+    """Origin of an object's own frame, mm: the apex of a cone, (0, 0, distance) of a plane, else the center.
 
-    Parameters
-    ----------
-    shape : AnyShape
-
-    Returns
-    -------
-    tuple of three float
-        Camera frame, mm: the apex of a cone, (0, 0, distance) of a plane, else the center.
+    The object rotates about it, and its bounds are relative to it.
     """
     if isinstance(shape, Plane):
         return (0.0, 0.0, shape.distance)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from clsco.errors import SceneError
 from clsco.records import MOST_RIMS
 from clsco.scene.aberrations import Seidel, Zernike, zernike_terms
 from clsco.scene.arrays import HasInputs, Input, TextureInput
-from clsco.scene.quantities import Flag, Strict, Triple, Within, as_python, at_keys, fault
+from clsco.scene.quantities import Flag, Strict, Triple, Within, array_of_tables, at_keys, fault
 
 NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
@@ -39,19 +39,8 @@ class Rim(Strict):
     """Diameter, mm."""
 
 
-def listed_rims(value: Any) -> Any:
-    """Convert the array of tables to a tuple; reject too many. Raises the fault that says so."""
-    value = as_python(value)
-    if not isinstance(value, list | tuple):
-        raise fault("must be an array of tables, [[aperture.rim]]")
-    if len(value) > MOST_RIMS:
-        raise fault(f"must hold at most {MOST_RIMS} rims", got=str(len(value)))
-    return tuple(value)
-
-
-Rims = Annotated[
-    tuple[Rim, ...], Field(json_schema_extra={"maxItems": MOST_RIMS}), BeforeValidator(listed_rims)
-]  # fmt: skip
+_RIMS = array_of_tables("aperture.rim", "rims", MOST_RIMS)
+Rims = Annotated[tuple[Rim, ...], Field(json_schema_extra={"maxItems": MOST_RIMS}), _RIMS]
 
 
 class Aperture(HasInputs, Strict):

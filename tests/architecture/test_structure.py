@@ -37,7 +37,7 @@ ONLY = {
 }
 ON_OPENCL = (
     "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
-    "cli.check", "cli.check_scene", "cli.plan_time", "cli.warm",
+    "cli.check",
 )  # fmt: skip
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine"),
@@ -58,7 +58,6 @@ OUTSIDE = {
     "uvicorn": ("studio.server",),
     "click": ("cli",),
     "rich": ("cli",),
-    "matplotlib": ("inpainting.report",),
     "numba": ("truth",),
     "colour_demosaicing": (),
     "pydantic": ("scene",),

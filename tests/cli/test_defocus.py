@@ -13,7 +13,7 @@ import OpenEXR
 import pytest
 import tifffile
 
-from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
+from clsco.cli.defocus import is_image_file, prepare_image, scenes_from_files, write_color
 from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
@@ -90,20 +90,6 @@ def test_paths_are_absolute_and_a_pattern_is_none(files: tuple[Path, Path], monk
     assert (item.texture, item.depth) == (str(image.parent / "bricks"), str(depth))
 
 
-def test_all_faults_are_reported_at_once(files: tuple[Path, Path]) -> None:
-    with pytest.raises(SceneError) as caught:
-        scene_of(*files, {"focal_length": -1.0, "scale": 0.0, "unit": "feet"})
-    assert len(caught.value.messages) == 3
-
-
-def test_sizes_must_agree(files: tuple[Path, Path]) -> None:
-    image, depth = files
-    write_png(depth, DEPTHS[:-1])
-    with pytest.raises(FileError) as caught:
-        check_pair(scene_of(image, depth))
-    assert str(caught.value) == f"{depth}: the size must be that of {image}, 12 x 9 pixels; got 12 x 8"
-
-
 def test_an_image_file_is_distinguished_from_a_folder(tmp_path: Path) -> None:
     assert [is_image_file(tmp_path / f"a{suffix}") for suffix in (".png", ".TIF", ".tiff", ".exr")] == [True] * 4
     assert not any(is_image_file(tmp_path / name) for name in ("out", "v1.2", ".png"))
@@ -176,12 +162,6 @@ def test_codes_have_the_transfer_of_the_image(tmp_path: Path) -> None:
     for name in ("a.png", "a.tif"):
         write_color(tmp_path / name, Frame(index=0, color=color, metadata={}), 8, "srgb")
         np.testing.assert_array_equal(read_image(tmp_path / name).data, np.full((2, 2), 128))
-
-
-def test_a_focal_stack_has_a_scene_per_distance(files: tuple[Path, Path]) -> None:
-    sweep = scenes_from_files(*files, {"unit": "mm"}, ["camera.focus_distance={from = 200, to = 400, steps = 3}"])
-    assert sweep.labels == ("focus_distance_200", "focus_distance_300", "focus_distance_400")
-    assert [scene.camera.focus_distance for scene in sweep.scenes] == [200, 300, 400]
 
 
 @pytest.mark.parametrize(("name", "module", "extra"), [("a.tif", "tifffile", "formats"), ("a.exr", "OpenEXR", "exr")])

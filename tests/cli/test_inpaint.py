@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -99,15 +98,6 @@ def test_options_are_the_constants(save: Save, tmp_path: Path) -> None:
     assert (result.exit_code, result.stderr) == (1, "error: --estimator: belongs to --method mean-median; got auto\n")
 
 
-def test_the_report_is_written(save: Save, tmp_path: Path) -> None:
-    image, mask, folder = save("image.png", CODES), save("mask.png", MASK), tmp_path / "a/report"
-    result = run(image, mask, "-o", tmp_path / "out.png", "--report", folder, "--method", "mean-median")
-    assert result.exit_code == 0, result.output
-    figures = json.loads((folder / "report.json").read_text())
-    assert figures["missing_pixels"] == MISSING.sum()
-    assert f"{figures['blended_pixels']}, from {figures['threshold']:.4g} on" in result.stdout
-
-
 def test_missing_pixels_of_floats_may_be_no_numbers(save: Save, tmp_path: Path) -> None:
     data = CODES.astype(np.float32)
     data[MISSING] = np.nan
@@ -180,28 +170,11 @@ def test_files_that_cannot_be_are_refused(
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_report_needs_matplotlib_before_anything_is_done(
-    save: Save, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("clsco.errors.find_spec", lambda name: None)
+def test_a_threshold_that_is_no_number_is_refused(save: Save, tmp_path: Path) -> None:
     image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
-    result = run(image, mask, "-o", out, "--report", tmp_path / "report")
-    assert result.exit_code == 1
-    assert result.stderr == "error: report: needs matplotlib: pip install 'clsco[report]'; got no such module\n"
+    result = run(image, mask, "-o", out, "--threshold", "nan")
+    assert (result.exit_code, result.stderr) == (1, "error: --threshold: must be a finite number; got nan\n")
     assert not out.exists()
-
-
-def test_a_threshold_and_a_folder_that_cannot_be_are_refused_before_anything_is_written(
-    save: Save, tmp_path: Path
-) -> None:
-    image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
-    for words, message in (
-        (("--threshold", "nan"), "error: --threshold: must be a finite number; got nan\n"),
-        (("--report", mask), f"error: {mask}: must be a folder that can be written; got File exists\n"),
-    ):
-        result = run(image, mask, "-o", out, *words)
-        assert (result.exit_code, result.stderr) == (1, message)
-        assert not out.exists()
 
 
 def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

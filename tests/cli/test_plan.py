@@ -1,4 +1,4 @@
-"""Predicted time on the command line, and settings that take less."""
+"""Predicted time on the command line."""
 
 from __future__ import annotations
 
@@ -8,17 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from clsco import load_sweep
 from clsco.cli.plan_tables import duration
-from clsco.cli.plan_time import SETTINGS, cheaper_settings
-from clsco.engine.probe import SECONDS, FrameTime
 from clsco.errors import DeviceError
 from clsco.opencl.session import Session
-from clsco.plan.prepare import Prepared, prepare
 from tests.command import clsco_
 from tests.scenes import scene_file
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 CAMERA = "[camera]\nresolution = [40, 24]\npixel_pitch = 0.1\nnormalization_distance = 20.0\n"
 BALL = """
@@ -68,51 +62,6 @@ def test_a_sensor_and_ground_truth_are_run_once_a_frame(ball: Path) -> None:
     found = json.loads(clsco_("plan", ball, "--json", "--truth", "depth", "--set", "sensor.bits=10").stdout)
     times = {each["pass"]: each["times"] for each in found["views"][0]["passes"]}
     assert (times["sensor"], times["ground truth"], times["blur"], times["accumulate"]) == (1, 1, 400, 400)
-
-
-def test_long_frames_are_planned_with_what_takes_less(
-    session: Session, ball: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
-    def measure(_: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
-        plan = prepared.plan
-        return FrameTime(({"blur": 3e-3 * plan.subframes, "trace": 0.1 * plan.silhouettes**2},), 0.5)
-
-    monkeypatch.setattr("clsco.cli.plan_time.measure_frame", measure)
-    prepared = prepare(load_sweep(ball).scenes[0], device=session.device)
-    cheaper = cheaper_settings(session, prepared, measure(session, prepared))
-    assert [setting.text for setting, _ in cheaper] == ["psf.silhouette_samples = 1", "sequence.samples = 5"]
-    assert [seconds for _, seconds in cheaper] == pytest.approx([1.2, 1.615])
-    assert cheaper_settings(session, prepared, FrameTime(({"blur": 0.9},), 1.0)) == []
-
-
-def column(page: str, heading: str, name: str, rows: str) -> list[float]:
-    """PSNR of the whole frame in a table of a page: in the column of this name, of rows that match."""
-    lines = (DOCS / page).read_text("utf-8").partition(heading)[2].partition("<!-- table: end -->")[0].splitlines()
-    table = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    place = next(number for number, cell in enumerate(table[0]) if name in cell)
-    cells = [row[place] for row in table[2:] if re.search(rows, row[0])]
-    return [float(number) for cell in cells for number in re.findall(r"[\d.]+", cell.split(" / ")[0])]
-
-
-def test_errors_of_settings_are_those_of_the_documentation() -> None:
-    overlap = r"^(?!one sphere)"
-    surfaces = ("sphere", "cylinder", "ellipsoid", "cone", "plane tilted")
-    motions = ("in focus", "defocused", "sphere turning", "turning and moving")
-    decibels = {
-        ("psf.occlusion", "layered"): column("occlusion.md", "PSNR in dB", "`layered`", overlap),
-        ("psf.occlusion", "none"): column("occlusion.md", "PSNR in dB", "`none`", overlap),
-        ("psf.silhouette_samples", 1): [
-            value for name in surfaces
-            for value in column("accuracy.md", "PSNR in dB", name, "^no silhouettes$")
-        ],
-        ("sequence.samples", 5): [
-            value for name in motions for value in column("accuracy.md", "table: moving", name, "^5 time samples$")
-        ],
-    }  # fmt: skip
-    for setting in SETTINGS:
-        stated = [int(number) for number in re.findall(r"\d+", setting.error)[:2]]
-        values = decibels[setting.key, setting.value]
-        assert stated == [round(min(values)), round(max(values))], setting.key
 
 
 def test_durations_are_short() -> None:

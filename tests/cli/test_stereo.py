@@ -14,6 +14,7 @@ from clsco.engine.sequence import render_prepared
 from clsco.frame.files import read_complete
 from clsco.opencl.session import Session
 from clsco.plan.prepare import Prepared
+from tests.cli.test_main import marks
 from tests.command import clsco_
 from tests.scenes import scene_file
 
@@ -45,10 +46,6 @@ texture = "checkerboard"
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     return scene_file(tmp_path / "pair.toml", PAIR)
-
-
-def marks(folder: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
 
 
 @pytest.mark.slow

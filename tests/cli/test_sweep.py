@@ -6,27 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 
+from tests.cli.test_main import marks, messages, names
 from tests.command import clsco_
 from tests.scenes import PLANE, scene_file
 
 PLACE = 'distance = 300.0\ntexture = "texture.npy"\n'
 STACK = PLANE.replace("[camera]", "[camera]\nf_number = { from = 2, to = 4, steps = 3 }") + PLACE
-
-
-def messages(result: Result) -> list[str]:
-    """The lines on stderr of a command that found a fault."""
-    assert (result.exit_code, result.stdout) == (1, ""), result.output
-    return result.stderr.splitlines()
-
-
-def names(folder: Path) -> list[str]:
-    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-
-
-def marks(folder: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
 
 
 @pytest.fixture
@@ -86,13 +72,13 @@ def test_a_sweep_is_reported_by_the_other_commands(stack: Path, still: Path) -> 
 
 def test_a_bad_value_of_a_sweep_is_reported_before_anything_is_written(stack: Path, tmp_path: Path) -> None:
     command = ("render", stack, "-o", tmp_path / "out", "--set")
-    (line,) = messages(clsco_(*command, "camera.f_number=[2, 0, 4]"))
+    (line,) = messages(clsco_(*command, "camera.f_number=[2, 0, 4]"), 1)
     assert line == f"error: {stack}: camera.f_number[1]: must be greater than 0; got 0"
-    (line,) = messages(clsco_(*command, "camera.f_number=[2, 0.001]"))
+    (line,) = messages(clsco_(*command, "camera.f_number=[2, 0.001]"), 1)
     assert line.startswith(f"error: {stack}: camera: the blur radius must be at most 512 px; got ")
     assert line.endswith(" (with f_number_0.001)")
     (tmp_path / "texture.npy").unlink()
-    (line,) = messages(clsco_(*command[:-1]))
+    (line,) = messages(clsco_(*command[:-1]), 1)
     assert line.startswith(f"error: {stack}: object[0].texture: {tmp_path / 'texture.npy'}: must be a file")
     assert not (tmp_path / "out").exists()
 

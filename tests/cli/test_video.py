@@ -170,11 +170,7 @@ def test_views(ball: Path, tmp_path: Path, view: str) -> None:
         (["-o", "a.avi"], 1, "a.avi: the extension must be one of .mp4 .webm .mkv .mov .y4m; got '.avi'"),
         (["-o", "a.mp4", "--preset", "ffv1"], 1, "a.mp4: the extension must be .mkv for ffv1; got '.mp4'"),
         (["-o", "a.mp4", "--fps", "2", "--speed", "2"], 2, "--speed: must be without --fps, which says how fast"),
-        (
-            ["-o", "a.mp4", "--fps", "29,97"],
-            2,
-            "must be exact: a Fraction, a whole number, or text like 24 or 30000/1001",
-        ),
+        (["-o", "a.mp4", "--fps", "29,97"], 2, "must be exact: a Fraction, a whole number, or text like 24"),
         (["-o", "a.mp4", "--speed", "0.01"], 1, "otherwise a rate must be given; got 0.04 s at 0.01 times"),
         (["-o", "a.mp4", "--view", "normal"], 2, "'normal' is not one of"),
         (["-o", "none/a.mp4"], 1, "none/a.mp4: the file must be writable; got No such file or directory"),

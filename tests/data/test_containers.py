@@ -18,7 +18,7 @@ from clsco.errors import FileError, MissingDependencyError, SceneError
 from tests.data.samples import contents, drawn, frame, record, same
 
 EACH = pytest.mark.parametrize("form", CONTAINERS)
-ONE_SHAPE = ("zarr", "zarr+raw", "parquet")  # for all samples of a shard
+ONE_SHAPE = ("zarr", "zarr+raw")  # for all samples of a shard
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -131,7 +131,7 @@ def test_memory_does_not_grow_with_the_shard(form: str, tmp_path: Path) -> None:
 
 
 def test_unknown_and_missing_formats(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*parquet; got tar"):
+    with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*zarr\+raw; got tar"):
         container_named("tar")
     monkeypatch.setattr("clsco.data.containers.find_spec", lambda name: None)
     with pytest.raises(

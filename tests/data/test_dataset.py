@@ -192,7 +192,7 @@ def test_an_order_follows_from_seed_and_epoch(folder: Path) -> None:
     assert numbers(pickle.loads(pickle.dumps(opened.shuffle(1)))) == orders[0]
 
 
-@pytest.mark.parametrize("form", ["webdataset", "folders", "zarr"])
+@pytest.mark.parametrize("form", ["webdataset", "npz", "zarr"])
 def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

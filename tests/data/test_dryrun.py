@@ -60,10 +60,11 @@ def test_a_dry_run_says_what_a_set_will_be(
     assert found.bytes == {}
     assert found.seconds is None
     assert not (tmp_path / "s.png").exists()
-    names = [one.name for one in found.histograms]
+    names = [one.name for one in found.measures]
     assert names == ["depth Z, mm", "blur radius |R|, px", "flow, px", "share of valid pixels"]
-    assert all(abs(sum(one.shares) - 1) < 1e-9 for one in found.histograms)
-    assert found.histograms[2].shares == (1.0,)  # nothing moves
+    assert all((one.low or 0) <= (one.mean or 0) <= (one.high or 0) for one in found.measures)
+    assert (found.measures[0].low or 0) > 100
+    assert found.measures[2].high == 0.0  # nothing moves
     print_dry_run(found)
     printed = capsys.readouterr().out
     for part in (

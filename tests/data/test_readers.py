@@ -7,7 +7,7 @@ import json
 import multiprocessing
 import subprocess
 import sys
-from collections.abc import Callable
+import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -71,13 +71,6 @@ def test_webdataset_decodes_npy(tmp_path: Path) -> None:
     check(RECORDS[1], arrays)
 
 
-def test_folders(tmp_path: Path) -> None:
-    folder = written(tmp_path, "folders") / RECORDS[2].key
-    assert json.loads((folder / "meta.json").read_text()) == RECORDS[2].meta
-    arrays = {file.name.partition(".")[0]: npy(file.read_bytes()) for file in folder.glob("*.npy.zst")}
-    check(RECORDS[2], arrays | {file.stem: png(file.read_bytes()) for file in folder.glob("*.png")}, exact=False)
-
-
 def test_npz(tmp_path: Path) -> None:
     with np.load(written(tmp_path, "npz") / f"{RECORDS[1].key}.npz") as found:
         assert json.loads(found["meta.json"]) == RECORDS[1].meta
@@ -105,46 +98,27 @@ def test_zarr(tmp_path: Path) -> None:
     )  # few files
 
 
-def test_pyarrow(tmp_path: Path) -> None:
-    table = pytest.importorskip("pyarrow.parquet").read_table(written(tmp_path, "parquet"))
-    row = table.slice(1, 1).to_pylist()[0]
-    assert (row["key"], json.loads(row["meta"])) == (RECORDS[1].key, RECORDS[1].meta)
-    pictures = {name: png(value["bytes"]) for name, value in row.items() if isinstance(value, dict)}
-    lists = {name: np.array(value, RECORDS[1][name].dtype) for name, value in row.items() if isinstance(value, list)}
-    assert pictures.keys() | lists.keys() == RECORDS[1].arrays.keys()
-    check(RECORDS[1], pictures | lists, exact=False)
-
-
 def test_opencv(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
-    folder = written(tmp_path, "folders") / RECORDS[0].key
-    color = cv2.imread(str(folder / "color.png"), cv2.IMREAD_UNCHANGED)
+    with tarfile.open(written(tmp_path, "webdataset")) as tar:
+        tar.extractall(tmp_path, filter="data")
+    names = {name: str(tmp_path / f"{RECORDS[0].key}.{name}.png") for name in ("color", "mask")}
+    color = cv2.imread(names["color"], cv2.IMREAD_UNCHANGED)
     check(RECORDS[0], {"color": color[..., ::-1]})  # which it gives as blue, green, red
-    check(RECORDS[0], {"mask": cv2.imread(str(folder / "mask.png"), cv2.IMREAD_UNCHANGED)}, exact=False)
-
-
-HUB = {
-    "parquet": lambda datasets, path: datasets.Dataset.from_parquet(str(path), cache_dir=str(path.parent / "cache")),
-    "webdataset": lambda datasets, path: datasets.load_dataset(
-        "webdataset", data_files=str(path), split="train", streaming=True
-    ),
-}
+    check(RECORDS[0], {"mask": cv2.imread(names["mask"], cv2.IMREAD_UNCHANGED)}, exact=False)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of the package and what it imports
-@pytest.mark.parametrize("form", HUB)
-def test_hugging_face(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hugging_face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     datasets = pytest.importorskip("datasets", reason="datasets is not installed: pip install datasets")
-    load: Callable[[Any, Path], Any] = HUB[form]
-    rows = list(load(datasets, written(tmp_path, form)))
-    suffix = "" if form == "parquet" else ".npy.zst"
+    files = str(written(tmp_path, "webdataset"))
+    rows = list(datasets.load_dataset("webdataset", data_files=files, split="train", streaming=True))
     for row, wanted in zip(rows, RECORDS, strict=True):
         for name in ("depth", "flow", "object_id"):
-            check(wanted, {name: np.array(row[f"{name}{suffix}"], wanted[name].dtype)})
-        mask = row["mask" if form == "parquet" else "mask.png"]
-        check(wanted, {"mask": np.asarray(mask)}, exact=False)
+            check(wanted, {name: np.array(row[f"{name}.npy.zst"], wanted[name].dtype)})
+        check(wanted, {"mask": np.asarray(row["mask.png"])}, exact=False)
 
 
 def test_spawned_workers_read_a_set(tmp_path: Path) -> None:

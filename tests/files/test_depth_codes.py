@@ -11,32 +11,14 @@ import pytest
 from clsco.errors import FileError
 from clsco.files.atomic import atomic_write_bytes
 from clsco.files.depth_codes import kitti_depth_codes, kitti_disparity_codes, pfm_bytes
-from clsco.files.images import read_image, write_png
-from tests.files.readers import torchvision_kitti_disparity, torchvision_pfm
+from clsco.files.images import read_image
+from tests.files.readers import torchvision_pfm
 
 RNG = np.random.default_rng(12)
 NOTHING = RNG.random((13, 7)) < 0.3
 DEPTH = np.where(NOTHING, np.inf, RNG.uniform(5, 250_000, (13, 7))).astype(np.float32)  # mm
 DISPARITY = RNG.uniform(0.01, 255, (13, 7)).astype(np.float32)
 KITTI = "must round to 1/256 to 65535/256 {}, which KITTI's 16 bits hold besides 0 for unknown"
-
-
-def test_kittis_depth_is_read_by_opencv(tmp_path: Path) -> None:
-    path = tmp_path / "a.png"
-    write_png(path, kitti_depth_codes(DEPTH))
-    codes = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert (codes.dtype, codes.shape) == (np.uint16, DEPTH.shape)
-    np.testing.assert_array_equal(codes == 0, NOTHING)
-    assert np.abs(codes / 256 - DEPTH / 1000)[~NOTHING].max() <= 1 / 512 + 1e-9
-
-
-def test_kittis_disparity_is_read_by_opencv_and_torchvision(tmp_path: Path) -> None:
-    path = tmp_path / "a.png"
-    write_png(path, kitti_disparity_codes(DISPARITY, ~NOTHING))
-    codes = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    for pixels in (codes / 256, torchvision_kitti_disparity(path)):
-        np.testing.assert_array_equal(pixels == 0, NOTHING)
-        assert np.abs(pixels - DISPARITY)[~NOTHING].max() <= 1 / 512
 
 
 LARGEST = 65535 / 256

@@ -11,8 +11,7 @@ import pytest
 from clsco.errors import FileError
 from clsco.files.atomic import atomic_write_bytes
 from clsco.files.flow import flo_bytes, kitti_flow_codes
-from clsco.files.images import write_png
-from tests.files.readers import torchvision_flo, torchvision_kitti_flow
+from tests.files.readers import torchvision_flo
 
 RNG = np.random.default_rng(11)
 FLOW = RNG.uniform(-500, 500, (13, 7, 2)).astype(np.float32)
@@ -30,20 +29,6 @@ def test_flo_is_read_by_opencv_and_torchvision(tmp_path: Path) -> None:
     assert (cv2.readOpticalFlow(str(path))[~VALID] > 1e9).all()  # what Middlebury's readers take for unknown
     cv2.writeOpticalFlow(str(path), FLOW)
     assert path.read_bytes() == flo_bytes(FLOW)
-
-
-def test_kitti_flow_is_read_by_opencv_and_torchvision(tmp_path: Path) -> None:
-    path = tmp_path / "a.png"
-    write_png(path, kitti_flow_codes(FLOW, VALID))
-    codes = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert codes.dtype == np.uint16
-    blue, green, red = (codes[..., channel].astype(np.float32) for channel in range(3))
-    np.testing.assert_array_equal(blue == 1, VALID)
-    assert not codes[~VALID].any()
-    flow, valid = torchvision_kitti_flow(path)
-    np.testing.assert_array_equal(valid, VALID)
-    for vectors in (flow, (np.dstack([red, green]) - 32768) / 64):
-        assert np.abs(vectors - FLOW)[VALID].max() <= 1 / 128
 
 
 @pytest.mark.parametrize("value", [-512.0, -512 - 1 / 128, LARGEST, LARGEST + 0.0078, 0.0, -0.0, 1e-30])

@@ -195,18 +195,8 @@ def test_bools_are_black_and_white(tmp_path: Path) -> None:
 
 def test_interlaced_png(tmp_path: Path) -> None:
     data = pixels("u1", (11, 13))
-    passes = [
-        data[y::dy, x::dx]
-        for x, y, dx, dy in [
-            (0, 0, 8, 8),
-            (4, 0, 8, 8),
-            (0, 4, 4, 8),
-            (2, 0, 4, 4),
-            (0, 2, 2, 4),
-            (1, 0, 2, 2),
-            (0, 1, 1, 2),
-        ]
-    ]
+    steps = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+    passes = [data[y::dy, x::dx] for x, y, dx, dy in steps]
     rows = b"".join(b"\0" + row.tobytes() for part in passes for row in part)
     (tmp_path / "image.png").write_bytes(png(13, 11, 8, 0, rows, laced=1))
     np.testing.assert_array_equal(read_image(tmp_path / "image.png").data, data)

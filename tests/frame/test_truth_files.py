@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,15 +9,12 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-from click.testing import CliRunner
 
-from clsco.cli.main import main
 from clsco.errors import FileError, SceneError
 from clsco.frame.files import files_of, holds_truth, needed_truth, write_frame
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ALL_TRUTH
 from clsco.frame.truth_files import TruthFile
-from tests.scenes import PLANE, scene_file
 
 SHAPE = (5, 7)
 RNG = np.random.default_rng(5)
@@ -145,32 +141,3 @@ def test_what_files_hold_is_known_from_their_record() -> None:
         assert not holds_truth(named, [TruthFile("npz", names, float16)])
     for odd in ("npz", 3, [4], None):
         assert holds_truth({"truth": odd}, files_of("", "npz"))
-
-
-def test_render_writes_and_resumes_them(tmp_path: Path) -> None:
-    out, scene = tmp_path / "out", scene_file(tmp_path / "plane.toml", PLANE)
-
-    def render(*truth: str) -> bool:
-        """True if the frame was rendered."""
-        before = (out / "frame_0000.json").stat().st_mtime_ns if out.exists() else 0
-        words = ["render", str(scene), "-o", str(out), "--resume", *truth]
-        result = CliRunner().invoke(main, words)
-        assert result.exit_code == 0, result.output
-        return (out / "frame_0000.json").stat().st_mtime_ns != before
-
-    assert render("--truth", "depth,coc")
-    assert arrays(out / "frame_0000.npz").keys() == {"depth", "coc"}
-    recorded = json.loads((out / "frame_0000.json").read_text("utf-8"))
-    assert recorded["truth"] == ["npz:depth,coc"]
-    assert not render("--truth", "coc,depth", "--format", "npz")
-    assert render("--truth", "coc,depth", "--types", "all=float16")
-    assert render("--truth", "coc,depth", "--types", "coc=float16")
-    assert json.loads((out / "frame_0000.json").read_text("utf-8"))["truth"] == ["npz+coc=float16:depth,coc"]
-    loaded = arrays(out / "frame_0000.npz")
-    assert (loaded["coc"].dtype, loaded["depth"].dtype) == (np.float16, np.float32)
-    assert render("--truth", "all")
-    assert not render("--format", "npz")
-    assert "normal" in arrays(out / "frame_0000.npz")
-    assert render("--truth", "alpha", "--format", "npz,exr")
-    assert (arrays(out / "frame_0000.npz")["alpha"] > 0.9).any()
-    assert OpenEXR.File(str(out / "frame_0000.exr"), separate_channels=True).channels().keys() == {"A"}

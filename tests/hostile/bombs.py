@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import importlib
 import io
 import lzma
 import struct
@@ -34,9 +33,6 @@ from tests.hostile.pictures import encoded
 ZEROS = 2**26  # bytes that a bomb unpacks to
 Made = tuple[str, Callable[[Path], object]]
 """Name of a file or folder that a bomb is, and what reads it."""
-
-
-pyarrow, parquet = (importlib.import_module(name) for name in ("pyarrow", "pyarrow.parquet"))
 
 
 def packed_zeros(count: int, kind: str) -> bytes:
@@ -148,24 +144,6 @@ def _zarr_chunk(folder: Path) -> Made:
     return "bomb.zarr", CONTAINERS["zarr"].read
 
 
-def _long_keys(folder: Path) -> Made:
-    """Parquet: a key of 64 kB in every row, once in the dictionary."""
-    count = max(1, ZEROS // 2**16)
-    keys = pyarrow.DictionaryArray.from_arrays(np.zeros(count, np.int32), ["0" * 2**16])
-    table = pyarrow.table({"key": keys.cast(pyarrow.string()) if count < 100 else keys, "meta": ["{}"] * count})
-    parquet.write_table(table, folder / "bomb.parquet", compression="zstd")
-    return "bomb.parquet", CONTAINERS["parquet"].read
-
-
-def _long_lists(folder: Path) -> Made:
-    """Parquet: a list that is far longer than what describes it says."""
-    own, count = record(1, (64, 64), ("depth",)), ZEROS // 4
-    lists = pyarrow.ListArray.from_arrays([0, count], pyarrow.array(np.zeros(count, np.float32)))
-    table = pyarrow.table({"key": [own.key], "depth": lists, "meta": [meta_bytes(own).decode()]})
-    parquet.write_table(table, folder / "bomb.parquet", compression="zstd", use_dictionary=True)
-    return "bomb.parquet", CONTAINERS["parquet"].read
-
-
 def _tar_with_header(folder: Path, records: bytes) -> Made:
     """A tar of one member, with these records in its extended header."""
     path, head = folder / "bomb.tar", tarfile.TarInfo("././@PaxHeader")
@@ -214,8 +192,6 @@ BOMBS: dict[str, Callable[[Path], Made]] = {
     "sample npz deflated": _sample_npz,
     "hdf5 chunk deflated": _deflated_chunk,
     "zarr chunk": _zarr_chunk,
-    "parquet keys": _long_keys,
-    "parquet lists": _long_lists,
     "tar pax records": _pax,
     "tar sparse map": _sparse_pax,
     "tar chain of headers": _pax_chain,

@@ -9,6 +9,7 @@ import random
 import shutil
 import tomllib
 import traceback
+import zipfile
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
@@ -37,7 +38,7 @@ from tests.hostile.pictures import DAMAGES
 
 ESCAPES = "\x1b[2J\x9b31m\u202e\u2066\x07\r\x7f\ud800\u200b"
 REFUSED = "refused"
-FILES = ("dataset.json", part_key(0), "train/000000/000000001/meta.json")
+FILES = ("dataset.json", part_key(0), "train/000000/000000001.npz")
 
 
 def obeyed(text: str) -> str:
@@ -45,20 +46,40 @@ def obeyed(text: str) -> str:
     return "".join(c for c in text if not c.isprintable() and c not in "\n\t\u00a0\u3000")
 
 
+def read_json(path: Path) -> str:
+    """Text of a JSON file, or of the meta.json in an NPZ."""
+    if path.suffix != ".npz":
+        return path.read_text()
+    with zipfile.ZipFile(path) as archive:
+        return archive.read("meta.json").decode()
+
+
+def write_json(path: Path, text: str) -> None:
+    """Replace the text of a JSON file, or of the meta.json in an NPZ."""
+    if path.suffix != ".npz":
+        path.write_text(text)
+        return
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in (members | {"meta.json": text.encode()}).items():
+            archive.writestr(name, content)
+
+
 def change_set(seed: int, number: int, source: Path, target: Path) -> str:
-    """Copy a set of `folders`, and change one of its files; says which."""
+    """Copy a set of NPZ files, and change one of its files; says which."""
     rng = random.Random(f"{seed}:{number}")
     shutil.copytree(source, target)
     name = FILES[number % len(FILES)]
     path = target / name
-    lines = [json.loads(line) for line in path.read_text().splitlines()] if name.endswith("l") else []
+    lines = [json.loads(line) for line in read_json(path).splitlines()] if name.endswith("l") else []
     chosen = rng.randrange(len(lines)) if lines else 0
-    content = lines[chosen] if lines else json.loads(path.read_text())
+    content = lines[chosen] if lines else json.loads(read_json(path))
     for _ in range(rng.choice((1, 1, 2))):
         if content:
             rng.choice(VALUE_CHANGES)(rng, content)
     if not lines:
-        path.write_text(json_of(content))
+        write_json(path, json_of(content))
         return name
     lines[chosen] = content
     body = "".join(f"{json_of(line)}\n" for line in lines[1:])
@@ -129,7 +150,7 @@ def json_of(value: Any) -> str:
 
 @pytest.mark.parametrize("numbers", [range(12), pytest.param(range(12, 400), marks=pytest.mark.soak)])
 def test_changed_sets_end_in_errors_of_a_line(numbers: range, tmp_path: Path) -> None:
-    make_set(tmp_path / "whole", form="folders+raw")
+    make_set(tmp_path / "whole", form="npz+raw")
     outcomes = Counter[str]()
     for number in numbers:
         shutil.rmtree(tmp_path / "set", ignore_errors=True)
@@ -198,15 +219,15 @@ class TestTerminal:
         "render SCENE -o OUT --NAME", "plan SCENE --set NAME=1",
     ])  # fmt: skip
     def test_commands(self, words: str, tmp_path: Path) -> None:
-        folder = make_set(tmp_path / "set", form="folders+raw")
+        folder = make_set(tmp_path / "set", form="npz+raw")
         text = ESCAPES.replace("\ud800", "")
         card = json.loads((folder / "dataset.json").read_text())
         (folder / "dataset.json").write_text(json.dumps({**card, "license": text, "samples": [0, 11]}))
         part = folder / part_key(1)
         part.write_text(part.read_text().replace('"error":"e"', json.dumps({"error": text})[1:-1]))
         (folder / f"train/{text}").write_text("")
-        meta = folder / "train/000000/000000000/meta.json"
-        meta.write_text(meta.read_text().replace('"sphere"', json.dumps(text)))
+        meta = folder / "train/000000/000000000.npz"
+        write_json(meta, read_json(meta).replace('"sphere"', json.dumps(text)))
         scene = tmp_path / "scene.json"
         shape = {"shape": "sphere", "center": [0, 0, 300], "radius": 9, "name": "ball"}
         scene.write_text(json.dumps({"title": text, "object": [shape]}))
@@ -249,7 +270,6 @@ class TestNoRegularFiles:
         [
             ("webdataset", "dataset.json"), ("webdataset", part_key(0)), ("webdataset", "train/000000.tar"),
             ("npz", "train/000000/000000000.npz"), ("hdf5", "train/000000.h5"),
-            ("folders+raw", "train/000000/000000000/meta.json"), ("folders+raw", "train/000000/000000000/depth.npy"),
             ("zarr", "train/000000.zarr/zarr.json"), ("zarr", "train/000000.zarr/depth/zarr.json"),
             ("zarr", "train/000000.zarr/depth/c/0/0/0"), ("zarr", "train/000000.zarr/keys/c/0"),
         ],

@@ -90,25 +90,13 @@ NAN = np.where(np.arange(48).reshape(6, 8) == 19, np.nan, 1.0)
 WRONG: list[tuple[Any, str]] = [
     (np.zeros(5), "an array must have the shape (rows, columns) or (rows, columns, 3); got (5,)"),
     (np.zeros((2, 2, 4)), "an array must have the shape (rows, columns) or (rows, columns, 3); got (2, 2, 4)"),
-    (
-        np.zeros((0, 4)),
-        f"{SIZE}; got (0, 4)",
-    ),
-    (
-        np.broadcast_to(np.uint8(0), (2**14, 2**14)),
-        f"{SIZE}; got (16384, 16384)",
-    ),
-    (
-        np.broadcast_to(np.uint8(0), (2, 65537)),
-        f"{SIZE}; got (2, 65537)",
-    ),
+    (np.zeros((0, 4)), f"{SIZE}; got (0, 4)"),
+    (np.broadcast_to(np.uint8(0), (2**14, 2**14)), f"{SIZE}; got (16384, 16384)"),
+    (np.broadcast_to(np.uint8(0), (2, 65537)), f"{SIZE}; got (2, 65537)"),
     (np.zeros((2, 2), object), "an array must hold uint8, uint16, float16, float32 or float64; got object"),
     (np.zeros((2, 2), int), "an array must hold uint8, uint16, float16, float32 or float64; got int64"),
     (NAN, f"{VALUES}; got nan at row 2, column 3 (1 in all)"),
-    (
-        np.full((2, 2), 1e39),
-        f"{VALUES}; got 1e+39 at row 0, column 0 (4 in all)",
-    ),
+    (np.full((2, 2), 1e39), f"{VALUES}; got 1e+39 at row 0, column 0 (4 in all)"),
     (np.ma.masked_less(GRAY, 300), "an array must have no masked values; got 48 of them"),
     ([[0.0, 1.0]], "must be text; got a list of 1 entries"),
 ]
@@ -129,10 +117,7 @@ def test_wrong_textures_are_refused(given: Any, message: str) -> None:
     [
         (COLOR, "an array must have the shape (rows, columns); got (6, 8, 3)"),
         (COLOR[..., 0] + 0j, "an array must hold integers or floats; got complex128"),
-        (
-            COLOR[:0, :, 0],
-            f"{SIZE}; got (0, 8)",
-        ),
+        (COLOR[:0, :, 0], f"{SIZE}; got (0, 8)"),
     ],
 )
 def test_wrong_depths_are_refused(given: Any, message: str) -> None:

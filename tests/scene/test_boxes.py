@@ -10,13 +10,13 @@ import pytest
 
 import clsco
 from clsco.errors import SceneError
-from clsco.optics.motion import poses_at, rest_poses
+from clsco.optics.motion import poses_at
 from clsco.optics.quadrics import place
 from clsco.reference.common.geometry import nearest_surface
 from clsco.reference.trace.trace import everything
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
-from clsco.scene.model import Box, Rectangle, Scene
+from clsco.scene.model import Rectangle, Scene
 from clsco.scene.rotations import after, rotation_rows
 
 SIDES = ("front", "back", "left", "right", "top", "bottom")
@@ -133,10 +133,3 @@ def test_a_box_takes_arrays() -> None:
     front = scene.replace("object.0.size.0", 10.0).objects[0]
     assert isinstance(front, Rectangle)
     assert front.size == (10.0, 30.0)
-
-
-def test_a_box_in_python() -> None:
-    scene = clsco.Scene(objects=(clsco.Box(size=(3, 4, 5), rotation=ANY), clsco.Sphere()))
-    assert len(scene.objects) == 7
-    assert isinstance(Box().faces()[0], Rectangle)
-    assert len(rest_poses(scene)) == 7

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-import clsco
 from clsco.errors import SceneError
 from clsco.frame.provenance import record, scene_sha256, units
 from clsco.plan.prepare import prepare
@@ -71,35 +70,6 @@ def test_without_groups_a_file_is_what_it_was() -> None:
     assert "group" not in data["object"][0]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("group = 3\n", "group: must be an array of tables, [[group]]; got 3"),
-        ('group = {name = "a"}\n', "group: must be an array of tables, [[group]]; got a table of 1 keys"),
-        ("group = [3]\n", "group[0]: must be a table; got 3"),
-        ("[[group]]\n", "group[0].name: must be given; got nothing"),
-        ('[[group]]\nname = ""\n', 'group[0].name: must not be empty; got ""'),
-        ('[[group]]\nname = "a"\norigin = [1, 2]\n', "group[0].origin: must be a list of 3 numbers; got [1, 2]"),
-        (
-            '[[group]]\nname = "a"\nmotion.velocity = [1, 2, inf]\n',
-            "group[0].motion.velocity[2]: must be a finite number; got inf",
-        ),
-        ('[[group]]\nname = "a"\nmotion.speed = 1\n', "group[0].motion.speed: unknown key; got 1"),
-        ('[[group]]\nname = "a"\norign = 1\n', "group[0].orign: unknown key (did you mean origin?); got 1"),
-        ('[[group]]\nname = "a"\nradius = 1\n', "group[0].radius: unknown key (did you mean object[0].radius?); got 1"),
-        (
-            '[[group]]\nname = "a"\n[[group]]\nname = "a"\n',
-            'group[1].name: names must differ; group[0] has the same; got "a"',
-        ),
-        ("group = [" + '{name = "a"},' * 65 + "]\n", "group: must hold at most 64 groups; got 65"),
-        ("groups = []\n", "groups: unknown key (did you mean group?); got []"),
-        ("origin = [0, 0, 1]\n", "origin: unknown key (did you mean group[0].origin?); got [0, 0, 1]"),
-    ],
-)
-def test_bad_groups(text: str, message: str) -> None:
-    assert faults(f'object = [{{shape = "plane"}}]\n{text}') == (message,)
-
-
 def test_unknown_groups_are_reported_with_the_other_faults() -> None:
     data = cart()
     data["object"][0]["group"] = "card"
@@ -155,7 +125,3 @@ def test_a_group_without_objects_is_reported() -> None:
     lonely = {**cart(), "group": [*cart()["group"], {"name": "ship", "motion": {"velocity": [1, 0, 0]}}]}
     found = dict(unused_keys(prepare(parse_scene(lonely)).plan))
     assert found == {"group[1].motion": "no object is in it", "group[1].name": "no object is in it"}
-
-
-def test_one_program_has_all_names() -> None:
-    assert clsco.Group is Group

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,10 +45,3 @@ def test_what_has_no_rays_has_no_light(sections: dict[str, Any]) -> None:
     assert caught.value.messages == (f"scene: {REFUSED}",)
     still = parse_scene({"object": [{"shape": "sphere"}], "light": FAR, "motion": {"warp": "forward"}})
     assert still.light is not None
-
-
-def test_a_file_says_it(tmp_path: Path) -> None:
-    path = tmp_path / "lit.toml"
-    path.write_text('[light]\nposition = [1, 2, 3]\n[[object]]\nshape = "sphere"\n', "utf-8")
-    light = clsco.load_scene(path, ["light.ambient=0.5", "light.direction=[0, 0, 1]"]).light
-    assert light == clsco.Light(direction=(0.0, 0.0, 1.0), ambient=0.5)

@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 import pytest
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from clsco.errors import SceneError
 from clsco.scene.model import (
@@ -18,9 +18,6 @@ from clsco.scene.model import (
     Cylinder,
     DepthMap,
     Ellipsoid,
-    Fill,
-    ImageOptions,
-    Light,
     Motion,
     ObjectMotion,
     Plane,
@@ -29,128 +26,15 @@ from clsco.scene.model import (
     Scene,
     Sequence,
     Sphere,
-    Stereo,
-    origin,
 )
+from clsco.scene.shapes import origin
 
-UNMAPPED: dict[str, Any] = {"texture_mapping": "projected"}
-UNMAPPED |= dict.fromkeys((f"texture_{key}" for key in ("layer", "size", "repeats", "offset", "angle", "wrap")), None)
-STILL: dict[str, Any] = dict.fromkeys(("velocity", "angular_velocity"), (0.0, 0.0, 0.0))
-STILL |= dict.fromkeys(("acceleration", "angular_acceleration", "keyframe", "interpolation", "outside"))
-SIDES = dict.fromkeys((f"texture_{side}" for side in ("back", "left", "right", "top", "bottom")), None)
 COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
 
 @pytest.mark.parametrize(
-    ("model", "expected"),
-    [
-        (
-            Camera(),
-            {
-                "focal_length": 20.0,
-                "f_number": None,
-                "focus_distance": None,
-                "aperture_diameter": 10.0,
-                "sensor_distance": 21.739,
-                "normalization_distance": 20.0,
-                "pixel_pitch": 0.01,
-                "resolution": None,
-                "motion": STILL,
-                "shake": None,
-            },
-        ),
-        (
-            Psf(),
-            {
-                "model": "pillbox",
-                "edge": "integrated",
-                "tilt": True,
-                "silhouette_samples": 4,
-                "occlusion": "visibility",
-                "sigma_ratio": 0.7071067811865476,
-                "truncation": 3.0,
-                "wavelengths": (610.0, 540.0, 465.0),
-                "bandwidth": 0.0,
-                "seidel": {"W040": 0.0, "W131": 0.0, "W222": 0.0, "W220": 0.0, "W311": 0.0},
-                "zernike": {f"{n},{m}": 0.0 for n in range(2, 7) for m in range(-n, n + 1, 2)},
-                "tail": 0.01,
-                "rest": "renormalize",
-                "border": "lose",
-            },
-        ),
-        (
-            Sequence(),
-            {
-                "frames": 1,
-                "interval": 1.0,
-                "shutter": 1.0,
-                "samples": "auto",
-                "sampling": "midpoint",
-                "shutter_curve": "box",
-                "shutter_start": 0.0,
-                "readout": 0.0,
-                "scan": "top_to_bottom",
-            },
-        ),
-        (Motion(), {"warp": "inverse", "rotation": "euler", "texture_filter": "bicubic"}),
-        (Fill(), {"method": "ait", "domain": "surface"}),
-        (ImageOptions(), {"transfer": "srgb"}),
-        (Light(position=(1.0, 2.0, 3.0)), {"direction": None, "position": (1.0, 2.0, 3.0), "ambient": 0.0}),
-        (Stereo(baseline=65.0), {"baseline": 65.0, "toe_in": 0.0}),
-        (
-            DepthMap(depth="z.exr"),
-            {
-                "shape": "depth_map",
-                "name": "depth_map",
-                "texture": "bricks",
-                **UNMAPPED,
-                "bounds": None,
-                "rotation": None,
-                "motion": STILL,
-                "group": None,
-                "depth": "z.exr",
-                "depth_layer": None,
-                "unit": "mm",
-                "scale": 1.0,
-                "baseline": None,
-                "offset": None,
-                "near": None,
-                "far": None,
-                "depth_kind": "z",
-                "no_depth": "around",
-                "soft_edges": "assign",
-                "center": (0.0, 0.0, 0.0),
-            },
-        ),
-        (
-            Sphere(),
-            {
-                "shape": "sphere",
-                "name": "sphere",
-                "texture": "bricks",
-                **UNMAPPED,
-                **SIDES,
-                "bounds": None,
-                "rotation": None,
-                "motion": STILL,
-                "group": None,
-                "radius": 30.0,
-                "center": (0.0, 0.0, 280.0),
-            },
-        ),
-    ],
-)
-def test_defaults_are_those_of_the_interface(model: BaseModel, expected: dict[str, Any]) -> None:
-    assert model.model_dump() == expected
-
-
-@pytest.mark.parametrize(
     ("shape", "expected"),
-    [
-        (Plane(), {"slope_x": 0.0, "slope_y": 0.0}),
-        (Cylinder(), {"axis": (0.0, 1.0, 0.0)}),
-        (Cone(), {"nappe": "away"}),
-    ],
+    [(Plane(), {"slope_x": 0.0, "slope_y": 0.0}), (Cylinder(), {"axis": (0.0, 1.0, 0.0)}), (Cone(), {"nappe": "away"})],
 )
 def test_defaults_of_the_shapes(shape: AnyShape, expected: dict[str, Any]) -> None:
     assert {key: getattr(shape, key) for key in expected} == expected

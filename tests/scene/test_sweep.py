@@ -16,6 +16,7 @@ from clsco.scene.file import MAX_FILE_BYTES, MAX_OUTPUTS, load_scene, parse_scen
 from clsco.scene.model import Camera, Motion, ObjectMotion, Sequence
 from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep, parse_sweep
+from tests.scene.test_bad_scenes import cases
 from tests.scenes import scene_file
 
 BALL = '[[object]]\nshape = "sphere"\n'
@@ -91,11 +92,6 @@ def test_vectors_are_swept_by_lists_and_ranges_of_vectors() -> None:
     assert middle.objects[1].motion.angular_velocity == (0.0, 90.0, 0.0)
 
 
-def test_words_are_swept_by_lists() -> None:
-    sweep = parse_sweep(mapping('motion.rotation = ["axis", "euler"]'))
-    assert sweep.labels == ("rotation_axis", "rotation_euler")
-
-
 def test_labels_differ_and_name_folders() -> None:
     sweep = parse_sweep(mapping("camera.focus_distance = [250.0000001, 250.0000002, 1e9, 300]"))
     assert sweep.labels == tuple(f"focus_distance_{v}" for v in ("250.0000001", "250.0000002", "1000000000", "300"))
@@ -125,69 +121,40 @@ def test_one_scene_is_not_read_from_a_sweep(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("camera.f_number = []", "camera.f_number: must hold 1 to 4096 values; got 0"),
-        ("camera.f_number = [2, 3, -4]", "camera.f_number[2]: must be greater than 0; got -4"),
-        ("camera.f_number = [2, '3']", 'camera.f_number[1]: must be a number; got "3"'),
-        (
-            "camera.f_number = [2, 3, 2.0]",
-            "camera.f_number[2]: values must differ; camera.f_number[0] is the same; got 2.0",
-        ),
-        (
-            "camera.focus_distance = [20, 250]",
-            "camera.focus_distance[0]: must be greater than focal_length = 20 mm; got 20",
-        ),
-        (
-            "camera.resolution = [[4, 4], [4, 0]]",
-            "camera.resolution[1][1]: must be between 1 and 65536 px; got 0",
-        ),
-        (
-            "camera.motion.velocity = [[0, 0, 1], 3]",
-            "camera.motion.velocity[1]: must be a list of 3 numbers; got 3",
-        ),
-        (
-            "camera.focus_distance = {from = 10, to = 40, steps = 4}\ncamera.focal_length = 10",
-            "camera.focus_distance[0]: must be greater than focal_length = 10 mm; got 10",
-        ),
-        (
-            "camera.focal_length = [20, 30]\ncamera.focus_distance = [25, 200, 300]",
-            (
-                "camera.focus_distance[0]: must be greater than focal_length = 30 mm; got 25 "
-                "(with camera.focal_length[1], camera.focus_distance[0])"
-            ),
-        ),
-        (
-            "sequence.interval = [1, 2, 0.1]\nsequence.shutter = 0.5",
-            "sequence.shutter: must be at most interval = 0.1 s; got 0.5 (with sequence.interval[2])",
-        ),
-        ("sequence.frames = {from = 1, to = 2, steps = 3}", "sequence.frames[1]: must be an integer; got 1.5"),
-        ("camera.f_number = {from = 1, to = 2}", "camera.f_number.steps: must be given; got nothing"),
-        (
-            "camera.f_number = {from = 1, to = 2, steps = 1}",
-            "camera.f_number.steps: must be an integer between 2 and 4096; got 1",
-        ),
-        (
-            "camera.f_number = {from = nan, to = 2, steps = 3}",
-            "camera.f_number.from: must be a finite number, or a list of them; got nan",
-        ),
-        (
-            "camera.f_number = {from = 1, to = [2, 3], steps = 3}",
-            "camera.f_number.to: must have as many numbers as from = 1; got [2, 3]",
-        ),
-        ("camera.f_number = {from = 2, to = 2, steps = 3}", "camera.f_number.to: must differ from from; got 2"),
-        (
-            "camera.f_number = {from = 2, to = 3, steps = 3, step = 1}",
-            "camera.f_number.step: a range has from, to and steps; got 1",
-        ),
-        (
-            "camera.f_number = {from = 1, to = 9, steps = 99}\nsequence.frames = {from = 1, to = 99, steps = 99}",
-            "camera.f_number, sequence.frames: must give at most 4096 scenes in all; got 9801",
-        ),
-        ("image.transfer = ['srgb', 'linear']", 'image.transfer: must be srgb or linear; got ["srgb", "linear"]'),
-    ],
-)
+BAD_SWEEPS = cases(r"""
+camera.f_number = [] -> camera.f_number: must hold 1 to 4096 values; got 0
+camera.f_number = [2, 3, -4] -> camera.f_number[2]: must be greater than 0; got -4
+camera.f_number = [2, '3'] -> camera.f_number[1]: must be a number; got "3"
+camera.f_number = [2, 3, 2.0] -> camera.f_number[2]: values must differ; camera.f_number[0] is the same; got 2.0
+camera.focus_distance = [20, 250] -> camera.focus_distance[0]: must be greater than focal_length = 20 mm; got 20
+camera.resolution = [[4, 4], [4, 0]] -> camera.resolution[1][1]: must be between 1 and 65536 px; got 0
+camera.motion.velocity = [[0, 0, 1], 3] -> camera.motion.velocity[1]: must be a list of 3 numbers; got 3
+camera.focus_distance = {from = 10, to = 40, steps = 4} ; camera.focal_length = 10
+    -> camera.focus_distance[0]: must be greater than focal_length = 10 mm; got 10
+sequence.interval = [1, 2, 0.1] ; sequence.shutter = 0.5
+    -> sequence.shutter: must be at most interval = 0.1 s; got 0.5 (with sequence.interval[2])
+sequence.frames = {from = 1, to = 2, steps = 3} -> sequence.frames[1]: must be an integer; got 1.5
+camera.f_number = {from = 1, to = 2} -> camera.f_number.steps: must be given; got nothing
+camera.f_number = {from = 1, to = 2, steps = 1} -> camera.f_number.steps: must be an integer between 2 and 4096; got 1
+camera.f_number = {from = nan, to = 2, steps = 3}
+    -> camera.f_number.from: must be a finite number, or a list of them; got nan
+camera.f_number = {from = 1, to = [2, 3], steps = 3}
+    -> camera.f_number.to: must have as many numbers as from = 1; got [2, 3]
+camera.f_number = {from = 2, to = 2, steps = 3} -> camera.f_number.to: must differ from from; got 2
+camera.f_number = {from = 2, to = 3, steps = 3, step = 1}
+    -> camera.f_number.step: a range has from, to and steps; got 1
+camera.f_number = {from = 1, to = 9, steps = 99} ; sequence.frames = {from = 1, to = 99, steps = 99}
+    -> camera.f_number, sequence.frames: must give at most 4096 scenes in all; got 9801
+image.transfer = ['srgb', 'linear'] -> image.transfer: must be srgb or linear; got ["srgb", "linear"]
+""")
+TOO_NEAR = "camera.focus_distance[0]: must be greater than focal_length = 30 mm; got 25"
+BAD_SWEEPS += [[
+    "camera.focal_length = [20, 30]\ncamera.focus_distance = [25, 200, 300]",
+    f"{TOO_NEAR} (with camera.focal_length[1], camera.focus_distance[0])",
+]]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_SWEEPS)
 def test_bad_sweeps(text: str, message: str) -> None:
     assert messages_of(mapping(text)) == (message,)
 

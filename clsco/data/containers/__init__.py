@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from importlib.util import find_spec
 
-from clsco.data.containers import folders, hdf5, parquet, webdataset, zarr3
+from clsco.data.containers import hdf5, npz, webdataset, zarr3
 from clsco.data.containers.base import NEEDS
 from clsco.data.containers.base import Container as Container
 from clsco.data.containers.base import ShardReader as ShardReader
@@ -18,15 +18,12 @@ CONTAINERS = {
     for container in (
         Container("webdataset", ".tar", webdataset.write, webdataset.TarReader, NEEDS),
         Container("webdataset+raw", ".tar", partial(webdataset.write, raw=True), webdataset.TarReader),
-        Container("folders", "", folders.write, folders.FolderReader, NEEDS),
-        Container("folders+raw", "", partial(folders.write, raw=True), folders.FolderReader),
-        Container("npz", "", folders.write_npz, folders.NpzReader),
-        Container("npz+raw", "", partial(folders.write_npz, raw=True), folders.NpzReader),
+        Container("npz", "", npz.write, npz.NpzReader),
+        Container("npz+raw", "", partial(npz.write, raw=True), npz.NpzReader),
         Container("hdf5", ".h5", hdf5.write, hdf5.Hdf5Reader, hdf5.NEEDS),
         Container("hdf5+raw", ".h5", partial(hdf5.write, raw=True), hdf5.Hdf5Reader, hdf5.NEEDS),
         Container("zarr", ".zarr", zarr3.write, zarr3.ZarrReader, zarr3.NEEDS),
         Container("zarr+raw", ".zarr", partial(zarr3.write, raw=True), zarr3.ZarrReader, zarr3.NEEDS),
-        Container("parquet", ".parquet", parquet.write, parquet.ParquetReader, parquet.NEEDS),
     )
 }
 

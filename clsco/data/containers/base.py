@@ -261,14 +261,6 @@ def confined_arrays(function: str, file: BinaryIO, layout: Layout, **options: An
     return dict(zip(layout, arrays, strict=True))
 
 
-def members(path: Path, record: Record, raw: bool, flat: bool = False) -> Iterator[tuple[str, bytes]]:
-    """Name and content of the files of a record: meta.json first, then each array in its order."""
-    yield "meta.json", meta_bytes(record, flat)
-    for name, array in record.arrays.items():
-        extension, content = encoded(path, array, raw)
-        yield f"{name}.{extension}", content
-
-
 def split_name(member: str) -> tuple[str, str] | None:
     """Array and extension of a member such as "left.depth.npy.zst"; None for a member that is not an array."""
     for extension in EXTENSIONS:

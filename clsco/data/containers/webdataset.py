@@ -16,7 +16,7 @@ from pathlib import Path
 from sys import intern
 from typing import BinaryIO
 
-from clsco.data.containers.base import MemberReader, Members, members, translate_errors
+from clsco.data.containers.base import MemberReader, Members, encoded, meta_bytes, translate_errors
 from clsco.data.record import Record
 from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular, read_at
@@ -29,7 +29,11 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """Write records to a new tar without user names and times; raw: each array as NPY."""
     with tarfile.open(path, "x", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
-            for name, content in members(path, record, raw, flat=True):
+            files = {"meta.json": meta_bytes(record, flat=True)}
+            for name, array in record.arrays.items():
+                extension, content = encoded(path, array, raw)
+                files[f"{name}.{extension}"] = content
+            for name, content in files.items():
                 entry = tarfile.TarInfo(f"{record.key}.{name}")
                 entry.size = len(content)
                 tar.addfile(entry, io.BytesIO(content))

@@ -1,7 +1,4 @@
-"""A folder per sample with a file per array: for viewing, and for tools that read only single files.
-
-Read back with OpenCV, Pillow, `numpy` and `zstandard`.
-"""
+"""NPZ: a folder with a file for each sample. Read back with `numpy`."""
 
 from __future__ import annotations
 
@@ -12,42 +9,13 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from clsco.data.containers.base import MemberReader, Members, members, meta_bytes, npy_bytes, translate_errors
+from clsco.data.containers.base import MemberReader, Members, meta_bytes, npy_bytes, translate_errors
 from clsco.data.record import Record
 from clsco.files.archives import member_bytes, open_archive
-from clsco.resources import open_regular, read_regular
+from clsco.resources import open_regular
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new folder as KEY/ARRAY.EXTENSION and KEY/meta.json; arguments as for a tar."""
-    path.mkdir()
-    for record in records:
-        folder = path / record.key
-        folder.mkdir()
-        for name, content in members(path, record, raw):
-            (folder / name).write_bytes(content)
-
-
-class FolderReader(MemberReader):
-    """Records of a folder of folders."""
-
-    kind = "sample"
-
-    def __init__(self, path: Path) -> None:
-        with translate_errors(path, "folder"), os.scandir(path) as entries:
-            keys = sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False))
-        super().__init__(path, keys)
-
-    def _place(self, index: int) -> Path:
-        return self.path / self.keys[index]
-
-    @contextmanager
-    def _members(self, index: int) -> Iterator[Members]:
-        folder = self._place(index)
-        yield [each.name for each in folder.iterdir()], lambda name, most: read_regular(folder / name, most)
-
-
-def write_npz(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """Write records to a new folder as KEY.npz.
 
     Without `raw`, masks, codes and object numbers are compressed, floats never: deflate takes 0.3 s for 10 MB of them.
