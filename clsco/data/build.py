@@ -14,7 +14,7 @@ from typing import Any
 from clsco.data.acceptance import UnfitError, derive_value
 from clsco.data.compile import Location, Parameter, Population, VariedKeys, copied
 from clsco.data.forms import Placed
-from clsco.errors import FileError, MissingDependencyError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.inputs.textures import texture_size
 from clsco.scene.changes import displace
 from clsco.scene.file import absolute, names_file, relocated
@@ -122,7 +122,7 @@ class Builder:
             try:
                 name = str(self._folder / texture) if names_file("texture", texture) else texture
                 camera["resolution"] = list(texture_size(name) if isinstance(texture, str) else (1, 1))
-            except (FileError, MissingDependencyError) as error:
+            except FileError as error:
                 raise SceneError(f"object[0].texture: {error}") from None
 
     def _place(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import signal
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from clsco.data.storage import open_storage
 from clsco.engine.child import Child, at_forced_end, how_ended
-from clsco.errors import ClscoError, DeviceError
+from clsco.errors import ClscoError, DeviceError, KernelError, MissingDependencyError
 from clsco.resources import processors, resident_bytes
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger("clsco")
 RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
+_ERRNOS_OF_MACHINE = {
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EROFS,
+}  # fmt: skip
 END_S = 20.0  # until a process that was asked to end is killed
 THREADS = "POCL_MAX_PTHREAD_COUNT"
 """Variable that the wheel of PoCL 3.0 reads; later ones read the other name."""
@@ -137,6 +141,8 @@ class _Pool:
             assert task is not None
             if kind == "failed":
                 self.schedule.died(task, content[0])
+                worker.is_leaving = True  # the driver may be lost in that process alone
+                worker.child.send(None)
                 return
             self.schedule.done(task)
             if task.tried is None:
@@ -247,16 +253,27 @@ def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> 
 
 
 def failure_of(error: BaseException) -> tuple[str, str]:
-    """Class of an error: "fatal" if the disk or the store failed, so that other shards would fail too, else
-    "failed".
-    """
+    """Class of an error: "fatal" if the machine or the store failed, as it would other shards too, else "failed"."""
     text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
-    known: BaseException | None = error
-    while known is not None:
-        if isinstance(known, OSError):
-            return "fatal", text
-        known = known.__cause__
-    return "failed", text
+    is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
+    return "fatal" if is_fatal else "failed", text
+
+
+def is_of_machine(error: BaseException) -> bool:
+    """True if an error is the machine's, not a sample's: no space, memory or file handles left, a failing disk, a
+    kernel that does not build, or a missing package. A set is not made with such failures, but resumed later.
+    """
+    return any(
+        isinstance(cause, KernelError | MissingDependencyError | MemoryError)
+        or (isinstance(cause, OSError) and cause.errno in _ERRNOS_OF_MACHINE)
+        for cause in _causes(error)
+    )
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__
 
 
 def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, ...]:
@@ -280,7 +297,8 @@ def _ended(number: int, _: FrameType | None) -> None:
     raise SystemExit(128 + number)
 
 
-RETRIES = 3
+RETRIES, RETRIES_OF_ERROR = 3, 2
+"""Processes that try a task: if they end, and if they report an error."""
 DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 
@@ -326,12 +344,12 @@ class Schedule:
     def died(self, task: ShardTask, cause: str | None = None) -> None:
         """Record that a task failed.
 
-        cause: message of its error; None if its process died, so that a retry may succeed.
+        cause: message of its error; None if its process died.
 
         Raises ClscoError if a shard fails although each of its samples succeeds alone.
         """
         self._deaths[task] += 1
-        again = cause is None and self._deaths[task] < RETRIES
+        again = self._deaths[task] < (RETRIES if cause is None else RETRIES_OF_ERROR)
         if task.tried is None:
             numbers = self.samples[task.shard]
             if again:

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample, ScriptedDistribution
 from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
+from clsco.data.pool import is_of_machine
 from clsco.data.record import Record, make_record
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
-from clsco.errors import FileError, KernelError, MissingDependencyError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.atomic import file_digests
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ATTRIBUTES
@@ -131,7 +132,8 @@ class ShardMaker:
         """Make the files of a shard in the scratch folder, with all samples or those in `numbers`.
 
         failed: samples to skip, with their messages; advance: called after each sample. A sample that cannot be drawn
-        or rendered becomes a failure. Raises ClscoError: the device fails, or files cannot be written.
+        or rendered becomes a failure. Raises ClscoError: the machine fails (`is_of_machine`), or files cannot be
+        written.
         """
         began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
         rows: dict[int, dict[str, Any]] = {}
@@ -141,7 +143,9 @@ class ShardMaker:
             start = time.perf_counter()
             try:
                 sample = self.job.distribution.draw(self.job.identity.seed, number)
-            except (SceneError, FileError, MissingDependencyError) as error:
+            except (SceneError, FileError) as error:
+                if is_of_machine(error):
+                    raise
                 failures[number] = {"number": number, "error": self._portable(error), "scene": None}
                 advance()
                 continue
@@ -165,7 +169,9 @@ class ShardMaker:
                         frames[0][0] = judged_frame(sample.scenes[0], frames[0][0])
                     spent["render"] += time.perf_counter() - start
                     record = make_record(sample, self.job.identity.seed, frames, self.arrays, self.types)
-                except (SceneError, FileError, MissingDependencyError, KernelError) as error:
+                except (SceneError, FileError) as error:
+                    if is_of_machine(error):
+                        raise
                     failures[sample.number] = _failure(sample, self._portable(error))
                     advance()
                     continue

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import multiprocessing
+import os
 import subprocess
 import sys
 import tarfile
@@ -84,6 +86,22 @@ def test_h5py(form: str, tmp_path: Path) -> None:
         assert json.loads(group["meta"][()]) == RECORDS[1].meta
         assert group["depth"].attrs["unit"] == "mm"
         check(RECORDS[1], {name: group[name][()] for name in group if name != "meta"})
+
+
+def test_a_disk_that_is_full_ends_hdf5_with_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """HDF5 makes the file in memory: it crashes where it cannot write."""
+    pytest.importorskip("h5py")
+    opened = Path.open
+
+    def full(path: Path, mode: str = "r", *options: Any) -> Any:
+        if "x" in mode:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return opened(path, mode, *options)
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(OSError, match="No space left on device"):
+        written(tmp_path, "hdf5")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_zarr(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from clsco.data.pool import DIED, RETRIES, Schedule, ShardTask
+from clsco.data.pool import DIED, RETRIES, RETRIES_OF_ERROR, Schedule, ShardTask
 from clsco.errors import ClscoError
 
 
@@ -50,10 +50,19 @@ def test_a_process_that_dies_by_chance_costs_nothing() -> None:
     assert schedule.is_over
 
 
+def test_an_error_is_believed_when_a_fresh_process_has_it_too() -> None:
+    schedule = Schedule([(0, range(1))])
+    schedule.died(schedule.waiting.popleft(), "device: must go on")
+    task = schedule.waiting.popleft()
+    assert task == ShardTask(0)  # as a whole again
+    schedule.done(task)
+    assert schedule.is_over
+
+
 def test_a_shard_that_fails_though_its_samples_do_not_ends_the_run() -> None:
     schedule = Schedule([(7, range(4))])
     message = "shard 7: must be made, as each of its samples by itself was; got no room"
-    for _ in range(2 * RETRIES):  # it fails as a whole, and then all of its samples are made
+    for _ in range(RETRIES_OF_ERROR - 1 + 2 * RETRIES):  # it fails as a whole, and then all of its samples are made
         task = schedule.waiting.popleft()
         if task.tried is None:
             schedule.died(task, "no room")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,12 @@ import pytest
 import clsco
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, load_distribution
+from clsco.data.pool import failure_of
 from clsco.data.sets import DataSet, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch
 from clsco.data.storage import open_storage
 from clsco.data.verify import verify_samples
-from clsco.errors import DeviceError, FileError, SceneError
+from clsco.errors import DeviceError, FileError, KernelError, MissingDependencyError, SceneError
 from clsco.files.png import png_parts
 from clsco.opencl.device import choose
 from clsco.scene.sweep import parse_sweep
@@ -203,16 +206,53 @@ def test_frames_of_variants_and_of_pairs_are_those_of_render(pair: bool) -> None
                 assert np.array_equal(frame.depth, other.depth)
 
 
-def test_a_broken_device_is_no_failure_of_a_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def caused(error: Exception, number: int) -> Exception:
+    """An error with an error of the system as its cause."""
+    error.__cause__ = OSError(number, os.strerror(number))
+    return error
+
+
+@pytest.mark.parametrize("overlapped", [False, True])
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (DeviceError("device: must go on; got CL_DEVICE_NOT_AVAILABLE"), "failed"),  # tried in a fresh process
+        (KernelError("trace.cl: must build"), "fatal"),
+        (MissingDependencyError("a.exr: needs OpenEXR"), "fatal"),
+        (MemoryError(), "fatal"),
+        (OSError(errno.ENOSPC, "No space left on device"), "fatal"),
+        (caused(FileError("a.png: cannot be read"), errno.EIO), "fatal"),
+        (caused(SceneError("a.png: cannot be read"), errno.EMFILE), "fatal"),
+    ],
+)
+def test_a_fault_of_the_machine_is_no_failure_of_a_sample(
+    error: Exception, kind: str, overlapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     job = job_of(tmp_path, 4)
-    maker = ShardMaker(job, open_storage(job.where), choose(), overlapped=True)
+    maker = ShardMaker(job, open_storage(job.where), choose(), overlapped)
 
     def broken(sample: Sample) -> None:
-        raise DeviceError("device: must go on; got CL_DEVICE_NOT_AVAILABLE")
+        raise error
 
     monkeypatch.setattr(maker.renderer, "render", broken)
-    with pytest.raises(DeviceError):
+    with pytest.raises(type(error)) as caught:
         maker.make(0)
+    assert failure_of(caught.value)[0] == kind
+
+
+@pytest.mark.parametrize("error", [SceneError("R"), caused(FileError("a.png: must exist"), errno.ENOENT)])
+def test_a_fault_of_a_scene_is_a_failure_of_its_sample(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = job_of(tmp_path, 4)
+    maker = ShardMaker(job, open_storage(job.where), choose(), overlapped=False)
+
+    def broken(sample: Sample) -> None:
+        raise error
+
+    monkeypatch.setattr(maker.renderer, "render", broken)
+    made = maker.make(0)
+    assert (made.samples, made.failed) == (0, len(job.numbers(0)))
 
 
 def test_two_that_make_a_shard_otherwise_are_told_and_both_are_kept(tmp_path: Path) -> None:

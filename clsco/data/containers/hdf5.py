@@ -28,11 +28,11 @@ _FILE = "clsco.data.containers.hdf5_file"
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """Write records to a new file, shuffled and deflated (gzip 4), which every HDF5 build reads, or uncompressed
-    (`raw`).
+    (`raw`). The file is made in memory, as HDF5 does not survive a disk that fails.
     """
     h5py = import_extra(path, *NEEDS)
     options = {} if raw else {"shuffle": True, "compression": "gzip", "compression_opts": 4}
-    with h5py.File(path, "x", track_order=False) as file:
+    with h5py.File(path.name, "w", track_order=False, driver="core", backing_store=False) as file:
         for record in records:
             group = file.create_group(record.key)
             text = meta_bytes(record)
@@ -43,6 +43,10 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
                 unit = record.meta["arrays"][name]["unit"]
                 if unit:
                     made.attrs["unit"] = unit
+        file.flush()
+        content = file.id.get_file_image()
+    with path.open("xb") as stored:
+        stored.write(content)
 
 
 class Hdf5Reader(ShardReader):
