@@ -23,7 +23,10 @@ def convert(source: Path, target: Path, form: str, *more: str) -> Result:
     return CliRunner().invoke(main, ["dataset", "convert", str(source), "-o", str(target), "--format", form, *more])
 
 
-@pytest.mark.parametrize(("one", "other"), [("hdf5", "webdataset"), ("parquet", "folders"), ("zarr", "npz+raw")])
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [("hdf5", "webdataset"), ("parquet", "folders"), pytest.param("zarr", "npz+raw", marks=pytest.mark.slow)],
+)
 def test_a_converted_set_is_as_if_made_so(one: str, other: str, tmp_path: Path) -> None:
     source, wanted = make_set(tmp_path / "source", one), make_set(tmp_path / "wanted", other)
     run = convert(source, tmp_path / "out", other)

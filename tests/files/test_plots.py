@@ -18,7 +18,7 @@ print(matplotlib.rcParams["text.usetex"], matplotlib.get_cachedir())
 """
 
 
-@pytest.mark.parametrize("where", ["here", "home"])
+@pytest.mark.parametrize("where", ["here", pytest.param("home", marks=pytest.mark.slow)])
 def test_settings_of_others_do_not_count(tmp_path: Path, where: str) -> None:
     folder = tmp_path / ("" if where == "here" else "config/matplotlib")
     folder.mkdir(parents=True, exist_ok=True)

@@ -188,7 +188,12 @@ def test_what_cannot_be_filled_is_refused(image: Array, missing: Array, options:
 
 
 @pytest.mark.parametrize(
-    ("shape", "dtype"), [((40, 50), np.uint8), ((30, 40, 3), np.uint16), ((30, 40, 3), np.float32)]
+    ("shape", "dtype"),
+    [
+        ((40, 50), np.uint8),
+        pytest.param((30, 40, 3), np.uint16, marks=pytest.mark.slow),
+        pytest.param((30, 40, 3), np.float32, marks=pytest.mark.slow),
+    ],
 )
 def test_the_report_tells_what_the_thesis_shows(tmp_path: Path, shape: tuple[int, ...], dtype: Any) -> None:
     image, missing = picture(shape, dtype), damage(shape)
