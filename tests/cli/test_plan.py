@@ -11,7 +11,7 @@ import pytest
 from clsco import load_sweep
 from clsco.cli.plan_tables import duration
 from clsco.cli.plan_time import SETTINGS, cheaper_settings
-from clsco.engine.probe import SECONDS, FrameTime
+from clsco.engine.probe import SECONDS, FrameTime, measure_frame
 from clsco.errors import DeviceError
 from clsco.opencl.session import Session
 from clsco.plan.prepare import Prepared, prepare
@@ -35,6 +35,16 @@ velocity = [3.0, 0.0, 0.0]
 @pytest.fixture
 def ball(tmp_path: Path) -> Path:
     return scene_file(tmp_path / "ball.toml", CAMERA + BALL)
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands measure a smaller part of a frame."""
+
+    def measure(session: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
+        return measure_frame(session, prepared, seconds / 20)
+
+    monkeypatch.setattr("clsco.engine.probe.measure_frame", measure)
 
 
 def test_plan_predicts_seconds(ball: Path) -> None:
