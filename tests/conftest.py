@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import re
 import shutil
 import signal
 import tempfile
@@ -45,6 +46,16 @@ os.environ.setdefault("CLSCO_POCL_CPU", "1")
 from clsco.errors import KernelError, SceneError
 from clsco.opencl.device import Device, choose
 from clsco.opencl.session import Session
+
+MARK_OF_ALL = re.compile(r"^pytestmark = pytest\.mark\.(\w+)", re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Skip the import of modules whose tests are all deselected by their mark."""
+    if collection_path.is_dir() or not collection_path.name.startswith("test_"):
+        return None
+    mark = MARK_OF_ALL.search(collection_path.read_text("utf-8"))
+    return True if mark and f"not {mark[1]}" in config.option.markexpr.split(" and ") else None
 
 
 def pytest_collection_finish() -> None:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
-from scipy.stats import qmc
 
 from clsco.frame.frame import Frame
 from clsco.resources import processors
@@ -262,6 +261,8 @@ def trace(
     seconds: limit after which no more rays are started, without compilation; go_on: returns a mask of jobs that need
     more rays, given their errors; repeats: number of independent estimates per job, whose differences give the errors.
     """
+    from scipy.stats import qmc  # takes seconds to import
+
     channels = problem.surfaces.images.shape[1]
     sampler = qmc.Sobol(5, scramble=True, rng=np.random.default_rng(seed))
     sums, counts = np.zeros((len(jobs), repeats, channels)), np.zeros(len(jobs), np.int64)

@@ -25,6 +25,7 @@ from benchmarks.stability.rays import (
     ulps,
 )
 from clsco.scene.model import ObjectMotion, Sphere
+from tests.slow import mostly_slow
 
 U = Fraction(1, 2**53)
 
@@ -70,7 +71,7 @@ def test_numbers_of_more_digits_are_rounded() -> None:
     assert abs(fractions(third)[0] - Fraction(1, 3)) < Fraction(1, 2**106)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", mostly_slow(FAMILIES, ["plane", "cone", "indefinite quadric"]))
 def test_depths_are_those_of_mpmath(family: str) -> None:
     """On and off outlines: 106 bits, less those that cancel at c / rho = 1e6 (40) and at an outline (20)."""
     rng = np.random.default_rng(11)

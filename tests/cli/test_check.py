@@ -83,7 +83,8 @@ def test_check_agrees(ball: Path, tmp_path: Path) -> None:
 def test_check_finds_by_rays_what_the_reference_shares(ball: Path, tmp_path: Path) -> None:
     """Weights at the centers of pixels alone: device and reference agree, and both are off."""
     picture = tmp_path / "tried.png"
-    result = clsco_("check", ball, "--rays", 512, "--set", "psf.edge=sampled", "-o", picture)
+    sampled = ("--set", "psf.edge=sampled", "--set", "sequence.frames=1")
+    result = clsco_("check", ball, "--rays", 512, *sampled, "-o", picture)
     assert result.exit_code == 1
     assert result.stderr.startswith(f"error: {ball}: pixels must be within 0.01 of white and 5 errors of rays; got ")
     assert len(np.unique(read_image(picture).data.reshape(-1, 3), axis=0)) > 10
@@ -106,11 +107,12 @@ def changed(**places: Any) -> Callable[..., Iterator[Frame]]:
 
 def test_check_notices_a_wrong_pixel(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(check, "render", changed(color=((5, 7), np.nan), depth=((2, 3), 1.0), mask=((4, 4), True)))
-    result = clsco_("check", "--rays", 0, ball)
+    words = ("check", "--rays", 0, ball, "--set", "sequence.frames=1")
+    result = clsco_(*words)
     assert result.exit_code == 1
     assert f"error: {ball}: color must agree within 1e-05 of white; got inf in frame 0 (1 pixels" in result.stderr
     rows = {row[0]: row for row in (line.split() for line in result.stdout.splitlines()) if row}
     assert rows["color"][-4:] == ["5", "7", "1", "1e-05"]
     assert rows["depth"][-4:-1] == ["2", "3", "1"]
     assert rows["sharp"][-2] == "0"
-    assert clsco_("check", "--rays", 0, ball, "--precision", "single").exit_code == 1
+    assert clsco_(*words, "--precision", "single").exit_code == 1

@@ -38,7 +38,7 @@ def done(code: str, **environ: str) -> None:
     assert (process.returncode, process.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("where", mostly_slow(HOMES, ["home", "cache"]))
+@pytest.mark.parametrize("where", mostly_slow(HOMES, ["home"]))
 @pytest.mark.parametrize("code", mostly_slow([BLUR, PYOPENCL_FIRST], [BLUR]), ids=["clsco", "pyopencl first"])
 def test_kernels_run_where_nothing_can_be_kept(where: str, code: str) -> None:
     done(code, **HOMES[where])
@@ -85,7 +85,7 @@ def test_what_windows_lacks_is_not_needed(tmp_path: Path) -> None:
     code = f"""if __name__ == "__main__":
     import pkgutil, sys, importlib, clsco
     for module in pkgutil.walk_packages(clsco.__path__, "clsco."):
-        if not module.name.endswith("__main__"):
+        if not module.name.endswith("__main__") and "truth" not in module.name:  # Numba takes long
             importlib.import_module(module.name)
     from clsco.studio.session import StateFolder
     StateFolder("studio")
@@ -138,6 +138,5 @@ def test_what_others_pickled_is_not_run(tmp_path: Path) -> None:
     ran(KEPT, **environ)
     assert mark.exists()  # so that it would be run
     mark.unlink()
-    for code in (BLUR, f"import pyopencl.invoker; {BLUR}"):
-        done(code, **environ)
-        assert not mark.exists()
+    done(f"import pyopencl.invoker; {BLUR}", **environ)
+    assert not mark.exists()

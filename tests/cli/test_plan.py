@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from clsco.cli.plan_tables import duration
+from clsco.engine.probe import SECONDS, FrameTime, measure_frame
 from clsco.errors import DeviceError
 from clsco.opencl.session import Session
+from clsco.plan.prepare import Prepared
 from tests.command import clsco_
 from tests.scenes import scene_file
 
@@ -29,6 +31,16 @@ velocity = [3.0, 0.0, 0.0]
 @pytest.fixture
 def ball(tmp_path: Path) -> Path:
     return scene_file(tmp_path / "ball.toml", CAMERA + BALL)
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands measure a smaller part of a frame."""
+
+    def measure(session: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
+        return measure_frame(session, prepared, seconds / 20)
+
+    monkeypatch.setattr("clsco.engine.probe.measure_frame", measure)
 
 
 def test_plan_predicts_seconds(ball: Path) -> None:

@@ -95,7 +95,8 @@ def test_what_is_refused(
 
 def test_wavelengths_are_channels(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "psf.npz"
-    waves = ("--set", "camera.f_number=4", "--set", "psf.model=wave", "--depths", "250", "--wavelengths")
+    keys = ("camera.f_number=4", "psf.model=wave", "psf.tail=0.1")
+    waves = (*(word for key in keys for word in ("--set", key)), "--depths", "250", "--wavelengths")
     code, text = run(scene, "-o", out, *waves, "2000,4000")
     assert (code, text.count("2 channels")) == (0, 1)
     with np.load(out) as arrays:

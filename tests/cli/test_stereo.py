@@ -76,11 +76,11 @@ def test_a_pair_is_resumed_as_one(scene: Path, tmp_path: Path) -> None:
 
 
 def test_scenes_that_share_rays_are_those_rendered_alone(scene: Path, tmp_path: Path) -> None:
-    sweep = ["--set", "camera.f_number=[2, 4, 8]", "--frames", "1:", "--format", "npz"]
+    sweep = ["--set", "camera.f_number=[2, 8]", "--frames", "1:", "--format", "npz"]
     batch_size = batch.TOGETHER
-    assert batch_size > 3
+    assert batch_size > 2
     assert clsco_("render", scene, "-o", tmp_path / "out", *sweep).exit_code == 0
-    for number in (2, 4, 8):
+    for number in (2, 8):
         alone = ["--set", f"camera.f_number={number}", *sweep[2:]]
         assert clsco_("render", scene, "-o", tmp_path / "alone", *alone).exit_code == 0
         for eye in ("left", "right"):

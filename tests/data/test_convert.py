@@ -24,7 +24,12 @@ def convert(source: Path, target: Path, form: str, *more: str) -> Result:
 
 
 @pytest.mark.parametrize(
-    ("one", "other"), [("hdf5", "webdataset"), ("webdataset+raw", "hdf5+raw"), ("zarr", "npz+raw")]
+    ("one", "other"),
+    [
+        ("hdf5", "webdataset"),
+        ("webdataset+raw", "hdf5+raw"),
+        pytest.param("zarr", "npz+raw", marks=pytest.mark.slow),
+    ],
 )
 def test_a_converted_set_is_as_if_made_so(one: str, other: str, tmp_path: Path) -> None:
     source, wanted = make_set(tmp_path / "source", one), make_set(tmp_path / "wanted", other)

@@ -24,6 +24,7 @@ from clsco.data.record import Record
 from clsco.data.storage import open_storage
 from clsco.errors import FileError, MissingDependencyError, SceneError
 from tests.data.samples import make_set, record, same
+from tests.slow import mostly_slow
 
 ORDER = [0, 1, 3, 2, 4, 6, 7, 9, 8]  # by shards of four, then by splits; 5 failed
 
@@ -132,7 +133,7 @@ def test_a_million_samples_open_at_once(folder: Path, tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("form", ["webdataset", "npz", "hdf5", "zarr"])
+@pytest.mark.parametrize("form", mostly_slow(["webdataset", "npz", "hdf5", "zarr"], ["webdataset", "npz", "hdf5"]))
 @pytest.mark.parametrize(("splits", "variants"), [(True, 1), (False, 2)])
 def test_the_examples_of_a_sets_own_readme_run(
     form: str, splits: bool, variants: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -192,7 +193,7 @@ def test_an_order_follows_from_seed_and_epoch(folder: Path) -> None:
     assert numbers(pickle.loads(pickle.dumps(opened.shuffle(1)))) == orders[0]
 
 
-@pytest.mark.parametrize("form", ["webdataset", "npz", "zarr"])
+@pytest.mark.parametrize("form", mostly_slow(["webdataset", "npz", "zarr"], ["webdataset", "npz"]))
 def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -150,7 +150,7 @@ def test_what_is_kept_is_bounded() -> None:
 
 
 def test_a_render_ends_when_it_is_canceled(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = SCENES["moving"].replace("sequence.samples", 40)
+    scene = SCENES["moving"].replace("sequence.samples", 12)
     live.cancel()  # of nothing
     expected = live.render(scene, truth=())
     go_on, count = live.session.go_on, [0]
@@ -181,11 +181,11 @@ def test_the_host_runs_ahead_by_a_time_sample_at_most(live: Live, monkeypatch: p
         add(self, film, *of_sample)
 
     monkeypatch.setattr(Renderer, "add", noted)
-    live.render(SCENES["moving"].replace("sequence.samples", 40), truth=())
-    assert unfinished == [0] * 41  # what stands still is a step as well
+    live.render(SCENES["moving"].replace("sequence.samples", 16), truth=())
+    assert unfinished == [0] * 17  # what stands still is a step as well
     progress = live.session.progress
     assert progress is not None
-    assert (progress.doing, progress.done, progress.total) == ("accumulate", 39, 40)
+    assert (progress.doing, progress.done, progress.total) == ("accumulate", 15, 16)
 
 
 def test_threads_have_the_bits_of_one(live: Live) -> None:

@@ -15,7 +15,7 @@ from tests.scenes import scene_from
 from tests.slow import mostly_slow
 
 TABLES: dict[str, Any] = {
-    "camera": {"resolution": [14, 11], "pixel_pitch": 0.05, "aperture_diameter": 14.0},
+    "camera": {"resolution": [14, 11], "pixel_pitch": 0.05, "aperture_diameter": 8.0},
     "sequence": {"samples": 3, "shutter": 0.2},
 }
 BALL = {"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 3.0}

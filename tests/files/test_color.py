@@ -339,7 +339,7 @@ def test_what_cannot_be_carried_or_read_is_said(tmp_path: Path) -> None:
 def test_a_profile_bomb_is_cut_short(tmp_path: Path) -> None:
     content = io.BytesIO()
     Image.fromarray(PHOTO).save(content, "PNG")
-    packed = b"bomb\0\0" + zlib.compress(bytes(2**28), 9)
+    packed = b"bomb\0\0" + zlib.compress(bytes(2**26))
     body = struct.pack(">I", len(packed)) + b"iCCP" + packed + struct.pack(">I", zlib.crc32(b"iCCP" + packed))
     (tmp_path / "a.png").write_bytes(content.getvalue()[:33] + body + content.getvalue()[33:])
     picture = read_image(tmp_path / "a.png")

@@ -159,8 +159,7 @@ def test_a_depth_map_as_the_sensor_had_it_is_found(tmp_path: Path) -> None:
     assert (tmp_path / "same.png").read_bytes() == (tmp_path / "out.png").read_bytes()
 
 
-@pytest.mark.parametrize(("orientation", "size"), [(6, 6), (3, 9)], ids=["square", "upside down"])
-@pytest.mark.parametrize("tagged", ["image", "other"])
+@pytest.mark.parametrize(("orientation", "size", "tagged"), [(6, 6, "image"), (3, 9, "other")])
 def test_what_sizes_do_not_show_is_said(tmp_path: Path, orientation: int, size: int, tagged: str) -> None:
     data = UPRIGHT[:, :size]
     image, depth, mask = (tmp_path / name for name in ("image.tif", "depth.tif", "mask.tif"))

@@ -19,7 +19,9 @@ from clsco.files.decoder_process import run_decoder
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth
 from tests.hostile import bombs
+from tests.hostile.decoders import echo, ended, generous, hungry, slow
 from tests.hostile.pictures import exr, tiff
+from tests.slow import mostly_slow
 
 ALLOWED, ALLOWED_S = bombs.ZEROS // 2, 5.0
 
@@ -33,7 +35,7 @@ def peak(reset: bool = False) -> int:
 
 
 @pytest.mark.skipif(not os.access("/proc/self/clear_refs", os.W_OK), reason="the peak of memory cannot be measured")
-@pytest.mark.parametrize("name", bombs.BOMBS)
+@pytest.mark.parametrize("name", mostly_slow(bombs.BOMBS, bombs.BOMBS.keys() - bombs.LIKE_OTHERS))
 def test_bombs_take_little(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confining, "MEMORY", ALLOWED)
     file, read = bombs.BOMBS[name](tmp_path)
@@ -70,32 +72,6 @@ def test_all_arrays_of_a_sample_have_a_limit() -> None:
         parsed_meta(Path("shard"), f'{{"arrays": {{{several}}}}}')
 
 
-def ended(file: Any) -> None:
-    """A decoder that crashes."""
-    os.abort()
-
-
-def slow(file: Any) -> None:
-    """A decoder that goes on for ever."""
-    while True:
-        pass
-
-
-def hungry(file: Any) -> tuple[dict[str, Any], list[Any]]:
-    """A decoder that takes 1 GiB."""
-    return {"bytes": len(bytes(2**30))}, []
-
-
-def generous(file: Any) -> tuple[dict[str, Any], list[Any]]:
-    """A decoder that gives more than it was asked for."""
-    return {}, [np.zeros(2**20)]
-
-
-def echo(file: Any, **options: Any) -> tuple[dict[str, Any], list[Any]]:
-    """A decoder that says what it read."""
-    return {"content": file.read().decode(), **options}, [np.arange(6, dtype=">i4").reshape(2, 3), np.zeros((0, 2))]
-
-
 class TestConfined:
     """Decoders in a process with limits: what they give comes back, and none of what they do reaches this process."""
 
@@ -107,7 +83,7 @@ class TestConfined:
 
     def call(self, path: Path, function: Callable[..., Any], most: int = 100, **options: Any) -> Any:
         with open(path, "rb") as file:
-            return run_decoder(f"tests.hostile.test_bombs:{function.__name__}", file, most, **options)
+            return run_decoder(f"tests.hostile.decoders:{function.__name__}", file, most, **options)
 
     def test_gives_what_the_function_does(self, file: Path) -> None:
         for _ in range(2):
@@ -129,7 +105,7 @@ class TestConfined:
             self.call(file, function)
         assert self.call(file, echo)[0]["content"] == "hello"
 
-    @pytest.mark.parametrize(("seconds", "patience", "status"), [(0.1, 100, -24), (20, 0.02, -9)])
+    @pytest.mark.parametrize(("seconds", "patience", "status"), [(0.1, 1000, -24), (20, 0.02, -9)])
     def test_deadlines(
         self, seconds: float, patience: float, status: int, file: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -144,7 +120,7 @@ class TestConfined:
             (tmp_path / "other").write_text("other")
             (tmp_path / "other").replace(file)
             with pytest.raises(ValueError, match="another file than was opened first"):
-                run_decoder("tests.hostile.test_bombs:echo", opened, 0)
+                run_decoder("tests.hostile.decoders:echo", opened, 0)
 
     def test_modules_of_the_current_folder_are_not_imported(
         self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

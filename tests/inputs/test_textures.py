@@ -147,7 +147,7 @@ def test_ringing_does_not_go_below_black() -> None:
 
 @pytest.mark.parametrize("name", PATTERNS)
 def test_patterns_have_every_size_and_never_change(name: str) -> None:
-    for size in ((1, 1), (1, 50), (37, 1), (3, 2), (100, 64), (48, 640)):
+    for size in ((1, 1), (1, 50), (37, 1), (3, 2), (100, 64), (12, 160)):
         codes = PATTERNS[name](*size)
         assert codes.shape == size
         assert codes.dtype == np.uint8

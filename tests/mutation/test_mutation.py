@@ -46,6 +46,7 @@ def test_a_reason_stays_with_a_function_that_moves() -> None:
     assert len(tool.unmatched(after, known)) == len(lost)
 
 
+@pytest.mark.slow
 def test_every_reason_has_its_mutant() -> None:
     """Wherever its function is: a reason without one is to be removed, or its line changed."""
     known = tool.reasons()
@@ -67,6 +68,7 @@ def test_outcomes(test: str, outcome: str, tmp_path: Path) -> None:
     (tmp_path / "kernels").mkdir()
     (tmp_path / "tests").mkdir()
     (tmp_path / FILE).write_text("kernel line", "utf-8")
+    (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = -p no:zarr -p no:anyio\n", "utf-8")
     content = f"def test_some() -> None:\n    text = open('{FILE}').read()\n    {test}\n"
     (tmp_path / "tests/test_some.py").write_text(content, "utf-8")
     mutant = Mutant(FILE, 7, 1, Owner("kernel", 0, 11), "kernel line", "line", "text", 0)

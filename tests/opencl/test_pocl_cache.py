@@ -13,7 +13,7 @@ import pytest
 
 from clsco import resources
 from clsco.opencl import pocl_cache as poclcache
-from tests.slow import mostly_slow
+from tests.slow import combined
 
 RENDER = """\
 import sys
@@ -92,8 +92,10 @@ def flip(path: Path) -> None:
     path.write_bytes(content)
 
 
-@pytest.mark.parametrize("pattern", ["program.bc", "second.so"])
-@pytest.mark.parametrize("damage", mostly_slow([overwrite, cut, flip, Path.unlink], [overwrite]))
+@pytest.mark.parametrize(
+    ("damage", "pattern"),
+    combined([overwrite, cut, flip, Path.unlink], ["program.bc", "second.so"], kept=[(overwrite, "second.so")]),
+)
 def test_a_damaged_cache_is_found_and_rebuilt(
     start: Start, warm: Path, tmp_path: Path, pattern: str, damage: Callable[[Path], None]
 ) -> None:
@@ -124,8 +126,8 @@ def test_an_undamaged_cache_is_used(start: Start, warm: Path, tmp_path: Path) ->
 
 
 def test_many_cold_starts_at_once(start: Start, tmp_path: Path) -> None:
-    processes = [start(tmp_path) for _ in range(3)]
-    assert [ended(process) for process in processes] == [(0, "256\n512\n")] * 3
+    processes = [start(tmp_path) for _ in range(2)]
+    assert [ended(process) for process in processes] == [(0, "256\n512\n")] * 2
 
 
 def test_a_folder_that_the_user_has_set_stays() -> None:

@@ -13,6 +13,7 @@ from clsco.optics.pupils.ellipse import Ellipse
 from clsco.optics.pupils.image import image_pupil
 from clsco.optics.pupils.polygon import Polygon
 from clsco.optics.pupils.pupil import Pupil
+from tests.slow import mostly_slow
 
 CELLS = np.random.default_rng(5).integers(0, 2, (5, 5)).astype(np.float64)  # not a part of what is wider
 MASK = CELLS.repeat(8, axis=0).repeat(8, axis=1)
@@ -20,7 +21,7 @@ PUPILS: list[Pupil] = [Polygon(5, 8.0), CurvedPolygon(4, 20.0, -0.6), Ellipse(2.
 LARGEST = 7.0
 
 
-@pytest.mark.parametrize("pupil", PUPILS, ids=lambda pupil: pupil.name)
+@pytest.mark.parametrize("pupil", mostly_slow(PUPILS, PUPILS[1::2]), ids=lambda pupil: pupil.name)
 def test_groups_of_intervals(pupil: Pupil) -> None:
     """Any group that a window holds has the weights of rows, no light beyond its outline, and in its runs the weight
     that stands first."""

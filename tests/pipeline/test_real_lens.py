@@ -149,13 +149,6 @@ def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
     assert_strips_agree(tall, ("blur_radius",))
 
 
-@pytest.mark.parametrize("options", mostly_slow([{"precision": "single"}, {"method": "scatter"}], []))
-def test_single_precision_and_other_methods(options: dict[str, Any]) -> None:
-    wanted = next(iter(reference_frames(SCENES["all"])))
-    found = clsco.render_frame(SCENES["all"], **options)
-    assert np.abs(found.color - wanted.color).max() < 1e-5
-
-
 @pytest.mark.slow
 def test_coverage_is_that_of_green_light() -> None:
     found = clsco.render_frame(SCENES["all"], truth=("alpha",))

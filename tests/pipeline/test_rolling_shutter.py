@@ -38,7 +38,7 @@ def scene(*items: dict[str, Any], sections: dict[str, Any] | None = None, **sequ
     ("scan", "sections", "curve"),
     [
         pytest.param(scan, *each, marks=[pytest.mark.slow] * (scan != first))
-        for each, first in {0: ((None, "box"), "left_to_right"), 1: ((LAYERED, "triangle"), "bottom_to_top"),
+        for each, first in {0: ((None, "box"), "left_to_right"), 1: ((LAYERED, "triangle"), ""),
                             2: ((FLAT, [1.0, 0.0, 0.5]), "")}.values()
         for scan in SCANS
     ],

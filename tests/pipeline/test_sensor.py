@@ -103,8 +103,9 @@ def test_strips_have_the_bits_of_the_whole(name: str) -> None:
     assert_strips_agree(named(name), SENSOR_NAMES)
 
 
+@pytest.mark.slow
 @pytest.mark.processor
-@pytest.mark.parametrize("threads", mostly_slow(["1", "3"], ["3"]))
+@pytest.mark.parametrize("threads", ["1", "3"])
 def test_with_other_threads(threads: str) -> None:
     code = "from tests.pipeline.test_sensor import codes_sum; print(codes_sum())"
     root = Path(__file__).resolve().parents[2]
@@ -337,7 +338,7 @@ def test_codes_of_a_scene_without_a_sensor_are_refused(tmp_path: Path) -> None:
     assert "truth: the scene must have raw; got png" in found.output
 
 
-@pytest.mark.parametrize("scan", ["top_to_bottom", "left_to_right"])
+@pytest.mark.parametrize("scan", mostly_slow(["top_to_bottom", "left_to_right"], ["left_to_right"]))
 def test_a_rolling_shutter_is_read_out_once(scan: str) -> None:
     """Each line has its own light, which the sensor counts when all time samples are added."""
     sequence = {"samples": 7, "interval": 2.0, "shutter": 0.5, "readout": 0.5, "scan": scan}

@@ -103,7 +103,8 @@ def test_the_same_frames(name: str, plainly: Make) -> None:
     assert_alike(rendered(wanted, truth=()), plainly(wanted))
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ["ball that passes"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
 def test_the_frames_of_the_reference(name: str) -> None:
     wanted = scene(name, sequence={"samples": 3})
     assert divided(wanted)
@@ -117,20 +118,6 @@ def test_what_passes_at_the_middle_is_seen(plainly: Make) -> None:
     first, middle = (found.subframes[k] for k in (0, 2))
     assert np.abs(first - middle)[18:30, 20:40].max() > 0.1  # it is before the card at the middle alone
     assert_alike(rendered(wanted, truth=()), plainly(wanted))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["scatter"])
-def test_other_methods(method: str, plainly: Make) -> None:
-    wanted = scene("ball before a card, a tube and a photo")
-    found, exact = rendered(wanted, truth=(), method=method), plainly(wanted, method=method)
-    assert_alike(found, exact)
-
-
-@pytest.mark.slow
-def test_single_precision(plainly: Make) -> None:
-    wanted = scene("ball before a card, a tube and a photo")
-    assert_alike(rendered(wanted, truth=(), precision="single"), plainly(wanted, precision="single"), 5e-6)
 
 
 @pytest.mark.slow

@@ -51,7 +51,8 @@ def test_no_slit(name: str, precision: str) -> None:
     np.testing.assert_array_equal(found.depth, expected.depth)
 
 
-@pytest.mark.parametrize("name", mostly_slow(CASES, ("tube",)))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
 def test_the_reference_has_no_slit_either(name: str) -> None:
     item, touching, _ = CASES[name]
     small = scene(item, touching).replace("camera.resolution", [32, 32]).replace("camera.pixel_pitch", 0.14)

@@ -44,7 +44,7 @@ SCENES: dict[str, Scene] = {
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ("plain", "stereo")))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ["plain"]))
 def test_device_against_reference(name: str) -> None:
     frames = rendered(SCENES[name])
     assert_agree(frames, reference_frames(SCENES[name]))

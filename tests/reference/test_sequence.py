@@ -14,6 +14,7 @@ from clsco.reference.inpainting.fill import Method
 from clsco.reference.sequence import render
 from clsco.scene.model import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
 from tests.scenes import scene_of
+from tests.slow import mostly_slow
 from tests.spreads import convolve
 
 SHAPE = (24, 32)
@@ -73,7 +74,7 @@ def test_motion_by_whole_pixels_is_a_mean_of_shifts(warp: str) -> None:
         assert [s["missing_pixels"] for s in steps] == [0] * 4
 
 
-@pytest.mark.parametrize("method", ["ait", "mean_median"])
+@pytest.mark.parametrize("method", mostly_slow(["ait", "mean_median"], ["ait"]))
 def test_warps_agree_where_nothing_was_hidden(method: Method) -> None:
     item = Cylinder(
         center=(0.0, 0.0, 285.0),

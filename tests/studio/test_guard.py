@@ -183,6 +183,9 @@ PLACES = (
 )  # fmt: skip
 
 
+METHODS = ("GET", "POST", "HEAD", "PUT", "OPTIONS", "DELETE")
+
+
 def test_no_request_without_all_of_it_is_answered(running: Running) -> None:
     name, _, value = running.cookie["Cookie"].partition("=")
     token = running.address.rpartition("=")[2]
@@ -199,12 +202,12 @@ def test_no_request_without_all_of_it_is_answered(running: Running) -> None:
     with httpx.Client(base_url=running.origin, timeout=30) as client:
         for before, headers in wrong:
             for path in PLACES:
-                for method in ("GET", "POST", "HEAD", "PUT", "OPTIONS", "DELETE"):
+                for method in METHODS if headers is wrong[0][1] else METHODS[:2]:
                     answer = client.request(method, f"{before}{path}" or "/", headers={**own, **headers})
                     assert answer.status_code == 403, (method, before, path, headers)
                     assert method == "HEAD" or "clsco studio" in answer.text or "own page" in answer.text
                     count += 1
-    assert count == 792
+    assert count == 66 + 11 * 22
 
 
 OUTSIDE = ("etc/passwd", "../guard.py", "../../../../../../../../etc/passwd")

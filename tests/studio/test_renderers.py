@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
 
 import pytest
 
 from clsco.scene.model import Scene
 from clsco.studio.pictures import DRAGGING, EXACT
-from clsco.studio.renderer import PictureJob, RendererEndedError
+from clsco.studio.renderer import PictureJob
 from clsco.studio.renderers import Renderers
 from tests.studio.test_renderer import all_of, several, small
 
@@ -32,11 +30,6 @@ def test_previews_come_while_a_frame_is_rendered() -> None:
             exact.cancel()
             (other,) = await all_of(renderers.pictures(PictureJob(small(), 0, "color", DRAGGING)))  # by the first
             assert other.full == (48, 40)
-            assert renderers._quick.pid is not None
-            os.kill(renderers._quick.pid, signal.SIGKILL)
-            with pytest.raises(RendererEndedError, match="signal 9"):
-                await all_of(renderers.pictures(PictureJob(several(), 0, "color", DRAGGING)))
-            await all_of(renderers.pictures(PictureJob(several(), 0, "color", DRAGGING)))
         finally:
             renderers.close()
 

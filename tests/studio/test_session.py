@@ -291,7 +291,7 @@ def _random_patch(draw: random.Random, session: Document) -> tuple[str, Any]:
 
 def test_a_random_walk_leads_back(session: Document) -> None:
     draw = random.Random(1)
-    for step in range(500):
+    for step in range(200):
         if draw.random() < 0.05:
             if len(session.table["object"]) < 3:
                 session.add_object(draw.choice(["sphere", "cone"]))

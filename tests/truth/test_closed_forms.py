@@ -17,6 +17,7 @@ from clsco.truth.judge import trace_frame
 from clsco.truth.pixels import labels_at
 from clsco.truth.poses import rotation_matrix
 from clsco.truth.problem import make_problem
+from tests.slow import mostly_slow
 
 PITCH, S0, APERTURE = 0.01, 20.0, 10.0
 FOCUS_TERM = 1 / 20.0 - 1 / 21.739
@@ -82,7 +83,7 @@ def test_a_uniform_plane_gives_a_uniform_image_up_to_the_border() -> None:
     np.testing.assert_allclose(image, 0.375, rtol=0, atol=1e-14)  # as above
 
 
-@pytest.mark.parametrize("radius", [6.0, -4.5])
+@pytest.mark.parametrize("radius", mostly_slow([6.0, -4.5], [-4.5]))
 def test_a_bright_texel_becomes_a_disc(radius: float) -> None:
     texture = np.zeros((31, 33))
     texture[12, 18] = 1.0
@@ -104,7 +105,7 @@ def test_a_bright_texel_becomes_a_disc(radius: float) -> None:
     assert not image[np.hypot(rows - 12, columns - 18) > abs(radius) + math.sqrt(2)].any()
 
 
-@pytest.mark.parametrize("radius", [6.0, -6.0])
+@pytest.mark.parametrize("radius", mostly_slow([6.0, -6.0], [6.0]))
 def test_a_tilted_plane_displaces_the_light_towards_larger_blur(radius: float) -> None:
     texture = np.zeros((35, 35))
     texture[17, 17] = 1.0

@@ -68,7 +68,7 @@ def test_no_light_is_lost(name: str, edge: str) -> None:
         np.testing.assert_array_less(np.abs(found - psf.weights(-x, -y, np.asarray(-radius))), 1e-12)
 
 
-@pytest.mark.parametrize("name", OPENINGS)
+@pytest.mark.parametrize("name", mostly_slow(OPENINGS, ["bulging, narrow", "concave", "thin ring", "heart, narrow"]))
 def test_weights_are_areas_by_brute_force(name: str) -> None:
     """Points of the opening, each seen from points of the pixel."""
     psf, radius = opening(name), -2.7
