@@ -51,7 +51,7 @@ def alone(wanted: Scene, time: float) -> Scene:
 
 
 @pytest.mark.parametrize(
-    "name", mostly_slow(["before a wall", "one radius", "layered", "gaussian"], ("before a wall", "one radius"))
+    "name", mostly_slow(["before a wall", "one radius", "layered"], ("before a wall", "one radius"))
 )
 def test_a_frame_is_the_mean_of_frames_with_the_lenses_of_its_time_samples(name: str) -> None:
     wanted = SCENES[name]
