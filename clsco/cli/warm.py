@@ -8,7 +8,7 @@ import numpy as np
 
 from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
-from clsco.engine.warm import run_near
+from clsco.engine.warm import run_plausible_plans
 from clsco.frame.outputs import ALL_TRUTH
 from clsco.opencl.session import session_for
 from clsco.plan.prepare import prepare
@@ -29,7 +29,7 @@ def compile_usual_kernels(device: str | None) -> tuple[int, int]:
     precisions = ("double", "single") if session.device.has_fp64 else ("single",)
     for name, precision in product(EXAMPLES, precisions):
         request = Request(ALL_TRUTH, precision=precision)
-        count += run_near(session, prepare(example(name), request, session.device))
+        count += run_plausible_plans(session, prepare(example(name), request, session.device))
     radii = np.linspace(-RADIUS, RADIUS, SIDE * SIDE).reshape(SIDE, SIDE)
     one_radius = np.full_like(radii, RADIUS)
     hole = np.zeros((SIDE, SIDE), np.bool_)
