@@ -72,7 +72,7 @@ def test_a_pass_that_lacks_what_it_takes_is_refused() -> None:
 
 
 def met(plan: Plan, **changes: Any) -> SourceStatistics:
-    """Met sources that a plan has just room for, with some changes."""
+    """Statistics of sources that a plan has just room for, with some changes."""
     return replace(SourceStatistics(plan.smallest_blur, plan.largest_blur, False), **changes)
 
 
