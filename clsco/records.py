@@ -29,7 +29,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     stack.
     texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t:
     see `clsco.optics.motion.Pose`; step: slope between neighboring rays at that time. exposure_t: see
-    `clsco.optics.still.Exposed`; still: 1 to make still sources, 0 to make the others, in the window.
+    `clsco.optics.still.StillSplit`; still: 1 to make still sources, 0 to make the others, in the window.
     group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
     psf_t: conversion of a blur radius to a table coordinate, the intervals that the tables hold (first, count), and the
     range that radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens

@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 
 from clsco.opencl.buffers import empty
-from clsco.opencl.pace import spent
+from clsco.opencl.pace import event_seconds
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
 from clsco.opencl.source_text import without_output
@@ -82,17 +82,17 @@ def measure_roof(session: Session) -> Roof:
         program = cl.Program(session.context, SOURCE).build()
     multiply_add, triad = (cl.Kernel(program, name) for name in ("multiply_add", "triad"))
     local, items = (1, 64 * device.compute_units) if device.kind == "cpu" else (64, 2048 * device.compute_units)
-    out, count, spent = empty(session, 4 * LANES * items), 500, 0.0
-    while spent < LONG_ENOUGH_NS and count < 2**28:
+    out, count, fastest_ns = empty(session, 4 * LANES * items), 500, 0.0
+    while fastest_ns < LONG_ENOUGH_NS and count < 2**28:
         count *= 2
         sizes, args = ((items,), (local,)), (np.float32(0.999), np.float32(0.001), np.int32(count), out)
-        spent = _fastest(session, multiply_add, *sizes, *args)
+        fastest_ns = _fastest(session, multiply_add, *sizes, *args)
     size = min(TRIAD_BYTES, device.max_alloc // 1024 * 1024)
     arrays = [empty(session, size) for _ in range(3)]
     for array in arrays:
         cl.enqueue_fill_buffer(session.queue, array, np.ones(1, np.float32), 0, size)
     moved = _fastest(session, triad, (size // 16,), (64,), *arrays, np.float32(0.5))
-    return Roof(triad_rate(size, moved), multiply_add_rate(items, count, spent))
+    return Roof(triad_rate(size, moved), multiply_add_rate(items, count, fastest_ns))
 
 
 def _fastest(
@@ -101,4 +101,4 @@ def _fastest(
     """Shortest time of some launches in ns."""
     events = [launch(session, kernel, size, local, *args) for _ in range(1 + REPETITIONS)]
     session.queue.finish()
-    return 1e9 * min(sum(map(spent, pieces)) for pieces in events[1:])
+    return 1e9 * min(sum(map(event_seconds, pieces)) for pieces in events[1:])

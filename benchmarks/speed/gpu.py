@@ -30,7 +30,7 @@ from benchmarks.speed import lenses
 from benchmarks.tables import Figures, write_table
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
-from clsco.opencl.pace import spent
+from clsco.opencl.pace import event_seconds
 from clsco.opencl.session import session_on
 from clsco.passes.blur import Events
 from clsco.scene.model import Psf, Scene
@@ -111,7 +111,7 @@ def spread(method: str, radius: float, channels: int) -> Call:
         events: Events = []
         found, total = made(device)(events), defaultdict[str, float](float)
         for name, event in events:
-            total[name] += 1e3 * spent(event)
+            total[name] += 1e3 * event_seconds(event)
         return found, total
 
     return call

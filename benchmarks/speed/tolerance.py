@@ -50,8 +50,8 @@ def main() -> None:
         for tolerance in options.tolerance:
             report = ApproximationReport(**frames[tolerance].metadata["approximation"])
             error = float(np.sqrt(np.mean((frames[tolerance].color - exact) ** 2)))
-            counts = f"{report.samples} of {report.of_samples}, {report.silhouette_samples} of "
-            counts += f"{report.of_silhouette_samples}"
+            counts = f"{report.samples} of {report.scene_samples}, {report.silhouette_samples} of "
+            counts += f"{report.scene_silhouette_samples}"
             taken = statistics.median(spent[tolerance])
             figures = f"{report.rms_error:.1e} | {error:.1e} | {whole:.0f} | {taken:.0f} | {whole / taken:.2f}"
             print(f"| {name} | {tolerance:g} | {counts} | {figures} |", flush=True)

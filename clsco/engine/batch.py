@@ -57,15 +57,15 @@ def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
     """
     if len(scenes) == 1:
         return [out]
-    found: dict[Path, Path] = {}
+    scenes_by_folder: dict[Path, Path] = {}
     for scene in scenes:
         folder = out / scene.stem
         _require_inside(folder, out, scene)
-        if folder in found:
+        if folder in scenes_by_folder:
             rule = f"scenes that are rendered together must have different names; got another {scene.name}"
-            raise SceneError(f"{scene}: {rule}, {found[folder]}")
-        found[folder] = scene
-    return list(found)
+            raise SceneError(f"{scene}: {rule}, {scenes_by_folder[folder]}")
+        scenes_by_folder[folder] = scene
+    return list(scenes_by_folder)
 
 
 def _require_inside(folder: Path, out: Path, where: Path) -> None:
@@ -74,7 +74,7 @@ def _require_inside(folder: Path, out: Path, where: Path) -> None:
         raise SceneError(f"{where}: frames must stay inside {out}; got {folder}")
 
 
-def wanted(scene: Scene, span: Span, where: str) -> range:
+def frame_range(scene: Scene, span: Span, where: str) -> range:
     """Numbers of the frames from span[0] up to but not including span[1], by default all.
 
     Raises SceneError if the scene has no such frames.
@@ -102,36 +102,36 @@ def prepare(
     writable.
     """
     scene, request = prepared.scene, prepared.request
-    about = record(scene, digests)
+    entries = record(scene, digests)
     make_writable_folder(folder)
     remove_left(folder)
     for _, item in scene.inputs:
-        for what, path in ((key, Path(name)) for key, name in item.files().items()):
+        for kind, path in ((key, Path(name)) for key, name in item.files().items()):
             if path.stem.startswith("frame_") and is_same_place(path.parent, folder):
-                raise FileError(f"{path}: a {what} must not lie where frames are written; got {folder}")
+                raise FileError(f"{path}: a {kind} must not lie where frames are written; got {folder}")
 
     image = ["color"] if prepared.plan.color else []
-    held = {FILE_NAMES[name] for name in (*image, *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
+    names = {FILE_NAMES[name] for name in (*image, *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
     subframes = prepared.plan.subframes if "subframes" in request.truth else 0
     tolerance = None if prepared.approximation is None else prepared.approximation.tolerance
 
-    def is_there(index: int) -> bool:
+    def is_complete(index: int) -> bool:
         content = read_complete(folder, index)
         if content is None:
             return False
-        if any(content.get(key) != about[key] for key in ("version", "scene_sha256")):
+        if any(content.get(key) != entries[key] for key in ("version", "scene_sha256")):
             return False
-        whole = frame_files(index, scene.stereo is not None, files, subframes, held) <= set(content["files"])
-        whole = whole and holds_truth(content, files)
+        has_files = frame_files(index, scene.stereo is not None, files, subframes, names) <= set(content["files"])
+        has_files = has_files and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
         from clsco.plan.approximation import same_tolerance
 
-        alike = all(same_tolerance(view.get("approximation"), tolerance) for view in views)
-        return whole and alike and all(request.precision in (None, view.get("precision")) for view in views)
+        same = all(same_tolerance(view.get("approximation"), tolerance) for view in views)
+        return has_files and same and all(request.precision in (None, view.get("precision")) for view in views)
 
-    left = tuple(index for index in frames if not (resume and is_there(index)))
-    before = {index: _written(folder, index) for index in left}
-    return Job(prepared, about, folder, left, files, before)
+    pending = tuple(index for index in frames if not (resume and is_complete(index)))
+    before = {index: _write_time(folder, index) for index in pending}
+    return Job(prepared, entries, folder, pending, files, before)
 
 
 def prepare_all(
@@ -139,7 +139,7 @@ def prepare_all(
 ) -> list[Job]:  # fmt: skip
     """`prepare` for every scene of several files, each file in its folder of `folders`.
 
-    Raises as these and `wanted`, and SceneError if `files` name arrays that a scene does not have.
+    Raises as these and `frame_range`, and SceneError if `files` name arrays that a scene does not have.
     """
     _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
@@ -149,33 +149,34 @@ def prepare_all(
         for label in filter(None, labels):
             _require_inside(folder / label, folder, path)
     chosen = [
-        (each, folder / label, wanted(each.scene, span, str(path)))
+        (entry, folder / label, frame_range(entry.scene, span, str(path)))
         for (path, labels, prepared), folder in places
-        for label, each in zip(labels, prepared, strict=True)
+        for label, entry in zip(labels, prepared, strict=True)
     ]
-    digests = file_digests(each.scene for each, _, _ in chosen)
-    return [prepare(*what, files, resume, digests) for what in chosen]
+    digests = file_digests(entry.scene for entry, _, _ in chosen)
+    return [prepare(*arguments, files, resume, digests) for arguments in chosen]
 
 
 def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile]) -> None:
     """Raise SceneError for arrays that were asked for by name and that a scene does not have."""
     faults = dict[str, None]()
-    named = {ATTRIBUTES[name]: file for file in files for name in _required(file)}
+    files_by_name = {ATTRIBUTES[name]: file for file in files for name in _required(file)}
     for path, _, prepared in planned:
-        missing = [name for each in prepared for name in named if name not in each.plan.truth]
-        faults.update({f"{path}: truth: the scene must have {name}; got {named[name]}": None for name in missing})
+        missing = [name for entry in prepared for name in files_by_name if name not in entry.plan.truth]
+        rule = f"{path}: truth: the scene must have"
+        faults.update({f"{rule} {name}; got {files_by_name[name]}": None for name in missing})
     if faults:
         raise SceneError(list(faults))
 
 
 def _required(file: TruthFile) -> list[str]:
     """Arrays in files that a scene must have: those asked for by name, or required by the format."""
-    known = TRUTH_FORMATS[file.format]
-    names = file.names or (known.arrays[:1] if known.per == "array" else ())
+    truth_format = TRUTH_FORMATS[file.format]
+    names = file.names or (truth_format.arrays[:1] if truth_format.per == "array" else ())
     return [name for name in names if name not in ("color", *IMAGE_NAMES)]
 
 
-def _written(folder: Path, index: int) -> int | None:
+def _write_time(folder: Path, index: int) -> int | None:
     """Time in ns at which a frame was written; None if it does not exist."""
     try:
         return frame_json(folder, index).stat().st_mtime_ns
@@ -191,10 +192,10 @@ def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterato
     are written after all of its frames. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
     """
     session = session_for(device)
-    for _, alike in groupby(
+    for _, group in groupby(
         (job for job in jobs if job.frames), key=lambda job: (job.frames, job.files, job.prepared.request)
     ):
-        members = list(alike)
+        members = list(group)
         largest = max(job.prepared.plan.rows * job.prepared.plan.columns for job in members)
         count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
         for start in range(0, len(members), count):
@@ -216,11 +217,11 @@ def _run_together(session: Session, jobs: Sequence[Job], check: bool) -> Iterato
             left = frame
             continue
         job, views = jobs[number], (frame,) if left is None else (left, frame)
-        if _written(job.folder, frame.index) != job.before[frame.index]:
+        if _write_time(job.folder, frame.index) != job.before[frame.index]:
             where = frame_json(job.folder, frame.index)
             raise FileError(f"{where}: frames must have one writer at a time; got one that another process wrote")
         scene = job.prepared.scene
-        about = job.folder, views, frame.metadata["bits"], scene.image.transfer, job.files, job.record
-        write_frame(*about, scene=scene, color=job.prepared.color)
+        arguments = job.folder, views, frame.metadata["bits"], scene.image.transfer, job.files, job.record
+        write_frame(*arguments, scene=scene, color=job.prepared.color)
         left = None
         yield job, views

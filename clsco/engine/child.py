@@ -14,7 +14,7 @@ from typing import Any
 
 ORPHAN_S = 10.0  # for the end of a process whose parent was killed
 _LARGEST = 31 << 20  # B, of the blocks that glibc learns from
-_last: list[Callable[[], object]] = []
+_end_actions: list[Callable[[], object]] = []
 
 
 class Child:
@@ -26,8 +26,8 @@ class Child:
     Parameters
     ----------
     work : callable
-        Function of a module; called with the child's end of the pipe and `given`.
-    *given : object
+        Function of a module; called with the child's end of the pipe and `arguments`.
+    *arguments : object
         Arguments that can be pickled.
     environ : mapping, optional
         Additional environment variables.
@@ -38,10 +38,10 @@ class Child:
         Receives its messages, and raises EOFError after its end.
     """
 
-    def __init__(self, work: Callable[..., None], *given: Any, environ: Mapping[str, str] | None = None) -> None:
+    def __init__(self, work: Callable[..., None], *arguments: Any, environ: Mapping[str, str] | None = None) -> None:
         context = multiprocessing.get_context("spawn")  # threads and drivers do not survive a fork
-        self.pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_run, args=(work, theirs, given), daemon=True)
+        self.pipe, child_pipe = context.Pipe()
+        self._process = context.Process(target=_run, args=(work, child_pipe, arguments), daemon=True)
         before = {name: os.environ.get(name) for name in environ or ()}
         os.environ.update(environ or {})
         try:
@@ -52,7 +52,7 @@ class Child:
                     del os.environ[name]
                 else:
                     os.environ[name] = value
-        theirs.close()  # so that its end is heard here
+        child_pipe.close()  # otherwise the pipe would not report the end of the child
 
     @property
     def pid(self) -> int:
@@ -97,16 +97,16 @@ def how_ended(status: int) -> str:
 
 def at_forced_end(action: Callable[[], object]) -> None:
     """Register an action that this child process runs before it ends by force because its parent was killed."""
-    _last.append(action)
+    _end_actions.append(action)
 
 
-def _run(work: Callable[..., None], pipe: Connection, given: tuple[Any, ...]) -> None:
+def _run(work: Callable[..., None], pipe: Connection, arguments: tuple[Any, ...]) -> None:
     """Entry point of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     bytearray(_LARGEST)  # once it was freed, glibc keeps the pages of each picture for the next
-    with suppress(EOFError, BrokenPipeError):  # nobody waits any more
-        work(pipe, *given)
+    with suppress(EOFError, BrokenPipeError):  # the parent has closed the pipe
+        work(pipe, *arguments)
 
 
 def _end_with_parent() -> None:
@@ -114,6 +114,6 @@ def _end_with_parent() -> None:
         wait([parent.sentinel])
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(ORPHAN_S)
-    for action in _last:
+    for action in _end_actions:
         action()
     os._exit(1)

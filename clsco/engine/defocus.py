@@ -27,11 +27,11 @@ from clsco.optics.waves import check_waves
 from clsco.passes.blur import Image, Maps, Sources
 from clsco.passes.job import Job
 from clsco.passes.pack import grid_struct
-from clsco.passes.static_image import GivenImage
+from clsco.passes.static_image import HostImage
 from clsco.passes.tables import forget_others
 from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
-from clsco.plan.memory import Limit, device_bytes, fitted, limit_of
+from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of
 from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur, has_few_taps
 from clsco.plan.passes import Pass
 from clsco.plan.predict import guard_band
@@ -56,7 +56,7 @@ class Options(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Settings:
     """Checked `Options` with their defaults. Raises SceneError."""
 
     aperture: ApertureLike = None
@@ -170,14 +170,14 @@ def defocus(
     >>> bool(abs(blurred[12, 16] - 1 / (np.pi * 3.0**2)) < 1e-4), round(float(blurred.sum()), 4)
     (True, 1.0)
     """
-    asked, how = psf_of(psf).of_images(), _Asked(**options)
-    aperture, camera = aperture_of(how.aperture, asked), camera_of(how.camera)
-    session, (picture, radii), as_given = on_host(how.device, image=image, blur_radius=blur_radius)
+    model, settings = psf_of(psf).of_images(), _Settings(**options)
+    aperture, camera = aperture_of(settings.aperture, model), camera_of(settings.camera)
+    session, (picture, radii), as_given = on_host(settings.device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     if camera is not None and picture.ndim > 1:
         camera = camera.model_copy(update={"resolution": picture.shape[1::-1]})
-    spread = load_point_spread(asked, aperture, camera=camera)
-    spreads = spreads_of_colors(spread, asked, camera)
+    spread = load_point_spread(model, aperture, camera=camera)
+    spreads = spreads_of_colors(spread, model, camera)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
     if aperture.exposure == "area":
@@ -185,16 +185,18 @@ def defocus(
         if codes and has_alpha(linear):
             light[-1] = 1.0
         linear = linear * light
-    given = _checked(linear, radii, how.outside == "mirror" and asked.border == "lose")
-    given, soft = _with_hard_edges(given) if how.soft_edges == "assign" else (given, 0)
+    inputs = _check_inputs(linear, radii, settings.outside == "mirror" and model.border == "lose")
+    inputs, soft = _assign_edges(inputs) if settings.soft_edges == "assign" else (inputs, 0)
     with session.reporting():
-        limit = limit_of(how.memory, session.device)
-        if limit.given:
+        limit = limit_of(settings.memory, session.device)
+        if limit.set_by_user:
             forget_others(session)
-        device, method = session.device, how.method
-        result = _in_colors(
-            given, spreads, lambda part, psf: _blurred(session, part, _spec(part, psf, asked, method, device), limit)
-        )
+        device, method = session.device, settings.method
+
+        def blur(part: _Inputs, psf: PointSpread) -> NDArray[np.float32]:
+            return _blur_image(session, part, _spec(part, psf, model, method, device), limit)
+
+        result = _blur_colors(inputs, spreads, blur)
         blurred = as_given(encode_channels(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 
@@ -213,7 +215,7 @@ class DefocusReport:
 
 
 @dataclass(frozen=True)
-class _Given:
+class _Inputs:
     """An image (rows, columns[, channels]), its map of signed radii, and properties of both.
 
     mirrored: both continue as mirror images beyond the border.
@@ -231,7 +233,7 @@ class _Given:
         return int(self.image.shape[2]) if self.image.ndim == 3 else 1
 
 
-def _checked(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Given:
+def _check_inputs(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Inputs:
     check_image(picture)
     if radii.shape != picture.shape[:2]:
         rule = f"must have the rows and columns of the image, {picture.shape[:2]}"
@@ -250,105 +252,105 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Giv
         raise ArgumentError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     low, high = ends[1]
     smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # or less than that, without reading all again
-    return _Given(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)
+    return _Inputs(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)
 
 
-def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
+def _assign_edges(inputs: _Inputs) -> tuple[_Inputs, int]:
     """Assign radii between those of two surfaces to one of them; also returns the number of such pixels."""
-    known = given.coc if given.coc.dtype in (np.float32, np.float64) else given.coc.astype(np.float64)
-    pixels, radii = assign_soft_edges(known, None, lambda: given.image)
+    coc_floats = inputs.coc if inputs.coc.dtype in (np.float32, np.float64) else inputs.coc.astype(np.float64)
+    pixels, radii = assign_soft_edges(coc_floats, None, lambda: inputs.image)
     if not len(pixels):
-        return given, 0
-    coc = given.coc.astype(np.float64)
+        return inputs, 0
+    coc = inputs.coc.astype(np.float64)
     coc.flat[pixels] = radii
-    return replace(given, coc=coc.astype(np.promote_types(given.coc.dtype, np.float16), copy=False)), len(pixels)
+    return replace(inputs, coc=coc.astype(np.promote_types(inputs.coc.dtype, np.float16), copy=False)), len(pixels)
 
 
-def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, device: DeviceFacts) -> BlurSpec:
+def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: DeviceFacts) -> BlurSpec:
     check_shape(psf, method)
-    check_waves(psf, given.largest)
-    constant = given.smallest == given.largest and can_convolve(psf, asked.border)
-    few_taps = has_few_taps(device, given.largest, given.channels)
-    blur = choose_blur(method, psf.is_sharp(given.largest), constant, device.kind == "gpu", few_taps=few_taps).value
-    layered = asked.occlusion == "layered" and blur != "convolve"
+    check_waves(psf, inputs.largest)
+    one_stencil = inputs.smallest == inputs.largest and can_convolve(psf, model.border)
+    few_taps = has_few_taps(device, inputs.largest, inputs.channels)
+    blur = choose_blur(method, psf.is_sharp(inputs.largest), one_stencil, device.kind == "gpu", few_taps=few_taps).value
+    layered = model.occlusion == "layered" and blur != "convolve"
     return BlurSpec(
-        psf, blur, given.smallest, given.largest, tilt=asked.tilt, brightest=given.brightest, border=asked.border,
+        psf, blur, inputs.smallest, inputs.largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
         layered=layered,
     )  # fmt: skip
 
 
-def _in_colors(
-    given: _Given, spreads: Sequence[PointSpread], blurred: Callable[[_Given, PointSpread], NDArray[np.float32]]
+def _blur_colors(
+    inputs: _Inputs, spreads: Sequence[PointSpread], blur: Callable[[_Inputs, PointSpread], NDArray[np.float32]]
 ) -> NDArray[np.float32]:
     """The blurred image; each color is blurred by itself if its point spread function differs."""
-    if given.channels != len(spreads) or len(set(spreads)) == 1:
-        return blurred(given, spreads[GREEN])
-    parts = (replace(given, image=np.ascontiguousarray(given.image[..., color])) for color in range(len(spreads)))
-    return np.stack([blurred(part, psf) for part, psf in zip(parts, spreads, strict=True)], axis=-1)
+    if inputs.channels != len(spreads) or len(set(spreads)) == 1:
+        return blur(inputs, spreads[GREEN])
+    parts = (replace(inputs, image=np.ascontiguousarray(inputs.image[..., color])) for color in range(len(spreads)))
+    return np.stack([blur(part, psf) for part, psf in zip(parts, spreads, strict=True)], axis=-1)
 
 
-def _guard(given: _Given, spec: BlurSpec) -> int:
+def _guard_px(inputs: _Inputs, spec: BlurSpec) -> int:
     lanes = 2 * TAP_LANES if spec.method == "convolve" else 0
-    if given.mirrored:
-        return guard_band(spec.psf, spec.border, given.largest) + lanes
-    return spec.psf.reach(given.largest) + lanes if lanes else 0
+    if inputs.mirrored:
+        return guard_band(spec.psf, spec.border, inputs.largest) + lanes
+    return spec.psf.reach(inputs.largest) + lanes if lanes else 0
 
 
-def _blurred(session: Session, given: _Given, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
+def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
     """Blur the image in as few strips as fit the limit."""
     if spec.method == "none":
-        return given.image.astype(np.float32)
-    rows, columns = given.coc.shape
-    plan = ImagePlan(spec, session.device, rows, columns, given.channels, _guard(given, spec))
-    memory = Shrinking(session, limit, lambda known: fitted(plan, known), device_bytes)
-    return memory.run(lambda fitting: _in_strips(session, given, fitting))
+        return inputs.image.astype(np.float32)
+    rows, columns = inputs.coc.shape
+    plan = ImagePlan(spec, session.device, rows, columns, inputs.channels, _guard_px(inputs, spec))
+    memory = Shrinking(session, limit, lambda smaller: fit_strips(plan, smaller), device_bytes)
+    return memory.run(lambda fitting: _blur_strips(session, inputs, fitting))
 
 
-def _in_strips(session: Session, given: _Given, plan: ImagePlan) -> NDArray[np.float32]:
+def _blur_strips(session: Session, inputs: _Inputs, plan: ImagePlan) -> NDArray[np.float32]:
     """Blur the image in the strips of a plan."""
-    spec, shape = plan.spec, given.image.shape if plan.channels > 1 else given.coc.shape
+    spec, shape = plan.spec, inputs.image.shape if plan.channels > 1 else inputs.coc.shape
     real: Real = "double" if session.device.has_fp64 else "float"
     # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
     lends = len(plan.strips) == 1 and not plan.guard_px and spec.border == "lose"
-    floats = lends and not spec.layered and np.can_cast(given.coc.dtype, np.float32)
+    floats = lends and not spec.layered and np.can_cast(inputs.coc.dtype, np.float32)
     buffers = shared_buffers(session, plan, ("value", "coc", "valid") if floats else ("value", "coc") if lends else ())
     grids = (grid_struct(plan.rows, plan.columns, plan.guard_px, real, strip) for strip in plan.strips)
     jobs = [Job(strip=s, grid=grid, events=[]) for s, grid in zip(plan.strips, grids, strict=True)]
-    space = _ImageWorkspace(session, given, plan, jobs[0].grid, buffers, real, floats)
+    space = _ImageWorkspace(session, inputs, plan, jobs[0].grid, buffers, real, floats)
     bounds = space.find_layers(plan.passes, jobs) if len(jobs) > 1 else ()
     out = np.empty(shape, np.float32)
     for job in jobs:
         outputs = space.run(plan.passes, replace(job, bounds=bounds or None))  # with arrays that are lent until the end
         outputs["plane"].read(session, out[job.strip.inside])
-    return out.reshape(given.image.shape)
+    return out.reshape(inputs.image.shape)
 
 
-class _Source(GivenImage):
+class _Source(HostImage):
     """Supplies the image and its radii, in the precision of the geometry or as floats."""
 
-    def __init__(self, session: Session, given: _Given, plan: ImagePlan, dtype: Any) -> None:
-        super().__init__(session, given.image, plan.guard_px, "symmetric" if given.mirrored else "constant")
-        self.given, self.dtype, self.constant = given, dtype, plan.spec.method == "convolve"
+    def __init__(self, session: Session, inputs: _Inputs, plan: ImagePlan, dtype: Any) -> None:
+        super().__init__(session, inputs.image, plan.guard_px, "symmetric" if inputs.mirrored else "constant")
+        self.inputs, self.dtype, self.one_radius = inputs, dtype, plan.spec.method == "convolve"
 
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
-        if self.constant:
+        if self.one_radius:
             return {}
-        return {"coc": self._around(self.given.coc, strip).astype(self.dtype, "C", copy=False)}
+        return {"coc": self._around(self.inputs.coc, strip).astype(self.dtype, "C", copy=False)}
 
 
 class _ImageWorkspace(BlurWorkspace):
     """All passes of an image with its radii."""
 
     def __init__(
-        self, session: Session, given: _Given, plan: ImagePlan, grid: Struct, buffers: Mapping[str, cl.Buffer],
+        self, session: Session, inputs: _Inputs, plan: ImagePlan, grid: Struct, buffers: Mapping[str, cl.Buffer],
         real: Real, floats: bool,
     ) -> None:  # fmt: skip
         maps: Maps = "float" if floats else "wide"
         super().__init__(session, buffers, plan.spec, plan.grid, grid, real, maps)
-        self.source = _Source(session, given, plan, np.float32 if floats else REAL[real])
+        self.source = _Source(session, inputs, plan, np.float32 if floats else REAL[real])
         if "valid" in buffers:
             cl.enqueue_fill_buffer(session.queue, buffers["valid"], np.ones(1, np.uint8), 0, buffers["valid"].size)
 
     def static_image(self, job: Job, _: Pass) -> tuple[Image | Sources]:
-        image, given = self.source.image(job, self.buffers), self.source.given
-        return (Sources(None, image.value, radius=given.largest) if self.source.constant else image,)
+        image, inputs = self.source.image(job, self.buffers), self.source.inputs
+        return (Sources(None, image.value, radius=inputs.largest) if self.source.one_radius else image,)

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.frame.strips import Strip
-from clsco.opencl.pace import spent
+from clsco.opencl.pace import event_seconds
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
 from clsco.passes.blur import Events, Plane
-from clsco.passes.job import Part
+from clsco.passes.job import SourcePart
 from clsco.plan.plan import Plan
 
 if TYPE_CHECKING:
@@ -45,14 +45,14 @@ class Step:
     still: bool | None = None
 
 
-def _parts(plan: Plan, strip: Strip, steps: Sequence[Step]) -> dict[int, Strip]:
+def _strip_parts(plan: Plan, strip: Strip, steps: Sequence[Step]) -> dict[int, Strip]:
     """Steps that a strip needs, by number, with the part of the strip for each; still sources need all of it."""
-    found = {}
+    parts = {}
     for number, step in enumerate(steps):
         part = strip if step.still else plan.part(strip, step.weights)
         if part is not None:
-            found[number] = part
-    return found
+            parts[number] = part
+    return parts
 
 
 class Film:
@@ -78,9 +78,9 @@ class Film:
         Pixels that were missing at any time sample, filled or not.
     bounds : dict
         Bounds of the depth layers by number of the time sample, if they were found over all strips.
-    parts_of : dict
+    strip_parts : dict
         For each strip the steps that it needs by number, with the part of the strip that each runs on.
-    parts : dict
+    source_parts : dict
         Still and other parts of the sources by `Step.still`.
     events : list
         Events of kernel launches.
@@ -93,13 +93,13 @@ class Film:
         shape = (plan.rows, plan.columns)
         image = shape if plan.channels == 1 else (*shape, plan.channels)
         lines = plan.columns if exposure.by_columns else plan.rows
-        self.index, self.times, weights = index, exposure.times.tolist(), exposure.of_lines(lines)
-        still = None if not plan.divided else False
-        self.steps = tuple(Step(number, each, still) for number, each in enumerate(weights))
-        if plan.divided:
+        self.index, self.times, weights = index, exposure.times.tolist(), exposure.line_weights(lines)
+        still = None if not plan.splits_still else False
+        self.steps = tuple(Step(number, line_weights, still) for number, line_weights in enumerate(weights))
+        if plan.splits_still:
             self.steps = (Step(0, weights.sum(axis=0), True), *self.steps)
         self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
-        self.parts_of = {strip: _parts(plan, strip, self.steps) for strip in plan.strips}
+        self.strip_parts = {strip: _strip_parts(plan, strip, self.steps) for strip in plan.strips}
         self.color = np.empty(image, np.float32)
         planes = 0 if plan.sensor_model is None else len(plan.sensor_model.filters)
         self.code = np.empty((*shape, planes), np.uint16)
@@ -107,7 +107,7 @@ class Film:
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)
         self.bounds: dict[int, tuple[LayerBounds, ...] | None] = {}
-        self.parts: dict[bool | None, Part] = {}
+        self.source_parts: dict[bool | None, SourcePart] = {}
         self.events: Events = []
         self.reports: dict[int, dict[str, Any]] = {}
         self.began = perf_counter()
@@ -115,21 +115,23 @@ class Film:
         self._codes: list[tuple[Codes, slice]] = []
         self._needs_light = plan.needs_light
 
-    def add(self, session: Session, strip: Strip, count: int, found: Mapping[str, Any]) -> None:
+    def add(self, session: Session, strip: Strip, count: int, outputs: Mapping[str, Any]) -> None:
         """Add the outputs of one step's passes for a strip; count: number of the step."""
         number = self.steps[count].number
-        report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING | found.get("counts", {})
-        self.reports[number] = report | {name: found[name] for name in ("depth_layers",) if name in found}
-        if "missing" in found:
-            self.missing |= found["missing"]
-        if "plane" not in found:
+        report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING
+        self.reports[number] = (
+            report | outputs.get("counts", {}) | {name: outputs[name] for name in ("depth_layers",) if name in outputs}
+        )
+        if "missing" in outputs:
+            self.missing |= outputs["missing"]
+        if "plane" not in outputs:
             return
         if len(self.subframes):
-            found["plane"].read(session, self.subframes[number][strip.inside])
-        if found.get("codes") is not None:
-            self._codes.append((found["codes"], strip.inside))
-        if count == [*self.parts_of[strip]][-1] and self._needs_light:
-            self._planes.append((found.get("frame", found["plane"]), self.color[strip.inside]))
+            outputs["plane"].read(session, self.subframes[number][strip.inside])
+        if outputs.get("codes") is not None:
+            self._codes.append((outputs["codes"], strip.inside))
+        if count == [*self.strip_parts[strip]][-1] and self._needs_light:
+            self._planes.append((outputs.get("frame", outputs["plane"]), self.color[strip.inside]))
 
     def read(self, session: Session) -> None:
         """Read back strips whose time samples are all added; waits for the device."""
@@ -142,7 +144,7 @@ class Film:
 
     def seconds(self) -> dict[str, float]:
         """Seconds on the device by kernel name, and the remaining seconds on the host."""
-        found: dict[str, float] = {}
+        seconds: dict[str, float] = {}
         for name, event in self.events:
-            found[name] = found.get(name, 0.0) + spent(event)
-        return found | {"host": perf_counter() - self.began - sum(found.values())}
+            seconds[name] = seconds.get(name, 0.0) + event_seconds(event)
+        return seconds | {"host": perf_counter() - self.began - sum(seconds.values())}

@@ -109,25 +109,24 @@ def inpaint(
     True
     """
     session, (picture, holes), as_given = on_host(device, image=image, mask=mask)
-    checked = _checked(picture, without_mask("mask", holes))
+    checked = _check_arrays(picture, without_mask("mask", holes))
     with session.reporting():
         filled, report = _inpaint(session, *checked, method, progress, options)
         result = as_given(filled)
     return (result, report) if return_report else result
 
 
-def _checked(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _check_arrays(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     check_image(picture)
     if picture.dtype not in (np.uint8, np.uint16, np.float16, np.float32, np.float64):
         raise ArgumentError(f"image: must be uint8, uint16, float16, float32 or float64; got {picture.dtype}")
     if holes.shape != picture.shape[:2]:
-        raise ArgumentError(
-            f"mask: must have the rows and columns of the image, {picture.shape[:2]}; got {holes.shape}"
-        )
+        rule = f"must have the rows and columns of the image, {picture.shape[:2]}"
+        raise ArgumentError(f"mask: {rule}; got {holes.shape}")
     if holes.dtype == np.uint8:
-        other = (holes != 0) & (holes != 255)
-        if other.any():
-            raise ArgumentError(f"mask: must be 0 or 255 where it is uint8; got {int(other.sum())} other values")
+        invalid = (holes != 0) & (holes != 255)
+        if invalid.any():
+            raise ArgumentError(f"mask: must be 0 or 255 where it is uint8; got {int(invalid.sum())} other values")
         holes = holes == 255
     if holes.dtype != np.bool_:
         raise ArgumentError(f"mask: must be bool, or uint8 of 0 and 255; got {holes.dtype}")

@@ -9,7 +9,7 @@ from typing import Self, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.engine.response import only_lit
+from clsco.engine.response import isolate_source
 from clsco.engine.sequence import Options, checked_request, frame_numbers, render_prepared
 from clsco.engine.warm import warm
 from clsco.errors import SceneError
@@ -83,14 +83,14 @@ class Live:
         SceneError, FileError, DeviceError, KernelError
             As `clsco.render_frame`.
         """
-        known = scene_of(scene)
-        if known.stereo is not None:
+        scene = scene_of(scene)
+        if scene.stereo is not None:
             raise SceneError("scene: must have one view; got a stereo pair, which clsco.render gives")
-        (number,) = frame_numbers([known], [index])
+        (number,) = frame_numbers([scene], [index])
         request = checked_request(**options)
         with self._lock:
             self.session.canceled.clear()
-            prepared = prepare(known, request, self.session.device, self.files)
+            prepared = prepare(scene, request, self.session.device, self.files)
             ((_, frame),) = render_prepared(self.session, [prepared], [number], keeps_rays=True)
         return frame
 
@@ -115,8 +115,8 @@ class Live:
         SceneError, FileError, DeviceError, KernelError
             As `clsco.response`.
         """
-        lit = only_lit(scene_of(scene), x, y, index, item, self.files)
-        return lit.inside(self.render(lit.scene, index, truth=()))
+        isolated = isolate_source(scene_of(scene), x, y, index, item, self.files)
+        return isolated.inside(self.render(isolated.scene, index, truth=()))
 
     def cancel(self) -> None:
         """Cancel the render of another thread, within a fraction of a second; does nothing if there is none."""
@@ -135,8 +135,8 @@ class Live:
         threading.Thread
             Ends when all is compiled; you need not wait for it.
         """
-        known = scene_of(scene)
-        thread = threading.Thread(target=warm, args=(self.session.unwatched(), known, self.files), daemon=True)
+        scene = scene_of(scene)
+        thread = threading.Thread(target=warm, args=(self.session.unwatched(), scene, self.files), daemon=True)
         self._warming.append(thread)
         thread.start()
         return thread

@@ -11,7 +11,7 @@ from clsco.engine.film import Film
 from clsco.engine.renderer import Renderer
 from clsco.frame.strips import Strip
 from clsco.opencl.session import Session
-from clsco.plan.memory import fitted, limit_of
+from clsco.plan.memory import fit_strips, limit_of
 from clsco.plan.passes import ONCE_A_FRAME, Kind
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
@@ -98,33 +98,33 @@ def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS
 def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: float) -> tuple[dict[Kind, float], float]:
     """Seconds of each kind of pass in a frame, and the fraction of its steps that was measured."""
     limit = limit_of(prepared.request.memory, session.device)
-    frame, index = fitted(plan, limit), plan.scene.sequence.frames // 2
-    clock = _Clock(session, ceil(frame.grid.rows / BAND))
-    renderer = Renderer(session, _in_bands(frame) if clock.of_cores else frame, prepared, limit)
+    strip_plan, index = fit_strips(plan, limit), plan.scene.sequence.frames // 2
+    clock = _Clock(session, ceil(strip_plan.grid.rows / BAND))
+    renderer = Renderer(session, _in_bands(strip_plan) if clock.per_core else strip_plan, prepared, limit)
     while True:
         film, spent, steps = _run_steps(renderer, index, seconds, clock)
         if not renderer.enlarge():
             break
-    of_kinds: dict[Kind, float] = {}
-    everything = _steps(Film(frame, index))
+    seconds_by_kind: dict[Kind, float] = {}
+    all_steps = _steps(Film(strip_plan, index))
     for (kind, still), time in spent.items():
-        scale = _rows(everything, kind, still) / _rows(steps, kind, still)
-        of_kinds[kind] = of_kinds.get(kind, 0.0) + scale * time
+        scale = _rows(all_steps, kind, still) / _rows(steps, kind, still)
+        seconds_by_kind[kind] = seconds_by_kind.get(kind, 0.0) + scale * time
     if renderer.plan.truth:
         clock.lap()
         for _ in range(2):  # again where the kernels, compiled at their first run, may have taken much of the time
-            renderer.truth.of_frame(index, film.events)
-            of_kinds["ground truth"] = clock.lap()
-            if of_kinds["ground truth"] > SECONDS:
+            renderer.truth.compute(index, film.events)
+            seconds_by_kind["ground truth"] = clock.lap()
+            if seconds_by_kind["ground truth"] > SECONDS:
                 break
     renderer.scene.release()
-    return of_kinds, sum(step.part.rows for step in steps) / sum(step.part.rows for step in everything)
+    return seconds_by_kind, sum(step.part.rows for step in steps) / sum(step.part.rows for step in all_steps)
 
 
 def _in_bands(plan: Plan) -> Plan:
     """The plan in the shortest strips, of which each core makes one at a time; unchanged if it cannot be split so."""
-    whole = plan.forward or plan.spec.layered or plan.rows <= BAND
-    return plan if whole else replace(plan, strip_rows=BAND)
+    indivisible = plan.forward or plan.spec.layered or plan.rows <= BAND
+    return plan if indivisible else replace(plan, strip_rows=BAND)
 
 
 class _Clock:
@@ -139,9 +139,9 @@ class _Clock:
     """
 
     def __init__(self, session: Session, most: int) -> None:
-        self.queue, self.of_cores = session.queue, session.device.kind == "cpu"
-        self._now = process_time if self.of_cores else perf_counter
-        self._cores = min(most, session.device.compute_units) if self.of_cores else 1
+        self.queue, self.per_core = session.queue, session.device.kind == "cpu"
+        self._now = process_time if self.per_core else perf_counter
+        self._cores = min(most, session.device.compute_units) if self.per_core else 1
         self._last = self._now()
 
     def lap(self) -> float:
@@ -155,19 +155,19 @@ def _steps(film: Film) -> list[_FramePart]:
     """Steps of a frame, most informative first: of each strip the last step, which has all passes, then the first,
     which may be of still sources, then some in between; any number of leading strips is spread evenly over the frame.
     """
-    strips = sorted(film.parts_of.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
+    strips = sorted(film.strip_parts.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
     rounds = list[list[_FramePart]]()
     for strip, parts in strips:
-        first, *others = parts
-        last = others[-1:]
-        between = sorted(others[:-1], key=_spread)
+        first, *later = parts
+        last = later[-1:]
+        between = sorted(later[:-1], key=_spread)
         for turn, number in enumerate((*last, first, *between)):
             if turn == len(rounds):
                 rounds.append([])
             rounds[turn].append(
                 _FramePart(strip, number, parts[number], film.steps[number].still, number == [*parts][-1])
             )
-    return [step for one in rounds for step in one]
+    return [step for steps in rounds for step in steps]
 
 
 def _spread(number: int) -> float:
@@ -194,7 +194,7 @@ def _run_steps(
         clock.lap()
         renderer.add(film, step.strip, step.number, note)
         done.append(step)
-        if sum(spent.values()) > seconds and warm == {each.still for each in film.steps}:
+        if sum(spent.values()) > seconds and warm == {other.still for other in film.steps}:
             break
     return film, spent, done
 

@@ -36,7 +36,7 @@ from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import EMPTY_STATISTICS, Hits
 from clsco.passes.truth import GroundTruth
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.larger import Met, larger_plan
+from clsco.plan.larger import SourceStatistics, larger_plan
 from clsco.plan.memory import Limit, device_bytes
 from clsco.plan.passes import Kind
 from clsco.plan.plan import Plan
@@ -57,7 +57,7 @@ class Renderer:
     limit : Limit
         Limit for a larger plan, if this one turns out too small.
     hits : Hits, optional
-        Ray hits shared with the renderers of other lenses, whose plans have the same apron.
+        Ray hits shared with the renderers of other lenses, whose plans have the same guard band.
 
     Raises
     ------
@@ -86,7 +86,7 @@ class Renderer:
     def _pixels(self, plan: Plan, scene: PlacedScene) -> Pixels:
         maps = self.prepared.maps
         if plan.static_map:
-            radiance, (depth,) = scene.textures[0].radiance, (each for each in maps if each is not None)
+            radiance, (depth,) = scene.textures[0].radiance, (w for w in maps if w is not None)
             camera = reference_camera(plan.scene)
             lens = Lens.of(camera, plan.scene.lens, plan.only)
             return StaticMap(self.session, camera, lens, radiance, depth, plan.guard_px, self.scene.real)
@@ -94,14 +94,16 @@ class Renderer:
 
     def _channels(self) -> tuple[ColorChannel, ...]:
         """Textures and pixels of all colors together, or of each color if colors are blurred separately."""
-        plan, apart = self.plan, list[ColorChannel]()
-        for one in plan.apart:
-            channels = (one.only or 0, plan.colors)[: one.channels]
-            take = cache(partial(select_channels, channels=channels))
-            textures = tuple(take(texture) for texture in self.prepared.textures)
-            scene = PlacedScene(self.session, one.scene, one.psf, textures, self.scene.real, one.eye, one.alpha)
-            apart.append(ColorChannel(scene, self._pixels(one, scene)))
-        return tuple(apart) or (ColorChannel(self.scene, self.pixels),)
+        plan, color_channels = self.plan, list[ColorChannel]()
+        for color_plan in plan.color_plans:
+            channels = (color_plan.only or 0, plan.colors)[: color_plan.channels]
+            select = cache(partial(select_channels, channels=channels))
+            textures = tuple(select(texture) for texture in self.prepared.textures)
+            scene = PlacedScene(
+                self.session, plan.scene, color_plan.psf, textures, self.scene.real, plan.eye, plan.alpha
+            )
+            color_channels.append(ColorChannel(scene, self._pixels(color_plan, scene)))
+        return tuple(color_channels) or (ColorChannel(self.scene, self.pixels),)
 
     def _workspace(self) -> SceneWorkspace:
         return SceneWorkspace(self.plan, self.channels, self.hits, self._grid(self.plan.strips[0]))
@@ -113,15 +115,15 @@ class Renderer:
             film.missing |= self.pixels.missing
         if statistics is not None:
             cl.enqueue_copy(self.session.queue, statistics, EMPTY_STATISTICS)
-        if self.plan.divided:
-            film.parts = self.scene.parts(film.times)
+        if self.plan.splits_still:
+            film.source_parts = self.scene.split_sources(film.times)
         for number in range(len(film.steps)) if len(self.plan.strips) > 1 else ():
-            jobs = (self._job(film, strip, number) for strip, counts in film.parts_of.items() if number in counts)
+            jobs = (self._job(film, strip, number) for strip, counts in film.strip_parts.items() if number in counts)
             film.bounds[number] = self.space.find_layers(self.plan.passes, jobs)
         return film
 
     def _job(self, film: Film, strip: Strip, count: int) -> SceneJob:
-        step, counts = film.steps[count], film.parts_of[strip]
+        step, counts = film.steps[count], film.strip_parts[strip]
         part, by_columns = counts[count], self.plan.scene.sequence.by_columns
         weights = step.weights if by_columns else step.weights[part.inside]
         sample, grid = self.scene.at(film.times[step.number]), self._grid(part)
@@ -131,7 +133,7 @@ class Renderer:
         return SceneJob(
             strip=part, grid=grid, events=film.events, bounds=film.bounds.get(step.number), sample=sample,
             weights=weights, is_first=count == next(iter(counts)), whole_strip=strip, noise_stream=stream,
-            part=film.parts.get(step.still),
+            part=film.source_parts.get(step.still),
         )  # fmt: skip
 
     def _grid(self, strip: Strip) -> Struct:
@@ -173,9 +175,9 @@ class Renderer:
     def _truth(self, film: Film) -> dict[str, Any]:
         """The outputs besides color and alpha."""
         plan = self.plan
-        truth: dict[str, Any] = self.truth.of_frame(film.index, film.events)
-        of_samples = {"missing": film.missing, "subframes": film.subframes}
-        truth |= {name: array for name, array in of_samples.items() if name in plan.truth}
+        truth: dict[str, Any] = self.truth.compute(film.index, film.events)
+        sample_outputs = {"missing": film.missing, "subframes": film.subframes}
+        truth |= {name: array for name, array in sample_outputs.items() if name in plan.truth}
         if plan.alpha and plan.color:
             truth |= {name: _without_alpha(truth[name]) for name in {"sharp", "subframes"} & truth.keys()}
         if plan.sensor_model is not None:
@@ -190,7 +192,7 @@ class Renderer:
         if self.plan.static_map or not self.plan.color:
             return False
         statistics = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
-        plan = larger_plan(self.plan, Met.of(statistics), self.limit)
+        plan = larger_plan(self.plan, SourceStatistics.parse(statistics), self.limit)
         if plan is not None:
             self._change(plan)
         return plan is not None
@@ -200,7 +202,7 @@ class Renderer:
         del self.space  # before the larger one takes memory
         before, self.plan = self.plan, plan
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
-            self.hits = None  # the apron may not be that of the others any more
+            self.hits = None  # the guard band may differ from those of the other lenses
         if plan.guard_px != before.guard_px:
             self.pixels, self.channels = None, ()
             self.pixels = self._pixels(plan, self.scene)
@@ -235,12 +237,9 @@ class Renderer:
 
     def _exposure(self) -> dict[str, Any]:
         """Metadata: irradiance relative to an open circular aperture, if it depends on the aperture's area."""
-        scene = self.plan.scene
-        return (
-            {}
-            if scene.aperture.exposure == "normalized"
-            else {"exposure": exposure_factor(scene.aperture, self.plan.psf)}
-        )
+        aperture = self.plan.scene.aperture
+        factor = exposure_factor(aperture, self.plan.psf)
+        return {} if aperture.exposure == "normalized" else {"exposure": factor}
 
     def _light_cut(self) -> dict[str, Any]:
         """Metadata: share of a point's light that the truncated wave-optics PSF loses, as `clsco plan` reports it."""
@@ -268,11 +267,11 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     """
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
-    parts_of, ends = films[0].parts_of, list[float]()
-    still = [bool(films[0].steps[count].still) for counts in parts_of.values() for count in counts]
+    strip_parts, ends = films[0].strip_parts, list[float]()
+    still = [bool(films[0].steps[count].still) for counts in strip_parts.values() for count in counts]
     if {step.kind for step in plan.passes} <= {"ground truth"}:
         return films
-    for strip, counts in parts_of.items():
+    for strip, counts in strip_parts.items():
         for count in counts:
             before = [film.events[-1:] for film in films]
             for renderer, film in zip(renderers, films, strict=True):
@@ -294,15 +293,15 @@ def _keep_pace(before: Sequence[Events], progress: Progress, still: Sequence[boo
     ends.append(perf_counter())
     done = still[: len(ends) - 1]
     progress.done, progress.total = done.count(False), still.count(False)
-    progress.finished = _finished(done, still, ends)
+    progress.finished = _finished_share(done, still, ends)
 
 
-def _finished(done: Sequence[bool], still: Sequence[bool], ends: Sequence[float]) -> float:
+def _finished_share(done: Sequence[bool], still: Sequence[bool], ends: Sequence[float]) -> float:
     """Fraction of a frame's time that has passed, assuming that each step takes the average of its kind; 0 until a step
     of each kind is done.
     """
     if not set(done) >= set(still):
         return 0.0
-    taken = np.diff(ends)
-    mean = {kind: float(taken[np.array(done) == kind].mean()) for kind in set(still)}
-    return float(taken.sum()) / max(sum(mean[kind] for kind in still), 1e-9)
+    durations = np.diff(ends)
+    mean = {kind: float(durations[np.array(done) == kind].mean()) for kind in set(still)}
+    return float(durations.sum()) / max(sum(mean[kind] for kind in still), 1e-9)

@@ -36,7 +36,7 @@ FILTER_REACH = 2  # texels of a bicubic filter
 
 
 @dataclass(frozen=True, eq=False)
-class Lit:
+class IsolatedSource:
     """A scene in which one source is lit.
 
     Attributes
@@ -114,54 +114,50 @@ def response(
     >>> spread.shape, round(float(spread.sum()), 4)
     ((24, 32), 1.0)
     """
-    lit = only_lit(scene_of(scene), x, y, index, item)
-    return lit.inside(render_frame(lit.scene, index, truth=(), device=device, precision=precision))
+    isolated = isolate_source(scene_of(scene), x, y, index, item)
+    return isolated.inside(render_frame(isolated.scene, index, truth=(), device=device, precision=precision))
 
 
-def only_lit(
+def isolate_source(
     scene: Scene,
     x: SupportsIndex,
     y: SupportsIndex,
     index: int = 0,
     item: int | None = None,
     files: InputFiles | None = None,
-) -> Lit:
+) -> IsolatedSource:
     """The scene with only the source of `response` lit. Raises as `response` for invalid arguments.
 
     files: as for `clsco.plan.prepare.prepare`.
     """
     frame_numbers([scene], [index])
-    known = None if item is None else _within("item", item, 0, len(scene.objects) - 1)
+    number = None if item is None else _within("item", item, 0, len(scene.objects) - 1)
     prepared = prepare(scene, files=files)
     plan = prepared.plan
     widens = scene.is_analytic and scene.psf.border == "lose"
-    beside = plan.guard_px if widens else 0
-    column = _within("x", x, -beside, plan.columns - 1 + beside)
-    row = _within("y", y, -beside, plan.rows - 1 + beside)
-    number = _seen_at(prepared, column, row) if known is None else known
+    guard = plan.guard_px if widens else 0
+    column = _within("x", x, -guard, plan.columns - 1 + guard)
+    row = _within("y", y, -guard, plan.rows - 1 + guard)
+    number = _visible_object(prepared, column, row) if number is None else number
     # Textures go on mirrored beyond the frame. With a margin, the source's mirror images are too far off to be seen.
     inward = min(column, row, plan.columns - 1 - column, plan.rows - 1 - row)
-    far = plan.guard_px + FILTER_REACH + (_longest_way(plan.scene, number, index) if scene.moves else 0)
+    far = plan.guard_px + FILTER_REACH + (_longest_displacement(plan.scene, number, index) if scene.moves else 0)
     margin = far - min(inward, 0) if widens and inward < far else 0
     columns, rows = plan.columns + 2 * margin, plan.rows + 2 * margin
     texture = np.zeros((rows, columns) if plan.channels == 1 else (rows, columns, 3), np.float32)
     texture[row + margin, column + margin] = 1.0
-    objects = [_projected(each, BLACK) for each in scene.objects]
-    objects[number] = _projected(scene.objects[number], ArrayInput(texture, "texture"))
+    objects = [_project_texture(object_, BLACK) for object_ in scene.objects]
+    objects[number] = _project_texture(scene.objects[number], ArrayInput(texture, "texture"))
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
-    share, bright = None, dict[str, Any]()
+    share, update = None, dict[str, Any](camera=camera, objects=tuple(objects), light=None, sensor=None)
     if scene.lens is not None and scene.darkens:  # as of the frame without its margin, and once a frame
         middle = middle_time(scene.sequence, index) if scene.moves else 0.0
         share = throughput(camera_at(prepared.scene, middle), scene.lens.vignetting).astype(np.float32)
-        bright = {"lens": scene.lens.model_copy(update={"vignetting": "none"})}
-    return Lit(
-        scene.model_copy(update={"camera": camera, "objects": tuple(objects), "light": None, "sensor": None} | bright),
-        margin,
-        share,
-    )
+        update["lens"] = scene.lens.model_copy(update={"vignetting": "none"})
+    return IsolatedSource(scene.model_copy(update=update), margin, share)
 
 
-def _seen_at(prepared: Prepared, column: int, row: int) -> int:
+def _visible_object(prepared: Prepared, column: int, row: int) -> int:
     """Number of the object visible in a pixel at t = 0. Raises SceneError if there is none."""
     number = int(find_visible(prepared.scene, prepared.maps, np.array([row]), np.array([column]))[1][0, 0])
     if number < 0:
@@ -172,37 +168,37 @@ def _seen_at(prepared: Prepared, column: int, row: int) -> int:
 def _within(name: str, value: SupportsIndex, least: int, most: int) -> int:
     """A whole number within limits. Raises SceneError."""
     try:
-        found = operator.index(value)
+        number = operator.index(value)
     except TypeError:
-        found = least - 1
-    if not least <= found <= most:
+        number = least - 1
+    if not least <= number <= most:
         raise SceneError(f"{name}: must be a whole number from {least} to {most}; got {shown(value)}")
-    return found
+    return number
 
 
-def _projected(item: Object, texture: str | ArrayInput) -> Object:
+def _project_texture(item: Object, texture: str | ArrayInput) -> Object:
     """The object with a texture, projected from the camera at t = 0."""
     keys = {*Textured.model_fields, *SixSided.model_fields} & type(item).model_fields.keys()
     plain = {key: type(item).model_fields[key].default for key in keys}
     return item.model_copy(update=plain | {"texture": texture})
 
 
-def _longest_way(scene: Scene, number: int, index: int) -> int:
+def _longest_displacement(scene: Scene, number: int, index: int) -> int:
     """Largest displacement, in px and rounded up, of a point of an object from its reference pose during the
     exposure.
     """
     item, camera = scene.objects[number], reference_camera(scene)
     x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side for side in camera.frame_size)))
     w = predict_inverse_depth(item, place(item, rest_poses(scene)[number]), x, y)
-    there = (w > 0) | item.is_background
-    if not there.any():
+    hit = (w > 0) | item.is_background
+    if not hit.any():
         return 0
-    rays, center = np.stack([x, y, np.ones_like(x)])[:, there], rest_center(item)[:, None]
-    body = rays - w[there] * center  # homogeneous: a point at infinity has w = 0
+    rays, center = np.stack([x, y, np.ones_like(x)])[:, hit], rest_center(item)[:, None]
+    body = rays - w[hit] * center  # homogeneous: a point at infinity has w = 0
     longest = 0.0
     for time in np.linspace(*shutter_span(scene.sequence, index), TIMES).tolist():
         pose = poses_at(scene, time)[number]
-        point = w[there] * (center + pose.shift[:, None]) + pose.rotation @ body
-        place_at = places_of(camera_at(scene, time), *(point[:2] / np.maximum(point[2], 1e-3)))
-        longest = max(longest, float(np.hypot(*np.subtract(place_at, places_of(camera, *rays[:2]))).max()))
+        point = w[hit] * (center + pose.shift[:, None]) + pose.rotation @ body
+        image_place = places_of(camera_at(scene, time), *(point[:2] / np.maximum(point[2], 1e-3)))
+        longest = max(longest, float(np.hypot(*np.subtract(image_place, places_of(camera, *rays[:2]))).max()))
     return math.ceil(min(longest, max(scene.camera.frame_size)))

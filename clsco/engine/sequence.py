@@ -16,8 +16,8 @@ from clsco.frame.frame import Frame
 from clsco.frame.outputs import ALL_TRUTH, IMAGE_NAMES, SENSOR_NAMES, truth_names
 from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.passes.tables import forget_others
-from clsco.passes.trace import KeptHits, LatestHits
-from clsco.plan.memory import Limit, device_bytes, fitted, lens_bytes, limit_of, parse_size
+from clsco.passes.trace import CachedHits, LatestHits
+from clsco.plan.memory import Limit, device_bytes, fit_strips, lens_bytes, limit_of, parse_size
 from clsco.plan.methods import MANY_RADII, check_method
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared, lens_groups, prepare_sweep
@@ -39,7 +39,7 @@ class Options(TypedDict, total=False):
     memory: str | int | None
 
 
-KEPT_GUARD = 32  # px, of aprons of rays that are kept
+GUARD_STEP = 32  # px, least step of the guard bands of cached rays
 
 
 def render(
@@ -104,8 +104,8 @@ def render(
     ...     print(frame.index, frame.color.shape, frame.depth.dtype, frame.flow)
     0 (24, 32) float32 None
     """
-    found = render_sweep((scene_of(scene),), device=device, frames=frames, **options)
-    return (frame for _, frame in found)
+    rendered = render_sweep((scene_of(scene),), device=device, frames=frames, **options)
+    return (frame for _, frame in rendered)
 
 
 def render_frame(
@@ -144,10 +144,10 @@ def render_frame(
     >>> bool(abs(frame.depth.min() - 250) < 0.1)  # mm
     True
     """
-    known = scene_of(scene)
-    if known.stereo is not None:
+    scene = scene_of(scene)
+    if scene.stereo is not None:
         raise SceneError(f"scene: must have one view; got a stereo pair, which render(scene, frames=[{index}]) gives")
-    (frame,) = render(known, device=device, frames=(index,), **options)
+    (frame,) = render(scene, device=device, frames=(index,), **options)
     return frame
 
 
@@ -192,9 +192,9 @@ def render_sweep(
     >>> [number for number, frame in clsco.render_sweep(lenses, truth=())]
     [0, 1]
     """
-    found = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
-    chosen = None if frames is None else frame_numbers(found, frames)
-    return _render_scenes(session_for(device), found, checked_request(**options), chosen)
+    models = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
+    numbers = None if frames is None else frame_numbers(models, frames)
+    return _render_scenes(session_for(device), models, checked_request(**options), numbers)
 
 
 def checked_request(
@@ -213,8 +213,8 @@ def checked_request(
         parse_size(memory)
     names = truth_names(truth)
     if not color and (set(names) & {*IMAGE_NAMES} or set(names) <= {*SENSOR_NAMES}):
-        what = "the image, what a sensor gives, alpha and subframes"
-        raise SceneError(f"color: must be True for {what}; got {color} and {shown(names)}")
+        outputs = "the image, what a sensor gives, alpha and subframes"
+        raise SceneError(f"color: must be True for {outputs}; got {color} and {shown(names)}")
     return Request(names, method, tolerance, precision, memory, color)
 
 
@@ -226,13 +226,12 @@ def render_prepared(
     keeps_rays: keep ray hits in the session, for later renderings of the same objects. Plans made for a processor
     before a device was opened are made again if the device is not one.
     """
-    known = prepared
-    if any(each.plan.device.kind != session.device.kind for each in prepared):
-        sweep = Sweep(("",) * len(prepared), tuple(each.scene for each in prepared))
-        known = prepare_sweep(sweep, prepared[0].request, session.device, prepared[0].files)
+    if any(entry.plan.device.kind != session.device.kind for entry in prepared):
+        sweep = Sweep(("",) * len(prepared), tuple(entry.scene for entry in prepared))
+        prepared = prepare_sweep(sweep, prepared[0].request, session.device, prepared[0].files)
     with session.reporting():
-        for group in lens_groups([each.scene for each in known]):
-            for k, frame in _render_group(session, [known[k] for k in group], frames, keeps_rays):
+        for group in lens_groups([entry.scene for entry in prepared]):
+            for k, frame in _render_group(session, [prepared[k] for k in group], frames, keeps_rays):
                 yield group[k], frame
 
 
@@ -250,122 +249,120 @@ def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> l
     """The numbers of frames, all of which every scene must have. Raises SceneError."""
     count = min((scene.sequence.frames for scene in scenes), default=0)
     try:
-        found = [operator.index(number) for number in frames]
+        numbers = [operator.index(number) for number in frames]
     except TypeError:
         raise SceneError(f"frames: must be whole numbers from 0 to {count - 1}; got {shown(frames)}") from None
-    wrong = [number for number in found if not 0 <= number < count]
+    wrong = [number for number in numbers if not 0 <= number < count]
     if wrong and scenes:
         raise SceneError(f"frames: must lie from 0 to {count - 1}; got {wrong[0]}")
-    return found
+    return numbers
 
 
 def _render_group(
     session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None, keeps_rays: bool
 ) -> Iterator[tuple[int, Frame]]:
     """Frames of scenes that differ in the lens or the sensor only."""
-    request, views = prepared[0].request, len(prepared[0].plans)
-    wanted = range(prepared[0].scene.sequence.frames) if frames is None else frames
-    limit = replace(limit_of(request.memory, session.device), views=views)
-    if limit.given:
+    limit = replace(limit_of(prepared[0].request.memory, session.device), views=len(prepared[0].plans))
+    if limit.set_by_user:
         forget_others(session)
-    numbers, done = list(wanted), 0
+    numbers, done = list(range(prepared[0].scene.sequence.frames) if frames is None else frames), 0
     try:
         with session.reporting():
-            for found in _in_turns(session, prepared, limit, numbers):
+            for rendered in _render_lenses(session, prepared, limit, numbers):
                 done += 1
-                yield from found
+                yield from rendered
     except DeviceError as error:
         if not error.short_of_memory:
             raise
-    left = numbers[done:]
-    for k, each in enumerate(prepared if left else ()):
-        for of_views in _in_strips(session, each, limit, left, keeps_rays):
-            yield from ((k, frame) for frame in of_views)
+    remaining = numbers[done:]
+    for k, entry in enumerate(prepared if remaining else ()):
+        for view_frames in _render_views(session, entry, limit, remaining, keeps_rays):
+            yield from ((k, frame) for frame in view_frames)
 
 
-def _in_turns(
-    session: Session, prepared: Sequence[Prepared], limit: Limit, wanted: Sequence[int]
+def _render_lenses(
+    session: Session, prepared: Sequence[Prepared], limit: Limit, numbers: Sequence[int]
 ) -> Iterator[list[tuple[int, Frame]]]:
     """Frames with each number, of all scenes that share their rays; yields nothing if they cannot share them."""
-    together = []
-    for of_lenses in _in_lockstep([each.plans for each in prepared], limit):
+    lockstep = []
+    for lens_plans in _lockstep_plans([entry.plans for entry in prepared], limit):
         hits = LatestHits(session)
-        pairs = zip(of_lenses, prepared, strict=True)
-        together.append([Renderer(session, plan, each, limit, hits) for plan, each in pairs])
-    for index in wanted if together else ():
-        rendered = [_together(renderers, index) for renderers in together]
+        pairs = zip(lens_plans, prepared, strict=True)
+        lockstep.append([Renderer(session, plan, entry, limit, hits) for plan, entry in pairs])
+    for index in numbers if lockstep else ():
+        rendered = [_render_lockstep(renderers, index) for renderers in lockstep]
         yield [(k, frame) for k, views in enumerate(zip(*rendered, strict=True)) for frame in views]
 
 
-def _in_strips(
-    session: Session, prepared: Prepared, limit: Limit, wanted: Sequence[int], keeps_rays: bool
+def _render_views(
+    session: Session, prepared: Prepared, limit: Limit, numbers: Sequence[int], keeps_rays: bool
 ) -> Iterator[list[Frame]]:
     """The views of each frame of one scene; strips shrink if the device has less memory than it reports."""
     renderers: list[Renderer] = []
 
     def renderer(plan: Plan) -> Renderer:
         if keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1:
-            wide = fitted(replace(plan, guard_px=_kept_guard(plan.guard_px)), memory.limit)
-            return Renderer(session, wide, prepared, memory.limit, KeptHits(session))
+            wide = fit_strips(replace(plan, guard_px=_round_guard(plan.guard_px)), memory.limit)
+            return Renderer(session, wide, prepared, memory.limit, CachedHits(session))
         return Renderer(session, plan, prepared, memory.limit)
 
     def views(plans: list[Plan], index: int) -> list[Frame]:
         try:
             renderers[:] = renderers or [renderer(plan) for plan in plans]
-            return [_together([renderer], index)[0] for renderer in renderers]
+            return [_render_lockstep([renderer], index)[0] for renderer in renderers]
         except DeviceError:
             renderers.clear()  # before those for smaller strips take memory
             raise
 
     def fit(limit: Limit) -> list[Plan]:
-        return [fitted(plan, limit) for plan in prepared.plans]
+        return [fit_strips(plan, limit) for plan in prepared.plans]
 
     memory = Shrinking(session, limit, fit, lambda plans: device_bytes(plans[0], limit.views))
-    for index in wanted:
+    for index in numbers:
         yield memory.run(partial(views, index=index))
 
 
-def _kept_guard(guard: int) -> int:
-    """An apron for cached rays: rounded to one of few widths, so that lenses with similar blur share it."""
-    step = max(1 << guard.bit_length() >> 2, KEPT_GUARD)
+def _round_guard(guard: int) -> int:
+    """A guard band for cached rays: rounded to one of few widths, so that lenses with similar blur share it."""
+    step = max(1 << guard.bit_length() >> 2, GUARD_STEP)
     return -(-guard // step) * step
 
 
-def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
+def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
     """Plans per eye and lens that share their rays, with one guard band; empty if they cannot share them or do not
     fit.
     """
-    if len(plans) == 1 or not all(_shares_rays(one, other) for one, other in pairwise(plans)):
+    if len(plans) == 1 or not all(_shares_rays(first, second) for first, second in pairwise(plans)):
         return []
-    found = []
-    for of_lenses in zip(*plans, strict=True):
-        guard = max(plan.guard_px for plan in of_lenses)
-        alike = [replace(plan, guard_px=guard) for plan in of_lenses]
-        if lens_bytes(alike) * limit.views > limit.total or any(
-            fitted(plan, limit).strip_rows < plan.rows for plan in alike
-        ):
+    plans_by_eye = []
+    for lens_plans in zip(*plans, strict=True):
+        guard = max(plan.guard_px for plan in lens_plans)
+        widened = [replace(plan, guard_px=guard) for plan in lens_plans]
+        if lens_bytes(widened) * limit.views > limit.total:
             return []
-        found.append(alike)
-    return found
+        if any(fit_strips(plan, limit).strip_rows < plan.rows for plan in widened):
+            return []
+        plans_by_eye.append(widened)
+    return plans_by_eye
 
 
-def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
-    """True if ray hits of one lens serve another one."""
+def _shares_rays(first: tuple[Plan, ...], second: tuple[Plan, ...]) -> bool:
+    """True if two lenses can share ray hits."""
     return all(
         casts_for_lenses(a)
         and casts_for_lenses(b)
-        and (a.blur, a.groups, a.silhouettes, a.samples, a.divided)
-        == (b.blur, b.groups, b.silhouettes, b.samples, b.divided)
-        for a, b in zip(one, other, strict=True)
+        and (a.blur, a.groups, a.silhouettes, a.samples, a.splits_still)
+        == (b.blur, b.groups, b.silhouettes, b.samples, b.splits_still)
+        for a, b in zip(first, second, strict=True)
     )
 
 
 def casts_for_lenses(plan: Plan) -> bool:
     """True if the plan casts rays and uses their hits only for sources."""
-    return not plan.apart and plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
+    return not plan.color_plans and plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
 
 
-def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:
+def _render_lockstep(renderers: Sequence[Renderer], index: int) -> list[Frame]:
     """One frame of each renderer, rendered in lockstep, time sample by time sample."""
     films = expose(renderers, index)
     return [renderer.finish(film) for renderer, film in zip(renderers, films, strict=True)]

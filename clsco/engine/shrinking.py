@@ -43,7 +43,7 @@ class Shrinking(Generic[F]):
                     return work(self.fitting)
             except DeviceError as error:
                 total = min(self.limit.total, self.size(self.fitting)) // 2
-                self.limit = replace(self.limit, total=total, given=False)
+                self.limit = replace(self.limit, total=total, set_by_user=False)
                 before, self.fitting = self.fitting, self.fit(self.limit)
                 if not error.short_of_memory or self.fitting == before:
                     raise

@@ -13,7 +13,7 @@ from clsco.frame.outputs import ALL_TRUTH
 from clsco.inputs.files import InputFiles
 from clsco.opencl.session import Session
 from clsco.optics.visibility import OcclusionGroup
-from clsco.passes.trace import KeptHits
+from clsco.passes.trace import CachedHits
 from clsco.plan.choice import Choice
 from clsco.plan.memory import limit_of
 from clsco.plan.methods import Occlusion
@@ -34,11 +34,11 @@ def warm(session: Session, scene: Scene, files: InputFiles) -> None:
     with suppress(ClscoError):
         prepared = prepare(scene, Request(ALL_TRUTH), session.device, files)
         with Session(session.device) as alone:
-            run_near(alone, prepared)
-        run_near(session, prepared)
+            run_plausible_plans(alone, prepared)
+        run_plausible_plans(session, prepared)
 
 
-def run_near(session: Session, prepared: Prepared) -> int:
+def run_plausible_plans(session: Session, prepared: Prepared) -> int:
     """Run the kernels of a scene and of similar ones on small frames, so that they are compiled.
 
     Returns
@@ -48,9 +48,9 @@ def run_near(session: Session, prepared: Prepared) -> int:
     """
     small, count = _small(prepared), 0
     columns, rows = small.scene.camera.resolution or (SIDE, SIDE)
-    for plan in near(prepared.plan):
+    for plan in plausible_next_plans(prepared.plan):
         tiny = replace(plan, scene=small.scene, rows=rows, columns=columns, strip_rows=0)
-        for hits in (None, KeptHits(session)) if casts_for_lenses(plan) else (None,):
+        for hits in (None, CachedHits(session)) if casts_for_lenses(plan) else (None,):
             renderer = Renderer(session, tiny, small, limit_of(None, session.device), hits)
             (film,) = expose([renderer], 0)
             renderer.finish(film)
@@ -58,7 +58,7 @@ def run_near(session: Session, prepared: Prepared) -> int:
     return count
 
 
-def near(plan: Plan) -> Iterator[Plan]:
+def plausible_next_plans(plan: Plan) -> Iterator[Plan]:
     """The plan, and plans of similar scenes: with and without silhouettes and occluders."""
     yield plan
     if not casts_for_lenses(plan):
@@ -66,8 +66,8 @@ def near(plan: Plan) -> Iterator[Plan]:
     psf, count = plan.scene.psf, len(plan.scene.objects)
     everything = (1 << count) - 1
     if psf.silhouette_samples > 1:
-        other = Choice(0 if plan.silhouettes else psf.silhouette_samples)
-        yield replace(plan, choices=replace(plan.choices, silhouettes=other))
+        toggled = Choice(0 if plan.silhouettes else psf.silhouette_samples)
+        yield replace(plan, choices=replace(plan.choices, silhouettes=toggled))
     if plan.occlusion == "visibility":
         yield _occluded(plan, "none", OcclusionGroup(everything, 0))
     elif count > 1 and psf.occlusion == "visibility":

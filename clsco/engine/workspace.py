@@ -60,7 +60,7 @@ Outputs = tuple[Any, ...]
 
 def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> dict[str, cl.Buffer]:
     """Buffers of `SHARED` that a plan has, except the `absent` ones. Raises DeviceError."""
-    sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
+    sizes = {name: size for step in plan.passes for name, size in step.buffers.items()}
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
 
 
@@ -163,7 +163,7 @@ class BlurWorkspace(Workspace):
         before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
         for job in jobs:
             self._clusters.find(job, self.run(before, job)["image"])
-        return (self._clusters.found(),)
+        return (self._clusters.read_bounds(),)
 
     def sources(self, job: Job, _: Pass, image: Image) -> Outputs:
         behind = {} if self._behind_rims is None else self._behind_rims(job) | {"depth": self.buffers["depth"]}
@@ -172,8 +172,8 @@ class BlurWorkspace(Workspace):
         prepare_sources(self._target, job.grid, self._blurred.struct, image.maps, source, job.events, rims)
         return (Sources(source, image.value, **behind),)
 
-    def blur(self, job: Job, _: Pass, sources: Sources | None, begun: Plane | None = None) -> Outputs:
-        if begun is None:
+    def blur(self, job: Job, _: Pass, sources: Sources | None, plane: Plane | None = None) -> Outputs:
+        if plane is None:
             self._blurred.begin(job.grid)
         if sources is not None:
             self._blurred.add(sources, job.events)
@@ -183,7 +183,7 @@ class BlurWorkspace(Workspace):
         if job.bounds is not None:
             return (self._clusters.divide(job, image, job.bounds[step.color or 0]),)
         self._clusters.find(job, image)
-        return (self._clusters.divide(job, image, self._clusters.found()),)
+        return (self._clusters.divide(job, image, self._clusters.read_bounds()),)
 
     def depth_layers(self, job: Job, _: Pass, layers: Layers) -> Outputs:
         self._blurred.begin(job.grid)
@@ -235,9 +235,9 @@ class PlaneWorkspace(BlurWorkspace):
         spec = replace(plan.spec, brightest=scene.brightest)
         psf = psf_struct(spec.psf, *tables_of(spec, scene.session), scene.real)
         self.tracer = Tracer(plan, scene, buffers, psf, hits)
-        of_image = plan.forward or plan.static_map or plan.occlusion == "layered"
-        maps: Maps = "wide" if of_image else "none"
-        behind_rims = self.tracer.nothing_hidden
+        from_image = plan.forward or plan.static_map or plan.occlusion == "layered"
+        maps: Maps = "wide" if from_image else "none"
+        behind_rims = self.tracer.without_occluders
         super().__init__(scene.session, buffers, spec, plan.grid, grid, scene.real, maps, behind_rims)
 
     def run_pass(self, job: SceneJob, step: Pass, *inputs: Any) -> Outputs:
@@ -279,7 +279,7 @@ class PlaneWorkspace(BlurWorkspace):
             return light
         if self.plan.blur == "none":
             return padded_plane(job.grid, light.value, self.plan.channels)
-        surface = next(each for each in job.sample.placed if each is not None)  # one plane at one depth
+        surface = next(placed for placed in job.sample.placed if placed is not None)  # one plane at one depth
         lens = Lens.of(job.sample.camera, self.plan.scene.lens, self.plan.only)
         return Sources(None, light.value, radius=abs(axial_blur_radius(lens, surface)))
 
@@ -291,7 +291,7 @@ class SceneWorkspace(Workspace):
     ----------
     plan : Plan
     channels : sequence of ColorChannel
-        Textures and pixels of all colors, or of each color in `Plan.apart`.
+        Textures and pixels of all colors, or of each color in `Plan.color_plans`.
     hits : Hits, optional
         Ray hits shared with other lenses.
     grid : numpy.void
@@ -311,9 +311,9 @@ class SceneWorkspace(Workspace):
         session, scene = channels[0].scene.session, plan.scene
         buffers = shared_buffers(session, plan, () if hits is None else hit_buffers(plan.grid, plan.mapped > 0))
         super().__init__(session, buffers)
-        pairs = zip(plan.apart or (plan,), channels, strict=True)
-        self.planes = tuple(PlaneWorkspace(one, channel, buffers, hits, grid) for one, channel in pairs)
-        if plan.apart:
+        pairs = zip(plan.color_plans or (plan,), channels, strict=True)
+        self.planes = tuple(PlaneWorkspace(color_plan, channel, buffers, hits, grid) for color_plan, channel in pairs)
+        if plan.color_plans:
             from clsco.passes.colors import JoinedColors
 
             self._joined = JoinedColors(session, plan.channels, plan.colors)
@@ -329,10 +329,9 @@ class SceneWorkspace(Workspace):
             self._sensor = FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid))
 
     def run_pass(self, job: SceneJob, step: Pass, *inputs: Any) -> Outputs:
-        own = hasattr(self, step.kind.replace(" ", "_"))
-        return (
-            super().run_pass(job, step, *inputs) if own else self.planes[step.color or 0].run_pass(job, step, *inputs)
-        )
+        if hasattr(self, step.kind.replace(" ", "_")):
+            return super().run_pass(job, step, *inputs)
+        return self.planes[step.color or 0].run_pass(job, step, *inputs)
 
     def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[LayerBounds, ...] | None:
         """As `BlurWorkspace.find_layers`, for all colors, or for red, green and blue; None without layers."""
@@ -350,8 +349,8 @@ class SceneWorkspace(Workspace):
     def accumulate(self, job: SceneJob, _: Pass, plane: Plane) -> Outputs:
         if job.is_first:
             self._frame.clear()
-        whole = job.whole_strip
-        return (self._frame.add(plane, job.weights, job.events, job.strip.top - whole.top, whole.rows),)
+        strip = job.whole_strip
+        return (self._frame.add(plane, job.weights, job.events, job.strip.top - strip.top, strip.rows),)
 
     def sensor(self, job: SceneJob, _: Pass, light: Plane) -> Outputs:
         stream = job.noise_stream

@@ -129,26 +129,26 @@ def pick(
     """
     if not devices:
         return Choice(None, NO_DEVICE)
-    for source, wanted in ((origin, name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
-        if wanted:
-            return Choice(_matching(devices, source, wanted), f'{source} is "{wanted}"')
+    for source, text in ((origin, name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
+        if text:
+            return Choice(_match_device(devices, source, text), f'{source} is "{text}"')
     if specification := environ.get("PYOPENCL_CTX"):
         handle = by_pyopencl(specification)
-        return Choice(described(handle), f'PYOPENCL_CTX is "{specification}"')
+        return Choice(describe_device(handle), f'PYOPENCL_CTX is "{specification}"')
     best = min(devices, key=_rank)  # the first of equals, so the platforms' order decides
     return Choice(best, _REASONS[_rank(best)])
 
 
-def failure(device: Device, what: str, error: cl.Error | OSError) -> DeviceError:
-    """The error to raise if a device fails; what: the failed task; error: OpenCL's."""
+def failure(device: Device, task: str, error: cl.Error | OSError) -> DeviceError:
+    """The error to raise if a device fails; task: what failed; error: OpenCL's."""
     short = isinstance(error, cl.MemoryError | OSError) or any(word in str(error) for word in _SHORT_OF_MEMORY)
-    return DeviceError(f"device {device}: must {what}; got {error}", short_of_memory=short)
+    return DeviceError(f"device {device}: must {task}; got {error}", short_of_memory=short)
 
 
 _process: int | None = None  # the one in which OpenCL was asked for the first time
 
 
-def _not_forked() -> None:
+def check_not_forked() -> None:
     """Raise DeviceError in a fork of a process that has used OpenCL, where PoCL would hang."""
     global _process
     _process = _process or os.getpid()
@@ -165,8 +165,8 @@ def _rank(device: Device) -> int:
     return 2 if device.kind == "cpu" else 3
 
 
-def _matching(devices: Sequence[Device], source: str, wanted: str) -> Device:
-    part = wanted.lower()
+def _match_device(devices: Sequence[Device], source: str, text: str) -> Device:
+    part = text.lower()
 
     def likeness(device: Device) -> int:
         """Rank of a match: 0 its kind or whole name, 1 a part of its platform's name, 2 a part of its own name, as
@@ -177,11 +177,11 @@ def _matching(devices: Sequence[Device], source: str, wanted: str) -> Device:
             return 0
         return 1 if any(part in text for text in platform) else 2 if part in name else 3
 
-    found = [device for device in devices if likeness(device) < 3]
-    if not found:
-        there = ", ".join(map(str, devices))
-        raise DeviceError(f'{source}: must be a part of the name of one of {there}; got "{wanted}"')
-    return min(found, key=lambda device: (likeness(device), _rank(device)))
+    matches = [device for device in devices if likeness(device) < 3]
+    if not matches:
+        names = ", ".join(map(str, devices))
+        raise DeviceError(f'{source}: must be a part of the name of one of {names}; got "{text}"')
+    return min(matches, key=lambda device: (likeness(device), _rank(device)))
 
 
 def _by_pyopencl(specification: str) -> cl.Device:
@@ -192,7 +192,7 @@ def _by_pyopencl(specification: str) -> cl.Device:
 
 
 def _devices() -> tuple[Device, ...]:
-    _not_forked()
+    check_not_forked()
     try:
         poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
     except OSError as error:
@@ -207,10 +207,10 @@ def _devices() -> tuple[Device, ...]:
             handles.extend(platform.get_devices())
         except cl.Error:  # a driver without its hardware
             continue
-    return tuple(described(handle) for handle in handles)
+    return tuple(describe_device(handle) for handle in handles)
 
 
-def described(handle: cl.Device) -> Device:
+def describe_device(handle: cl.Device) -> Device:
     extensions = handle.extensions.split()
     kinds = cl.device_type
     return Device(

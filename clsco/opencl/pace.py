@@ -38,13 +38,13 @@ class Pace:
             if (status := events[-1].command_execution_status) <= 0:  # done, or failed
                 del self._pending[key]
                 if status == 0:
-                    self.measured(key, done, sum(map(spent, events)))
+                    self.record_time(key, done, sum(map(event_seconds, events)))
         return self._rates.get(key, UNIT) * work
 
-    def launched(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
+    def record_launch(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
         """Record a launch and its expected seconds, and wait if the host is too far ahead of the device."""
-        if left := self._untimed.get(key, 0):
-            self._untimed[key] = left - 1
+        if untimed := self._untimed.get(key, 0):
+            self._untimed[key] = untimed - 1
         elif key not in self._pending:
             self._pending[key] = events, work
         self._ahead += max(seconds, PIECE / AT_ONCE)
@@ -53,7 +53,7 @@ class Pace:
                 self._mark.wait()
             self._mark, self._ahead = events[-1], 0.0
 
-    def measured(self, key: Hashable, work: float, seconds: float) -> None:
+    def record_time(self, key: Hashable, work: float, seconds: float) -> None:
         """Record the seconds that an amount of work took."""
         self._rates[key] = seconds / work
         self._untimed[key] = TIMED - 1 if seconds < PIECE / AT_ONCE else 0
@@ -66,12 +66,12 @@ class Pace:
         self._mark, self._ahead = None, 0.0
 
 
-def spent(event: cl.Event) -> float:
+def event_seconds(event: cl.Event) -> float:
     """Seconds that a completed command took on the device."""
     info: Any = event.get_profiling_info
     return 1e-9 * float(info(_END) - info(_START))
 
 
-def resized(size: int, seconds: float) -> int:
+def next_size(size: int, seconds: float) -> int:
     """Next size of a piece, after one of `size` that took `seconds`."""
     return max(1, int(size * min(PIECE / max(seconds, 1e-9), GROWTH)))

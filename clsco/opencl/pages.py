@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST = 2**16  # bytes, of what is worth keeping
-LARGE = 2**22  # bytes, from which a block holds at least one page of 2 MiB
-SPARE_BYTES = 2**27  # of blocks that nobody uses
-SLACK = 4  # a block is used again for what takes at most 1 / SLACK less
-CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than what is asked for
+SMALLEST = 2**16  # bytes of arrays that get their own pages
+LARGE = 2**22  # bytes of blocks that contain at least one page of 2 MiB
+SPARE_BYTES = 2**27  # of unused blocks
+SLACK = 4  # a block is reused for requests that are at most 1 / SLACK smaller
+CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than the request
 
 
 class Pages:
@@ -37,7 +37,7 @@ class Pages:
     def __init__(self, limit: int = SPARE_BYTES) -> None:
         self.limit = limit
         self._lock = threading.Lock()
-        self._back: deque[mmap.mmap] = deque()  # given back by finalizers, which may run amid what holds the lock
+        self._back: deque[mmap.mmap] = deque()  # returned by finalizers, which may run while the lock is held
         self._free: OrderedDict[int, mmap.mmap] = OrderedDict()
         self._bytes = 0
 
@@ -47,15 +47,15 @@ class Pages:
 
         Raises OSError if there is no memory.
         """
-        wanted = block_size(size)
+        bytes_ = block_size(size)
         with self._lock:
             self._take_back()
             free = ((len(block), key) for key, block in self._free.items())
-            found, key = min((each for each in free if wanted <= each[0] <= wanted + wanted // SLACK), default=(0, 0))
+            free_bytes, key = min((e for e in free if bytes_ <= e[0] <= bytes_ + bytes_ // SLACK), default=(0, 0))
             block = self._free.pop(key, None)
-            self._bytes -= found
+            self._bytes -= free_bytes
         if block is None:
-            block = _cleared(wanted)
+            block = _cleared(bytes_)
         array = np.frombuffer(block, np.uint8)
         weakref.finalize(array, self._give, block).atexit = False
         return array[:size]

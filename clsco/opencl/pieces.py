@@ -55,8 +55,8 @@ def in_pieces(
         events.append(enqueue(begin, end))
         if len(events) > 1:  # one piece is enqueued while the one before runs
             events[-2].wait()
-            size = pace.resized(before, pace.spent(events[-2]))
+            size = pace.next_size(before, pace.event_seconds(events[-2]))
         if progress is not None:
             progress.share = end / units
-    session.pace.launched(key, work, events, pace.PIECE)
+    session.pace.record_launch(key, work, events, pace.PIECE)
     return events

@@ -61,7 +61,7 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
         return
     try:
         folder = private_folder("clsco", f"pocl-{_versions()}", environ=environ)
-        if has_room(_made(folder)):
+        if has_room(_make_folder(folder)):
             environ[VARIABLE] = str(folder)
             return
     except ExposedFolderError as exposed:
@@ -69,7 +69,7 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
         logging.getLogger("clsco").warning(text, exposed)
     except (OSError, RuntimeError):  # read-only, full, or a user without a home
         pass
-    environ[VARIABLE] = str(_made(temporary_folder("kernels") / "clsco" / "pocl"))
+    environ[VARIABLE] = str(_make_folder(temporary_folder("kernels") / "clsco" / "pocl"))
 
 
 def is_on_disk() -> bool:
@@ -98,24 +98,24 @@ def check() -> int:
     folder = _folder()
     if not _is_ours(folder):
         return 0
-    with _locked(folder):
-        recorded = _recorded(folder)
-        found = {}
+    with _lock(folder):
+        recorded = _read_record(folder)
+        states = {}
         for name, _ in _names(folder):
             with suppress(OSError):  # PoCL moves its temporary files without our lock; what cannot be read is removed
-                found[name] = _state(f"{folder}/{name}")
-        programs = {_program(name) for name in found}
+                states[name] = _state(f"{folder}/{name}")
+        programs = {_program(name) for name in states}
         bad = {
             _program(name)
-            for name in found.keys() | recorded.keys()
-            if name not in found or name not in recorded or found[name][2] != recorded[name][2]
+            for name in states.keys() | recorded.keys()
+            if name not in states or name not in recorded or states[name][2] != recorded[name][2]
         }
-        if sum(size for size, _, _ in found.values()) > _LARGEST:
+        if sum(size for size, _, _ in states.values()) > _LARGEST:
             bad = programs
         for program in bad:
             shutil.rmtree(folder / program, ignore_errors=True)
         if bad:
-            _record(folder)
+            _write_record(folder)
         return len(bad)
 
 
@@ -123,12 +123,12 @@ def check() -> int:
 def exclusive() -> Iterator[None]:
     """Lock the cache folder against other processes while PoCL may write to it, and record the new files."""
     folder = _folder()
-    with _locked(folder):
+    with _lock(folder):
         try:
             yield
         finally:
             if _is_ours(folder):
-                _record(folder)
+                _write_record(folder)
 
 
 def wipe_cache() -> Path | None:
@@ -140,7 +140,7 @@ def wipe_cache() -> Path | None:
     folder = _folder()
     if not folder.is_dir():
         return None
-    with _locked(folder):
+    with _lock(folder):
         _wipe(folder)
     return folder
 
@@ -154,28 +154,28 @@ def _is_ours(folder: Path) -> bool:
     return folder.parent.name == "clsco" and folder.name.startswith("pocl")
 
 
-def _made(folder: Path) -> Path:
+def _make_folder(folder: Path) -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     with open(folder / LOCK, "ab"):  # a folder may exist and still refuse files
         return folder
 
 
 def _versions() -> str:
-    found = []
+    versions = []
     for package in ("pocl-binary-distribution", "pyopencl"):
         try:
-            found.append(version(package))
+            versions.append(version(package))
         except PackageNotFoundError:  # PoCL came with the system
-            found.append("system")
-    return "-".join(found)
+            versions.append("system")
+    return "-".join(versions)
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def _lock(folder: Path) -> Iterator[None]:
     with ExitStack() as stack:
         # A folder of the user's that is read-only needs no lock: PoCL cannot write to it either.
         with suppress(OSError):
-            handle = stack.enter_context(open(_made(folder) / LOCK, "ab"))  # the lock goes when it is closed
+            handle = stack.enter_context(open(_make_folder(folder) / LOCK, "ab"))  # the lock goes when it is closed
             if fcntl is not None:
                 fcntl.flock(handle, fcntl.LOCK_EX)
         yield
@@ -190,29 +190,29 @@ def _names(folder: Path) -> Iterator[tuple[str, bool]]:
     while waiting:
         inside = waiting.pop()
         with suppress(OSError):  # another process removes a cache that grew too large
-            (_, files, folders), known = _listed(f"{folder}/{inside}")
+            (_, files, folders), unchanged = _list_folder(f"{folder}/{inside}")
             # `last_accessed` is rewritten at every use, and a `tempfile_` is what PoCL leaves behind; it loads neither.
             if inside:
-                yield from ((inside + name, known) for name in files if name != "last_accessed")
+                yield from ((inside + name, unchanged) for name in files if name != "last_accessed")
             waiting += [f"{inside}{name}/" for name in folders]
 
 
-def _listed(path: str) -> tuple[_Listing, bool]:
+def _list_folder(path: str) -> tuple[_Listing, bool]:
     """Content of a folder, and True if this process has read it before in this state."""
     changed = os.stat(path).st_mtime_ns  # noqa: PTH116
-    known = _listings.get(path)
-    if known is not None and known[0] == changed:
-        return known, True
+    cached = _listings.get(path)
+    if cached is not None and cached[0] == changed:
+        return cached, True
     with os.scandir(path) as entries:
         inside = [(entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries]
-    found = (
+    listing = (
         changed,
         [name for name, is_folder in inside if not is_folder],
         [name for name, is_folder in inside if is_folder],
     )
     if time.time_ns() - changed > _SETTLED:
-        _listings[path] = found
-    return found, False
+        _listings[path] = listing
+    return listing, False
 
 
 def _program(name: str) -> str:
@@ -234,10 +234,10 @@ def _state(path: str, recorded: list[int] | None = None) -> list[int]:
         os.close(handle)
 
 
-def _recorded(folder: Path) -> _Sums:
+def _read_record(folder: Path) -> _Sums:
     try:
-        text, _, own = read_regular(folder / LIST, MOST_LIST).decode().rpartition("\n")
-        if int(own) != zlib.crc32(text.encode()):  # a damaged list may lack the file that is damaged
+        text, _, checksum = read_regular(folder / LIST, MOST_LIST).decode().rpartition("\n")
+        if int(checksum) != zlib.crc32(text.encode()):  # a damaged list may lack the file that is damaged
             return {}
         entries = json.loads(text).items()
         return {name: [int(size), int(modified), int(crc)] for name, (size, modified, crc) in entries}
@@ -245,25 +245,25 @@ def _recorded(folder: Path) -> _Sums:
         return {}
 
 
-def _record(folder: Path) -> None:
-    recorded = _recorded(folder)
+def _write_record(folder: Path) -> None:
+    recorded = _read_record(folder)
     sums: _Sums = {}
     for name, same in _names(folder):
-        known = recorded.get(name)
-        if same and known is not None:  # PoCL moves a file to its place, and so changes the folder
-            sums[name] = known
+        entry = recorded.get(name)
+        if same and entry is not None:  # PoCL moves a file to its place, and so changes the folder
+            sums[name] = entry
             continue
         with suppress(OSError):
-            sums[name] = _state(f"{folder}/{name}", known)
+            sums[name] = _state(f"{folder}/{name}", entry)
     if sums != recorded:
         temporary = folder / f"{LIST}.new"
         with suppress(OSError):  # a full disk: what is not recorded is compiled anew
             text = json.dumps(sums)
             temporary.write_text(f"{text}\n{zlib.crc32(text.encode())}", "utf-8")
             temporary.replace(folder / LIST)
-    for left in folder.glob("tempfile_*"):
+    for leftover in folder.glob("tempfile_*"):
         with suppress(OSError):
-            left.unlink()
+            leftover.unlink()
 
 
 def _wipe(folder: Path) -> None:

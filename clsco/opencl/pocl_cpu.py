@@ -46,14 +46,14 @@ def ensure_known(device: cl.Device) -> None:
     if not _is_nameless(device):
         return
     name, place = known_name(_flags()), name_in(device.int_ptr)
-    asked = os.environ.get(VARIABLE) == "1"
-    if name is None or place is None or not (asked or _builds_nothing(device)):
+    requested = os.environ.get(VARIABLE) == "1"
+    if name is None or place is None or not (requested or _builds_nothing(device)):
         return
-    # A copy of malloc's, as PoCL's own is, which it frees where it is asked to clean up.
+    # Allocated by malloc, like PoCL's own name, because PoCL frees it at its end.
     duplicate = ctypes.CDLL(None).strdup
     duplicate.restype, duplicate.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
     ctypes.c_void_p.from_address(place).value = duplicate(name)
-    if not asked:
+    if not requested:
         _report(name.decode())
 
 

@@ -77,8 +77,8 @@ def _program(
     facts = device.has_fp64, device.has_int64_atomics, macros | definitions(), device.kind == "cpu"
     text = source_text.program_text(files, structs, real, *facts)
     words = set(re.findall("[A-Z][A-Z_]+", text))
-    known = definitions() | {name: macros[name] for name in sorted(macros.keys() & words)}
-    options = [f"-D{name}={value}" for name, value in known.items()]
+    values = definitions() | {name: macros[name] for name in sorted(macros.keys() & words)}
+    options = [f"-D{name}={value}" for name, value in values.items()]
     options.append("-cl-std=CL1.2")
     if real == "float":  # else 0.5 is a double, and so is the arithmetic around it
         options.append("-cl-single-precision-constant")
@@ -89,7 +89,7 @@ def _program(
     if key not in session.programs:
         session.doing(f"compiling {', '.join(sources)}")
         with session.compiling():
-            session.programs[key] = _built(session, ", ".join(sources), text, options)
+            session.programs[key] = _compile_for_device(session, ", ".join(sources), text, options)
     return session.programs[key]
 
 
@@ -124,7 +124,7 @@ def launch(
     expected = session.pace.expected(kernel, work)
     if expected <= pace.PIECE or most <= 1:
         event = launch_whole(session, kernel, padded, local_size, *args, offset=origin if any(origin) else None)
-        session.pace.launched(kernel, work, [event], expected)
+        session.pace.record_launch(kernel, work, [event], expected)
         return [event]
     axis = groups.index(most)
 
@@ -161,14 +161,14 @@ def launch_whole(
         raise failure(session.device, f"run {kernel.function_name}", error) from error
 
 
-def _built(session: Session, where: str, text: str, options: list[str]) -> Program:
+def _compile_for_device(session: Session, where: str, text: str, options: list[str]) -> Program:
     if session.device.is_pocl and session.device.kind == "cpu":
         with suppress(KernelError):  # of a version whose header is another one, or a kernel that calls something else
-            return _compiled(session, where, text, [*options, WITHOUT_HEADER])
-    return _compiled(session, where, text, options)
+            return _compile(session, where, text, [*options, WITHOUT_HEADER])
+    return _compile(session, where, text, options)
 
 
-def _compiled(session: Session, where: str, text: str, options: list[str]) -> Program:
+def _compile(session: Session, where: str, text: str, options: list[str]) -> Program:
     with without_output():
         try:
             began = time.perf_counter()

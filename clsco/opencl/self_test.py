@@ -76,7 +76,7 @@ def self_test(device: Device) -> list[Check]:
             continue  # not claimed, so not used
         try:
             with Session(device) as session:
-                checks.append(_checked(session, probe))
+                checks.append(_run_check(session, probe))
         except (cl.Error, DeviceError) as error:
             checks.append(Check(probe.name, False, str(error).splitlines()[0]))
     return checks
@@ -87,13 +87,13 @@ def require_right_arguments(session: Session) -> None:
     driver that passes is recorded in the user's cache and not tested again.
     """
     device, passed = session.device, None
-    about = device.name, device.platform, device.platform_version, device.driver, _text(device, _ARGUMENTS)
-    with suppress(ExposedFolderError, OSError, RuntimeError):  # no such folder: asked in each process
-        passed = private_folder("clsco", "drivers") / hashlib.sha256(repr(about).encode()).hexdigest()
+    driver_key = device.name, device.platform, device.platform_version, device.driver, _text(device, _ARGUMENTS)
+    with suppress(ExposedFolderError, OSError, RuntimeError):  # no such folder: each process runs the test
+        passed = private_folder("clsco", "drivers") / hashlib.sha256(repr(driver_key).encode()).hexdigest()
     if passed is not None and passed.exists():
         return
     with session.reporting():
-        check = _checked(session, _ARGUMENTS)
+        check = _run_check(session, _ARGUMENTS)
     if not check.passed:
         rule = f"driver {device.driver} must pass the self-test, or another one be used, such as PoCL's"
         raise DeviceError(f"device {device}: {rule}; got a failure in {check.name}, {check.detail}")
@@ -102,10 +102,10 @@ def require_right_arguments(session: Session) -> None:
             passed.touch()
 
 
-def _checked(session: Session, probe: _Probe) -> Check:
-    got, expected = _ran(session, probe), probe.expected(np.arange(64, dtype=np.int64))
-    wrong = np.flatnonzero(got != expected)
-    detail = f"work-item {wrong[0]}: must be {expected[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
+def _run_check(session: Session, probe: _Probe) -> Check:
+    results, expected = _run_probe(session, probe), probe.expected(np.arange(64, dtype=np.int64))
+    wrong = np.flatnonzero(results != expected)
+    detail = f"work-item {wrong[0]}: must be {expected[wrong[0]]}; got {results[wrong[0]]}" if wrong.size else ""
     return Check(probe.name, not wrong.size, detail)
 
 
@@ -116,13 +116,13 @@ def _text(device: Device, probe: _Probe) -> str:
     return f"{begin}\n{probe.functions}\n{kernel}\n{{ int i = get_global_id(0); {probe.body} }}"
 
 
-def _ran(session: Session, probe: _Probe) -> NDArray[np.int64]:
-    given, got = np.arange(64, dtype=np.float32), np.zeros(64, np.int64)
+def _run_probe(session: Session, probe: _Probe) -> NDArray[np.int64]:
+    inputs, results = np.arange(64, dtype=np.float32), np.zeros(64, np.int64)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     with session.compiling():
-        buffers = [cl.Buffer(session.context, flags, hostbuf=array) for array in (given, got)]
+        buffers = [cl.Buffer(session.context, flags, hostbuf=array) for array in (inputs, results)]
         with source_text.without_output():
             kernel = cl.Kernel(cl.Program(session.context, _text(session.device, probe)).build(), "probe")
         kernel(session.queue, (64,), (64,), *buffers)
-        cl.enqueue_copy(session.queue, got, buffers[1], is_blocking=True)
-    return got
+        cl.enqueue_copy(session.queue, results, buffers[1], is_blocking=True)
+    return results

@@ -19,7 +19,7 @@ from clsco.cache import Cache
 from clsco.errors import CanceledError, DeviceError
 from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl import pocl_cpu as poclcpu
-from clsco.opencl.device import Device, _not_forked, choose, described, failure
+from clsco.opencl.device import Device, check_not_forked, choose, describe_device, failure
 from clsco.opencl.pace import Pace
 
 CACHE_BYTES = 2**28
@@ -66,15 +66,15 @@ class Session:
     """
 
     def __init__(self, device: Device, queue: cl.CommandQueue | None = None, context: cl.Context | None = None) -> None:
-        _not_forked()
+        check_not_forked()
         self.device = device
         self.lock = threading.RLock()
         self.cache = Cache(CACHE_BYTES)
         """Buffers that are filled once: textures, tables, what rays hit, by what they contain."""
         self.canceled = threading.Event()
-        """Set to have what works here end at its next step; see `go_on`."""
+        """Set to cancel the work of this session at its next step; see `go_on`."""
         self.progress: Progress | None = None
-        """Progress for another thread to look at. The host then runs ahead of the device by one time sample at most."""
+        """Progress, read by another thread. The host then runs ahead of the device by one time sample at most."""
         self.programs: dict[Hashable, Program] = {}
         """Programs that were built here, by their texts and the compiler's options."""
         self.requests: dict[Hashable, Program] = {}
@@ -83,7 +83,7 @@ class Session:
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         self.pace = Pace()
         if device.is_pocl:
-            poclcache.prepare()  # where the user has opened a queue before clsco asked for any device
+            poclcache.prepare()  # the user may have opened a queue before clsco listed devices
             poclcache.check()
             poclcpu.ensure_known(device.handle)
         try:
@@ -98,20 +98,20 @@ class Session:
 
     def with_cache(self, limit: int) -> Session:
         """A session in the same queue, with the same programs, and a buffer cache of at most `limit` bytes."""
-        found = copy(self)
-        found.cache, found.canceled, found.progress = Cache(limit), threading.Event(), Progress()
-        return found
+        session = copy(self)
+        session.cache, session.canceled, session.progress = Cache(limit), threading.Event(), Progress()
+        return session
 
     def unwatched(self) -> Session:
         """This session without progress, for background work."""
-        found = copy(self)
-        found.progress = None
-        return found
+        session = copy(self)
+        session.progress = None
+        return session
 
-    def doing(self, what: str) -> None:
+    def doing(self, step: str) -> None:
         """Record the step that begins, if progress is watched."""
         if self.progress is not None:
-            self.progress.doing, self.progress.share = what, 0.0
+            self.progress.doing, self.progress.share = step, 0.0
 
     def go_on(self) -> None:
         """Raise CanceledError if the work is canceled."""
@@ -121,7 +121,7 @@ class Session:
     @property
     def queue(self) -> cl.CommandQueue:
         """The queue; raises DeviceError in a fork of the process that opened it."""
-        _not_forked()
+        check_not_forked()
         return self._queue
 
     def compiling(self) -> AbstractContextManager[None]:
@@ -132,8 +132,8 @@ class Session:
         if not self.device.is_pocl:
             return nullcontext()
         if not poclcache.is_on_disk():
-            got = os.environ[poclcache.VARIABLE]
-            raise DeviceError(f"{poclcache.VARIABLE}: must be a folder on a disk, for kernels; got {got}")
+            folder = os.environ[poclcache.VARIABLE]
+            raise DeviceError(f"{poclcache.VARIABLE}: must be a folder on a disk, for kernels; got {folder}")
         if not poclcache.has_room():
             rule = f"the folder {os.environ[poclcache.VARIABLE]} must have {poclcache.ROOM >> 20} MiB for kernels"
             raise DeviceError(f"device {self.device}: {rule}; got a full disk")
@@ -190,8 +190,8 @@ class Session:
             self.queue.finish()
 
 
-# A context and its built programs, kept because they take longer than a small image does, and because PoCL does not
-# give back the memory of a program that is released (2 MiB each).
+# Contexts and built programs are cached, because they take longer than a small image, and because PoCL leaks the memory
+# of released programs (2 MiB each).
 @lru_cache(maxsize=4)
 def session_on(device: Device) -> Session:
     """A session on a device; the last four sessions are cached."""
@@ -201,13 +201,13 @@ def session_on(device: Device) -> Session:
 @lru_cache(maxsize=4)
 def session_of(queue: cl.CommandQueue) -> Session:
     """A session that works in a queue; the last four sessions are cached."""
-    return Session(described(queue.device), queue=queue)
+    return Session(describe_device(queue.device), queue=queue)
 
 
 @lru_cache(maxsize=4)
 def session_in(context: cl.Context) -> Session:
     """A session in a context, on its first device; the last four sessions are cached."""
-    return Session(described(context.devices[0]), context=context)
+    return Session(describe_device(context.devices[0]), context=context)
 
 
 def session_for(device: DeviceLike) -> Session:
@@ -219,7 +219,7 @@ def session_for(device: DeviceLike) -> Session:
     if isinstance(device, cl.Context):
         return session_in(device)
     if isinstance(device, cl.Device):
-        return session_on(described(device))
+        return session_on(describe_device(device))
     rule = "must be a part of a name, or a Device, Context or CommandQueue of pyopencl"
     raise DeviceError(f"device: {rule}; got {type(device).__name__}")
 

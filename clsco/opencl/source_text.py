@@ -55,47 +55,47 @@ def program_text(
     if has_int64_atomics:
         lines.append("#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable")
         lines.append("#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable")
-    of_device = {"HAS_FP64": has_fp64, "HAS_INT64_ATOMICS": has_int64_atomics, "REAL_IS_DOUBLE": real == "double"}
-    lines += [f"#define {name} {int(value)}" for name, value in of_device.items()]
+    device_macros = {"HAS_FP64": has_fp64, "HAS_INT64_ATOMICS": has_int64_atomics, "REAL_IS_DOUBLE": real == "double"}
+    lines += [f"#define {name} {int(value)}" for name, value in device_macros.items()]
     lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
     lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
-    preprocessor = _Preprocessor(of_device | dict(macros or {}), on_cpu)
+    preprocessor = _Preprocessor(device_macros | dict(macros or {}), on_cpu)
     return "\n".join([*lines, *(preprocessor.text(source) for source in sources)])
 
 
 @dataclass
 class _Condition:
-    """A conditional of a text. active: the current branch is included; done: the included branch was read; left: the
-    compiler decides, as a name in the condition is unknown.
+    """A conditional of a text. active: the current branch is included; done: the included branch was read; deferred:
+    the compiler decides, as a name in the condition is unknown.
     """
 
     active: bool
     done: bool
-    left: bool = False
+    deferred: bool = False
 
 
 @dataclass
 class _Preprocessor:
     """Files after preprocessing: conditions on known macros are decided, and each file is read once.
 
-    macros: by name; on_cpu: prefer files in folders `cpu`; seen: files already read.
+    macros: by name; on_cpu: prefer files in folders `cpu`; files_read: names of files.
     """
 
     macros: dict[str, float]
     on_cpu: bool
-    seen: set[str] = field(default_factory=set)
+    files_read: set[str] = field(default_factory=set)
 
     def text(self, source: str) -> str:
         """Text of a file and of the files that it includes, with blank lines where text is excluded; empty for a file
         already read.
         """
         name = _cpu_form(source) if self.on_cpu else source
-        if name in self.seen:
+        if name in self.files_read:
             return ""
-        self.seen.add(name)
+        self.files_read.add(name)
         text, pieces, conditionals, end = _read(name), [f'#line 1 "{name}"\n'], list[_Condition](), 0
         for line in _DIRECTIVE.finditer(text):
-            active = all(one.active for one in conditionals)
+            active = all(conditional.active for conditional in conditionals)
             between = text[end : line.start()]
             pieces.append(between if active else "\n" * between.count("\n"))
             word, condition, included, joined, sides = line.groups()
@@ -115,20 +115,20 @@ class _Preprocessor:
         """Process a line with a conditional; returns its replacement for the compiler."""
         if word.startswith("if"):
             value = self._value(condition) if word == "if" and active else None
-            left = active and value is None
-            conditionals.append(_Condition(bool(value) or left, bool(value) or not active, left))
-            return line if left else ""
-        here = conditionals[-1]
+            deferred = active and value is None
+            conditionals.append(_Condition(bool(value) or deferred, bool(value) or not active, deferred))
+            return line if deferred else ""
+        current = conditionals[-1]
         if word == "endif":
             conditionals.pop()
-            return line if here.left and active else ""
-        if here.left:
+            return line if current.deferred and active else ""
+        if current.deferred:
             return line
-        value = None if here.done else self._value(condition) if word == "elif" else 1.0
-        if value is None and not here.done:
-            here.active = here.done = here.left = True
+        value = None if current.done else self._value(condition) if word == "elif" else 1.0
+        if value is None and not current.done:
+            current.active = current.done = current.deferred = True
             return line.replace("elif", "if", 1)
-        here.active, here.done = bool(value), here.done or bool(value)
+        current.active, current.done = bool(value), current.done or bool(value)
         return ""
 
     def _value(self, condition: str) -> float | None:
@@ -154,8 +154,8 @@ def _in_python(condition: str) -> tuple[frozenset[str], str]:
 
 def _cpu_form(source: str) -> str:
     """Name of a file's variant for processors."""
-    own = re.sub(r"[^/]+$", r"cpu/\g<0>", source)
-    return own if (folder("kernels") / own).is_file() else source
+    variant = re.sub(r"[^/]+$", r"cpu/\g<0>", source)
+    return variant if (folder("kernels") / variant).is_file() else source
 
 
 def _read(source: str) -> str:
@@ -174,7 +174,7 @@ def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[
     """
     if dtype.fields is None or not dtype.isalignedstruct:
         raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")
-    names = {other: c_name for c_name, other in structs.items()}
+    names = {dtype_: c_name for c_name, dtype_ in structs.items()}
     members = []
     for member, entry in dtype.fields.items():
         base, shape = entry[0].base, entry[0].shape

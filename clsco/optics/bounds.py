@@ -52,15 +52,15 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
     cuts = np.ones((3, 2), dtype=bool)
     for axis, side in product(range(3), range(2)):
         cuts[axis, side] = False
-        others = np.where(cuts, box, [-FAR, FAR])
-        others = np.stack([np.maximum(others[:, 0], half[:, 0]), np.minimum(others[:, 1], half[:, 1])], axis=1)
-        # The nappe alone holds along the axis itself, as both of its bounds may be left.
-        others[axis] = half[axis]
+        box_left = np.where(cuts, box, [-FAR, FAR])
+        box_left = np.stack([np.maximum(box_left[:, 0], half[:, 0]), np.minimum(box_left[:, 1], half[:, 1])], axis=1)
+        # Along the axis itself only the nappe applies, as both of its bounds may be dropped.
+        box_left[axis] = half[axis]
         sign = 1.0 if side else -1.0
-        reached = [sign * place for place in _ends(matrix, axis, others)]
+        reached = [sign * place for place in _ends(matrix, axis, box_left)]
         cuts[axis, side] = not reached or max(reached) > sign * box[axis, side] + TOUCHING
-    found = [tuple(np.where(keep, given, [-inf, inf]).tolist()) for keep, given in zip(cuts, bounds, strict=True)]
-    return (found[0], found[1], found[2]) if cuts.any() else None
+    x, y, z = (tuple(limits) for limits in np.where(cuts, bounds, [-inf, inf]).tolist())
+    return (x, y, z) if cuts.any() else None
 
 
 def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
@@ -69,7 +69,7 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
     matrix: (M, L; L, K); box: (3, 2), low and high, which applies to the other axes, and for finite roots to all.
     """
     order = [axis, *(k for k in range(3) if k != axis), 3]
-    m, (own, *sides) = matrix[np.ix_(order, order)], box[order[:3]]
+    m, (axis_interval, *sides) = matrix[np.ix_(order, order)], box[order[:3]]
     least = NULL * np.abs(matrix).max()
     slopes = [m[0, 1] * y + m[0, 2] * z + m[0, 3] for y, z in product(*sides)]
     if abs(m[0, 0]) <= least and min(slopes) <= least and max(slopes) >= -least:
@@ -78,19 +78,20 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
     # Each free axis is a linear function of x where Q does not change along it; the others are at an end of the box.
     for fixed in product((0, 1, None), repeat=2):
         free = [k + 1 for k, end in enumerate(fixed) if end is None]
-        held = np.zeros((4, 2))  # p = held (x, 1)
-        held[0, 0] = held[3, 1] = 1.0
+        line = np.zeros((4, 2))  # p = line (x, 1)
+        line[0, 0] = line[3, 1] = 1.0
         for k, end in enumerate(fixed):
             if end is not None:
-                held[k + 1, 1] = sides[k][end]
+                line[k + 1, 1] = sides[k][end]
         if free:
             part = m[np.ix_(free, free)]
             if abs(np.linalg.det(part)) <= (least if len(free) == 1 else least * np.abs(part).max()):
                 continue  # Q is of first degree along a line, which ends at others
-            held[free] = -np.linalg.solve(part, (m @ held)[free])
-        for x in _roots(held.T @ m @ held):
-            at = held @ (x, 1.0)
-            if all(low - TOUCHING <= c <= high + TOUCHING for c, (low, high) in zip(at, (own, *sides), strict=False)):
+            line[free] = -np.linalg.solve(part, (m @ line)[free])
+        for x in _roots(line.T @ m @ line):
+            at = line @ (x, 1.0)
+            intervals = (axis_interval, *sides)
+            if all(low - TOUCHING <= c <= high + TOUCHING for c, (low, high) in zip(at, intervals, strict=False)):
                 yield x
 
 

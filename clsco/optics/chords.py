@@ -93,9 +93,9 @@ def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
     total = np.zeros(np.broadcast(dx, dy, opening.low).shape)
     below = _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
-        left = dx + side
-        start, end = (np.clip(at, opening.low, opening.high) for at in (left, left + 1.0))
-        flat = np.zeros(start.shape, np.bool_) if point else opening.is_flat(left)
+        column = dx + side
+        start, end = (np.clip(at, opening.low, opening.high) for at in (column, column + 1.0))
+        flat = np.zeros(start.shape, np.bool_) if point else opening.is_flat(column)
         for low, high in opening.pieces:
             ends = np.clip(start, low, high), np.clip(end, low, high)
             for v, parts in opening.places(*ends, flat, total.ndim):
@@ -142,7 +142,7 @@ class _Opening:
         ]
         if borders:
             inner, over, size = borders.circles, borders.squeeze, np.abs(radius)
-            lens = [np.asarray(each) for each in (inner if hole is None else (*inner, hole))]
+            lens = [np.asarray(bounds) for bounds in (inner if hole is None else (*inner, hole))]
             within = [(x / over * radius, y * radius, r / over * size, over) for x, y, r in lens]
             self.circles = [*within, *self.circles[1:]]
             self.edges = [(x * radius, y * radius, d * size * size) for x, y, d in borders.edges if abs(y) > UPRIGHT]
@@ -151,11 +151,11 @@ class _Opening:
         if borders:
             corners = borders.columns
             ends.append(np.sort([radius * end for end in (corners[0], corners[-1])], axis=0))
-            self.pieces = [np.sort([radius * one, radius * other], axis=0) for one, other in pairwise(corners)]
-        self.low, high = (np.stack(np.broadcast_arrays(*each)) for each in zip(*ends, strict=True))
+            self.pieces = [np.sort([radius * first, radius * second], axis=0) for first, second in pairwise(corners)]
+        self.low, high = (np.stack(np.broadcast_arrays(*bounds)) for bounds in zip(*ends, strict=True))
         self.low, self.high = self.low.max(axis=0), np.maximum(high.min(axis=0), self.low.max(axis=0))
 
-    def _each(self, v: Array) -> Iterator[tuple[Array | float, Array | float]]:
+    def _circle_chords(self, v: Array) -> Iterator[tuple[Array | float, Array | float]]:
         """Beginning and end in px of the chord of each circle, and between each pair of edges, along the column at v
         px.
         """
@@ -169,13 +169,13 @@ class _Opening:
 
     def _ends(self, v: Array) -> tuple[Array, Array]:
         """Beginnings of all chords, and ends of all chords."""
-        beginnings, ends = zip(*self._each(v), strict=True)
+        beginnings, ends = zip(*self._circle_chords(v), strict=True)
         return np.stack(np.broadcast_arrays(*beginnings)), np.stack(np.broadcast_arrays(*ends))
 
     def chords(self, v: Array) -> tuple[Array, Array]:
         """Beginning and end of the opening's chord."""
         beginning, ending = np.full(v.shape, -FAR), np.full(v.shape, FAR)
-        for first, last in self._each(v):
+        for first, last in self._circle_chords(v):
             beginning, ending = np.maximum(beginning, first), np.minimum(ending, last)
         return beginning, np.maximum(ending, beginning)
 
@@ -190,32 +190,32 @@ class _Opening:
         placed by that root from the nearer end; a column over the middle has nodes from both.
         """
         middle = 0.5 * (self.low + self.high)
-        both = ~flat & (start < middle) & (middle < end)
-        places, parts = (_stacked(each, axes) for each in chord_nodes(count))
+        straddles = ~flat & (start < middle) & (middle < end)
+        places, parts = (_stacked(values, axes) for values in chord_nodes(count))
         few = _stacked(np.pad(chord_nodes(FLAT_CHORDS)[0], (0, count - FLAT_CHORDS)), axes)
         even = _stacked(np.arange(count) < FLAT_CHORDS, axes) / FLAT_CHORDS
-        for second in range(2 if both.any() else 1):
-            right = both if second else start >= middle
+        for second in range(2 if straddles.any() else 1):
+            right = straddles if second else start >= middle
             near, far = np.where(right, end, start), np.where(right, np.maximum(start, middle), np.minimum(end, middle))
             origin, sign = np.where(right, self.high, self.low), np.where(right, -1.0, 1.0)
             first, last = (np.sqrt(np.maximum(sign * (at - origin), 0.0)) for at in (near, far))
             root = first + (last - first) * places
             v = np.where(flat, start + (end - start) * few, origin + sign * root * root)
             steep = 2.0 * (last - first) * root * parts
-            yield v, np.where(flat, (end - start) * even, steep) * (both if second else 1.0)
+            yield v, np.where(flat, (end - start) * even, steep) * (straddles if second else 1.0)
 
-    def is_flat(self, left: Array) -> NDArray[np.bool_]:
-        """True if all chords of the column from `left` to 1 px right of it begin on one circle and end on one, away
+    def is_flat(self, column: Array) -> NDArray[np.bool_]:
+        """True if all chords of the column from `column` to 1 px right of it begin on one circle and end on one, away
         from the ends of the opening.
         """
-        flat = (left - self.low >= FLAT) & (self.high - left - 1.0 >= FLAT)
+        flat = (column - self.low >= FLAT) & (self.high - column - 1.0 >= FLAT)
         if len(self.circles) + len(self.edges) == 1:
             return np.asarray(flat)
-        (first, first_end), (last, last_end) = (self._ends(at) for at in (left, left + 1.0))
-        for one, other in ((first, last), (-first_end, -last_end)):
-            flat = flat & (one.argmax(axis=0) == other.argmax(axis=0))
-        for one, other in ((first, first_end), (last, last_end)):
-            flat = flat & (one.max(axis=0) < other.min(axis=0))
+        (first, first_end), (last, last_end) = (self._ends(at) for at in (column, column + 1.0))
+        for first_edges, second_edges in ((first, last), (-first_end, -last_end)):
+            flat = flat & (first_edges.argmax(axis=0) == second_edges.argmax(axis=0))
+        for first_edges, second_edges in ((first, first_end), (last, last_end)):
+            flat = flat & (first_edges.max(axis=0) < second_edges.min(axis=0))
         return np.asarray(flat)
 
 

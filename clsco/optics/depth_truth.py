@@ -14,7 +14,7 @@ from clsco.optics.motion import Eye, Pose, moved_points, rest_center
 from clsco.optics.rays import image_slopes, slopes_at
 from clsco.scene.model import Camera, Object
 
-# A depth at a point's place that is nearer by at most this factor is taken for the point's own surface.
+# A depth at a point's position that is nearer by at most this factor belongs to the point's own surface.
 SAME_SURFACE = 1.02
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -28,11 +28,11 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
     return np.asarray(rays * np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)[..., None])
 
 
-def _difference(point: Array, there: NDArray[np.bool_], axis: int) -> Array:
+def _difference(point: Array, valid: NDArray[np.bool_], axis: int) -> Array:
     """Step from a pixel's point to the neighbor on this axis whose depth differs less; 0 without a neighbor."""
     step = np.diff(point, axis=axis)
-    known = np.logical_and(*(np.delete(there, end, axis=axis) for end in (0, -1)))
-    step = np.where(known[..., None], step, np.inf)
+    both_valid = np.logical_and(*(np.delete(valid, end, axis=axis) for end in (0, -1)))
+    step = np.where(both_valid[..., None], step, np.inf)
     edge = np.full_like(np.take(step, [0], axis=axis), np.inf) if step.shape[axis] else np.full_like(point, np.inf)
     ahead = np.concatenate([step, edge], axis=axis) if step.shape[axis] else edge
     behind = np.concatenate([edge, step], axis=axis) if step.shape[axis] else edge
@@ -47,9 +47,9 @@ def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
     ----------
     camera : Camera
     depth : ndarray of float, (rows, columns)
-        mm, +inf where there is no surface.
+        mm, +inf without a surface.
 
-    mm, +inf without a surface.
+    Returns
     -------
     ndarray of float32, (rows, columns, 3)
         In the camera frame, towards the lens; 0 without a surface.
@@ -59,14 +59,14 @@ def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
     Of the two neighbors on an axis, the one whose depth differs less is used, so that a normal does not reach across a
     depth discontinuity. Validated on the depths of analytic surfaces.
     """
-    point, there = _points(camera, depth), np.isfinite(depth)
-    right, down = (_difference(point, there, axis) for axis in (1, 0))
+    point, valid = _points(camera, depth), np.isfinite(depth)
+    right, down = (_difference(point, valid, axis) for axis in (1, 0))
     normal = np.cross(right, down)
     normal *= np.where((normal * point).sum(axis=-1) > 0, -1.0, 1.0)[..., None]
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     towards = -point / np.maximum(np.linalg.norm(point, axis=-1, keepdims=True), 1e-300)
-    known = there[..., None]
-    return np.where(known, np.where(size > 0, normal / np.maximum(size, 1e-300), towards), 0.0).astype(np.float32)
+    covered = valid[..., None]
+    return np.where(covered, np.where(size > 0, normal / np.maximum(size, 1e-300), towards), 0.0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +102,12 @@ class MapPoints:
         return moved_points(self.points, rest_center(self.items[k]), self.poses[k], pose)
 
 
-def map_flow(seen: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
+def map_flow(points: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
     """Optical flow of the visible surface from one pose to another.
 
     Parameters
     ----------
-    seen : MapPoints
+    points : MapPoints
     camera : Camera
         The camera at the other time.
     then : sequence of Pose
@@ -122,30 +122,30 @@ def map_flow(seen: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
     -----
     Validated against the flow of the surface that a depth map was made from.
     """
-    point, step, ratio = seen.points, ray_step(camera), ray_step(seen.camera) / ray_step(camera)
-    flow = np.zeros((*seen.depth.shape, 2))
-    for k in range(len(seen.items)):
-        moved = seen.moved(k, then[k])
-        own = (seen.object_id == k) & np.isfinite(seen.depth) & (moved[..., 2] > 0)
-        there, here = (
-            image_slopes(by, *(at[..., axis] / np.where(own, at[..., 2], 1.0) for axis in (0, 1)))
-            for by, at in ((camera, moved), (seen.camera, point))
+    point, step, ratio = points.points, ray_step(camera), ray_step(points.camera) / ray_step(camera)
+    flow = np.zeros((*points.depth.shape, 2))
+    for k in range(len(points.items)):
+        moved = points.moved(k, then[k])
+        mask = (points.object_id == k) & np.isfinite(points.depth) & (moved[..., 2] > 0)
+        target, origin = (
+            image_slopes(by, *(at[..., axis] / np.where(mask, at[..., 2], 1.0) for axis in (0, 1)))
+            for by, at in ((camera, moved), (points.camera, point))
         )
         for axis, sign in ((0, 1.0), (1, -1.0)):
-            flow[..., axis] = np.where(own, sign * (there[axis] - here[axis] / ratio) / step, flow[..., axis])
+            flow[..., axis] = np.where(mask, sign * (target[axis] - origin[axis] / ratio) / step, flow[..., axis])
     return flow.astype(np.float32)
 
 
 def map_stereo(
-    seen: MapPoints, there: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye
+    points: MapPoints, poses: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Disparity and occlusion of a view, from depth.
 
     Parameters
     ----------
-    seen : MapPoints
+    points : MapPoints
         Points of this view.
-    there : sequence of Pose
+    poses : sequence of Pose
         Poses relative to the other view.
     opposite : ndarray of float, (rows, columns)
         Depth of the other view, mm.
@@ -159,20 +159,20 @@ def map_stereo(
     occluded : ndarray of bool, (rows, columns)
         As `map_occluded`.
     """
-    flow = map_flow(seen, seen.camera, there)
-    occluded = map_occluded(seen, seen.camera, there, opposite)
+    flow = map_flow(points, points.camera, poses)
+    occluded = map_occluded(points, points.camera, poses, opposite)
     return (flow[..., 0] * (1.0 if eye == "right" else -1.0)).astype(np.float32), occluded
 
 
 def map_occluded(
-    seen: MapPoints, camera: Camera, there: Sequence[Pose], opposite: NDArray[np.floating]
+    points: MapPoints, camera: Camera, poses: Sequence[Pose], opposite: NDArray[np.floating]
 ) -> NDArray[np.bool_]:
     """Mask of points that are not visible in other poses, from depth.
 
     Parameters
     ----------
-    seen : MapPoints
-    camera, there
+    points : MapPoints
+    camera, poses
         As for `map_flow`, such as those of the next frame.
     opposite : ndarray of float, (rows, columns)
         Depth in these poses, mm.
@@ -183,13 +183,13 @@ def map_occluded(
         True where a surface at the point's position is nearer by more than the factor SAME_SURFACE, or the position is
         outside the frame.
     """
-    flow = map_flow(seen, camera, there)
-    rows, columns = seen.depth.shape
-    i, j = np.indices(seen.depth.shape)
+    flow = map_flow(points, camera, poses)
+    rows, columns = points.depth.shape
+    i, j = np.indices(points.depth.shape)
     row, column = (np.floor(at + flow[..., axis] + 0.5).astype(np.int64) for at, axis in ((i, 1), (j, 0)))
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     nearest = opposite[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-    moved = np.full(seen.depth.shape, np.inf)
-    for k in range(len(seen.items)):
-        moved = np.where(seen.object_id == k, seen.moved(k, there[k])[..., 2], moved)
-    return np.asarray((seen.object_id >= 0) & (~inside | (nearest * SAME_SURFACE < moved)))
+    moved = np.full(points.depth.shape, np.inf)
+    for k in range(len(points.items)):
+        moved = np.where(points.object_id == k, points.moved(k, poses[k])[..., 2], moved)
+    return np.asarray((points.object_id >= 0) & (~inside | (nearest * SAME_SURFACE < moved)))

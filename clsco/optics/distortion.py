@@ -15,7 +15,7 @@ from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
 FOLDED = 1e-9  # in place of the Jacobian's determinant where the image folds back
-NOTHING = 1e-30  # of the largest term of a polynomial: less of another one has roots at slopes that no ray has
+NEGLIGIBLE = 1e-30  # of the largest term of a polynomial: less of another one has roots at slopes that no ray has
 LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls below, it is about to fold back
 MOST_STEPS = 30  # of Newton's method
 CLOSE = 1e-14  # slope: by which the last step may change a place
@@ -61,11 +61,11 @@ class Distortion:
         """The distortion of a scene's lens, or None."""
         if lens is None or not lens.distorts:
             return None
-        return cls._known(tuple(lens.radial), tuple(lens.tangential))
+        return cls._cached(tuple(lens.radial), tuple(lens.tangential))
 
     @classmethod
     @lru_cache(maxsize=64)
-    def _known(cls, radial: tuple[float, float, float], tangential: tuple[float, float]) -> Self:
+    def _cached(cls, radial: tuple[float, float, float], tangential: tuple[float, float]) -> Self:
         """The distortion for OpenCV's coefficients, cached with its `reach` for all frames."""
         return cls(radial, (-tangential[0], tangential[1]))
 
@@ -76,7 +76,7 @@ class Distortion:
         ends = []
         for a, b, c in ((k1, k2, k3), (3.0 * k1, 5.0 * k2, 7.0 * k3)):
             terms = np.array([c, 0.0, b, 0.0, a, turn, 1.0 - LEAST_STRETCH])
-            roots = np.roots(np.where(np.abs(terms) < NOTHING * np.abs(terms).max(), 0.0, terms))
+            roots = np.roots(np.where(np.abs(terms) < NEGLIGIBLE * np.abs(terms).max(), 0.0, terms))
             ends += roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)].tolist()
         return min(ends, default=np.inf)
 
@@ -95,7 +95,7 @@ class Distortion:
 
     def image(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         """Distorted slopes from undistorted slopes x and y, which broadcast."""
-        x, y = (np.asarray(each, dtype=np.float64) for each in (x, y))
+        x, y = (np.asarray(slope, dtype=np.float64) for slope in (x, y))
         within = np.minimum(1.0, self.reach / np.maximum(np.hypot(x, y), 1e-300))
         at_x, at_y = x * within, y * within
         across, up = self._polynomial(at_x, at_y)
@@ -113,43 +113,43 @@ class Distortion:
         -----
         Accurate to 1e-14 within `image_reach`; beyond, some slope at `reach`. Validated as the inverse of `image`.
         """
-        there_x, there_y = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (x, y)))
-        at_x, at_y = there_x.copy(), there_y.copy()
+        target_x, target_y = np.broadcast_arrays(*(np.asarray(slope, dtype=np.float64) for slope in (x, y)))
+        at_x, at_y = target_x.copy(), target_y.copy()
         for _ in range(MOST_STEPS):
             within = np.minimum(1.0, self.reach / np.maximum(np.hypot(at_x, at_y), 1e-300))
             at_x, at_y = at_x * within, at_y * within
-            step_x, step_y = self._step(at_x, at_y, there_x, there_y)
+            step_x, step_y = self._step(at_x, at_y, target_x, target_y)
             at_x, at_y = at_x + step_x, at_y + step_y
             if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) <= CLOSE:
                 break
         return at_x, at_y
 
-    def _step(self, x: Array, y: Array, there_x: Array, there_y: Array) -> tuple[Array, Array]:
+    def _step(self, x: Array, y: Array, target_x: Array, target_y: Array) -> tuple[Array, Array]:
         """Step of Newton's method from (x, y) towards the distorted slopes `there`."""
         across, up = self._polynomial(x, y)
-        return self.solved(x, y, there_x - across, there_y - up)
+        return self.solved(x, y, target_x - across, target_y - up)
 
     def start(self, radius: float) -> Array:
         """Start of Newton's method on devices: coefficients (START,) of a polynomial in r_d^2, by which distorted
         slopes up to `radius` are multiplied to give approximate undistorted ones, without the tangential part.
         """
         squared = (radius * np.sin(0.25 * np.pi * (2.0 * np.arange(NODES) + 1.0) / NODES)) ** 2
-        there = np.sqrt(squared)
-        scale = type(self)(self.radial).undistorted(there, np.zeros(NODES))[0] / there
+        distorted = np.sqrt(squared)
+        scale = type(self)(self.radial).undistorted(distorted, np.zeros(NODES))[0] / distorted
         fitted = np.polynomial.Chebyshev.fit(squared, scale, START - 1, domain=[0.0, radius**2])
         return np.asarray(fitted.convert(domain=[-1.0, 1.0], kind=np.polynomial.Polynomial).coef)
 
     def steps_to(self, radius: float) -> int:
         """Number of steps of Newton's method from `start` to CLOSE, for distorted slopes up to `radius`."""
         angle = np.linspace(0.0, 2.0 * np.pi, 65 if any(self.tangential) else 2)
-        there = np.linspace(0.0, radius, 65)[:, None]
-        there_x, there_y = there * np.cos(angle), there * np.sin(angle)
-        scale = np.polynomial.polynomial.polyval(there_x**2 + there_y**2, self.start(radius))
-        x, y = there_x * scale, there_y * scale
+        distorted = np.linspace(0.0, radius, 65)[:, None]
+        target_x, target_y = distorted * np.cos(angle), distorted * np.sin(angle)
+        scale = np.polynomial.polynomial.polyval(target_x**2 + target_y**2, self.start(radius))
+        x, y = target_x * scale, target_y * scale
         bent_x, bent_y = type(self)((0.0, 0.0, 0.0), self.tangential)._polynomial(x, y)
         x, y = x - (bent_x - x), y - (bent_y - y)
         for count in range(1, MOST_STEPS):
-            step_x, step_y = self._step(x, y, there_x, there_y)
+            step_x, step_y = self._step(x, y, target_x, target_y)
             x, y = x + step_x, y + step_y
             if max(np.abs(step_x).max(), np.abs(step_y).max()) <= NEARLY:
                 return count
@@ -157,7 +157,7 @@ class Distortion:
 
     def jacobian(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Derivatives xx, xy, yy of distorted with respect to undistorted slopes, at undistorted slopes."""
-        x, y = (np.asarray(each, dtype=np.float64) for each in (x, y))
+        x, y = (np.asarray(slope, dtype=np.float64) for slope in (x, y))
         (up, across), (q, slope, _) = self.tangential, self._q(x * x + y * y)
         along = 2.0 * (across * x + up * y)
         return (

@@ -43,7 +43,7 @@ class Exposure:
     >>> import numpy as np
     >>> from clsco.optics.exposure import Exposure
     >>> rolling = Exposure(np.array([0.0, 0.5]), np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]]))
-    >>> rolling.of_lines(3)[1].tolist(), rolling.is_one_image
+    >>> rolling.line_weights(3)[1].tolist(), rolling.is_one_image
     ([0.0, 0.5, 1.0], False)
     """
 
@@ -56,7 +56,7 @@ class Exposure:
         """True if the frame is the image of a single time sample, of weight 1."""
         return len(self.times) == 1 and bool((self.weights == 1.0).all())
 
-    def of_lines(self, lines: int) -> Array:
+    def line_weights(self, lines: int) -> Array:
         """Weights (samples, lines) of a frame with this number of lines."""
         return np.broadcast_to(self.weights.reshape(len(self.times), -1), (len(self.times), lines))
 
@@ -122,12 +122,13 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
         weights = _differences(passed)
         return Exposure(begins + 0.5 * (ends[1:] + ends[:-1]), weights, sequence.by_columns)
     count //= len(opens)
-    shares = [(jumps - each) / shutter for each in np.sort(opens)]  # of the exposure of each line
-    ends = np.stack([share_ends((0.0, 1.0), own[(own > 0.0) & (own < 1.0)], count) for own in shares])
+    shares = [(jumps - opening) / shutter for opening in np.sort(opens)]  # of the exposure of each line
+    ends = np.stack([share_ends((0.0, 1.0), share[(share > 0.0) & (share < 1.0)], count) for share in shares])
     times = (np.sort(opens)[:, None] + 0.5 * shutter * (ends[:, 1:] + ends[:, :-1])).ravel()
     in_turn = np.eye(len(opens))[np.argsort(opens)]
-    own = _differences(curve_integral(curve, ends).T).T
-    return Exposure(begins + times, np.repeat(in_turn, count, axis=0) * own.reshape(-1, 1), sequence.by_columns)
+    line_weights = _differences(curve_integral(curve, ends).T).T
+    weights = np.repeat(in_turn, count, axis=0) * line_weights.reshape(-1, 1)
+    return Exposure(begins + times, weights, sequence.by_columns)
 
 
 def jump_times(scene: Scene, frame: int) -> Array:
@@ -143,9 +144,9 @@ def jump_times(scene: Scene, frame: int) -> Array:
 
 def _all_jumps(scene: Scene) -> Array:
     """Times (n,) of all jumps, increasing."""
-    moved = (scene.camera.motion, *(each.motion for each in (*scene.groups, *scene.objects)), scene.lens)
-    keys = [each.keyframe or () for each in moved if each is not None and each.interpolation == "step"]
-    return np.unique(np.array([key.time for each in keys for key in each[1:]], dtype=np.float64))
+    moved = (scene.camera.motion, *(motion.motion for motion in (*scene.groups, *scene.objects)), scene.lens)
+    keys = [motion.keyframe or () for motion in moved if motion is not None and motion.interpolation == "step"]
+    return np.unique(np.array([key.time for motion in keys for key in motion[1:]], dtype=np.float64))
 
 
 def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, Any]:
@@ -184,7 +185,7 @@ def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
     lengths, counts = np.diff(ends), np.ones(len(ends) - 1, np.intp)
     for _ in range(count - len(counts)):
         counts[np.argmax(lengths / counts)] += 1
-    pieces = [np.linspace(*each, int(number) + 1)[:-1] for each, number in zip(pairwise(ends), counts, strict=True)]
+    pieces = [np.linspace(*pair, int(number) + 1)[:-1] for pair, number in zip(pairwise(ends), counts, strict=True)]
     return np.concatenate([*pieces, ends[-1:]])
 
 
@@ -273,22 +274,21 @@ def curve_integral(curve: ShutterCurve, times: Array) -> Array:
     place = np.clip(times, 0.0, 1.0) * intervals
     k = np.minimum(place.astype(np.intp), intervals - 1)
     into = place - k
-    found = passed[k] + into * (weights[k] + 0.5 * into * (weights[k + 1] - weights[k]))
-    return np.asarray(found / passed[-1])
+    light = passed[k] + into * (weights[k] + 0.5 * into * (weights[k + 1] - weights[k]))
+    return np.asarray(light / passed[-1])
 
 
-def _differences(passed: Array) -> Array:
-    """Weights (samples, ...) of the intervals of an exposure, from the light passed up to their ends (samples + 1,
-    ...).
+def _differences(light: Array) -> Array:
+    """Weights (samples, ...) of the intervals of an exposure, from the light up to their ends (samples + 1, ...).
 
-    Each is the light passed up to its end minus the sum of the earlier weights, so that added in order they sum to
+    Each is the light up to its end minus the sum of the earlier weights, so that added in order they sum to
     exactly 1.
     """
-    total, found = np.zeros(passed.shape[1:]), np.empty((len(passed) - 1, *passed.shape[1:]))
-    for k, end in enumerate(passed[1:]):
-        found[k] = np.maximum(end - total, 0.0)
-        total = total + found[k]
-    return found
+    total, weights = np.zeros(light.shape[1:]), np.empty((len(light) - 1, *light.shape[1:]))
+    for k, end in enumerate(light[1:]):
+        weights[k] = np.maximum(end - total, 0.0)
+        total = total + weights[k]
+    return weights
 
 
 def shutter_span(sequence: Sequence, frame: int) -> tuple[float, float]:

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from clsco.optics.pupils.wavefront import Wavefront
 
 Array = NDArray[np.float64]
-CELLS_PER_WAVE = 8.0  # along the way from the middle to the corner
-LEAST_CELLS, MOST_CELLS = 2, 16  # along that way
+CELLS_PER_WAVE = 8.0  # from the middle of the frame to the corner
+LEAST_CELLS, MOST_CELLS = 2, 16  # over the same distance
 BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 of blended weights from exact ones with CELLS_PER_WAVE
 
 
@@ -25,11 +25,11 @@ BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 of blended weights from exact ones wi
 class SeidelField:
     """Seidel's terms of the wavefront over the frame of a camera.
 
-    h: place in the frame, from its middle, 1 in the corner; rho: lens point, 1 at the rim; phi: angle between the two.
-
-    Attributes
     h: position relative to the middle of the frame, 1 in the corner; rho: lens point, 1 at the edge of the aperture;
     phi: angle between the two.
+
+    Attributes
+    ----------
     coma : float
         W131 h rho^3 cos(phi): optical path at the aperture's edge, for the corner, px
         (`clsco.optics.pupils.wavefront`).
@@ -68,11 +68,11 @@ class SeidelField:
     @cached_property
     def cells(self) -> tuple[int, int]:
         """Number of grid cells across and down the frame."""
-        across, down = (max(2 * ceil(self._of_way * 0.5 * (size - 1) / self.corner), 2) for size in self.frame)
+        across, down = (max(2 * ceil(self._cells_to_corner * 0.5 * (size - 1) / self.corner), 2) for size in self.frame)
         return across, down
 
     @property
-    def _of_way(self) -> float:
+    def _cells_to_corner(self) -> float:
         """Number of grid cells from the middle to the corner."""
         return min(max(CELLS_PER_WAVE * self.waves, LEAST_CELLS), MOST_CELLS)
 
@@ -84,7 +84,7 @@ class SeidelField:
         -----
         Validated against exact weights at the middles of cells (tests/optics/test_field.py).
         """
-        size = CELLS_PER_WAVE * self.waves / self._of_way
+        size = CELLS_PER_WAVE * self.waves / self._cells_to_corner
         return BLENDED_RAYS * size if self.by_rays else BLENDED * size**2
 
     @property
@@ -118,12 +118,12 @@ class SeidelField:
 
     def blend(self, column: ArrayLike, row: ArrayLike) -> tuple[NDArray[np.int64], Array]:
         """Numbers of the `nodes` (4, ...) around pixels of the frame, and their blending factors."""
-        found = []
+        positions = []
         for place, count, size in zip((column, row), self.cells, self.frame, strict=True):
             at = np.clip(np.asarray(place, np.float64) * (count / max(size - 1, 1)), 0.0, count)
             cell = np.minimum(at.astype(np.int64), count - 1)
-            found.append((cell, at - cell))
-        (x, right), (y, down) = found
+            positions.append((cell, at - cell))
+        (x, right), (y, down) = positions
         first = y * (self.cells[0] + 1) + x
         numbers = np.stack([first, first + 1, first + self.cells[0] + 1, first + self.cells[0] + 2])
         left, up = 1.0 - right, 1.0 - down

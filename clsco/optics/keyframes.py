@@ -109,15 +109,15 @@ def _second_derivatives(steps: Array, values: Array) -> Array:
 
     steps: (n - 1, 1).
     """
-    slopes, found = np.diff(values, axis=0) / steps, np.zeros_like(values)
+    slopes, bends = np.diff(values, axis=0) / steps, np.zeros_like(values)
     right, diagonal = 6.0 * np.diff(slopes, axis=0), 2.0 * (steps[:-1] + steps[1:])
     for k in range(1, len(right)):
         share = steps[k] / diagonal[k - 1]
         diagonal[k] -= share * steps[k]
         right[k] -= share * right[k - 1]
     for k in reversed(range(len(right))):
-        found[k + 1] = (right[k] - steps[k + 1] * found[k + 2]) / diagonal[k]
-    return found
+        bends[k + 1] = (right[k] - steps[k + 1] * bends[k + 2]) / diagonal[k]
+    return bends
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +149,10 @@ class Orientations:
         return _angles(self._quaternion_at(time), rotation)
 
     def _quaternion_at(self, time: float) -> Quaternion:
-        found = self.first
+        quaternion = self.first
         for turn, share in zip(self.turns, self.shares.at(time).tolist(), strict=True):
-            found = _product(found, _exponential(turn, share))
-        return found
+            quaternion = _product(quaternion, _exponential(turn, share))
+        return quaternion
 
 
 def orientations_through(
@@ -187,7 +187,7 @@ def orientations_through(
     >>> path.at(0.5).round(3).tolist()
     [[0.707, 0.0, 0.707], [0.0, 1.0, 0.0], [-0.707, 0.0, 0.707]]
     """
-    keys = [_quaternion(each, rotation) for each in angles]
+    keys = [_quaternion(key_angles, rotation) for key_angles in angles]
     turns = [_logarithm(_product((a[0], -a[1], -a[2], -a[3]), b)) for a, b in pairwise(keys)]
     done = np.tri(len(keys), len(keys), -1)[:, : len(turns)]
     return Orientations(keys[0], tuple(turns), path_through(times, done, interpolation, outside))

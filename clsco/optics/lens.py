@@ -67,9 +67,9 @@ class Lens:
         real : clsco.Lens, optional
             Differences from a thin lens.
         color : int, optional
-            Red, green or blue light, 0 to 2; by default what has the focal length of the camera.
+            Red, green or blue light, 0 to 2; by default light for which the focal length is the camera's.
 
-        Red, green or blue light, 0 to 2; by default light for which the focal length is the camera's.
+        Returns
         -------
         Lens
         """

@@ -72,8 +72,8 @@ def camera_at(scene: Scene, time: float) -> Camera:
     if focus is not None or zoom is not None:
         if not power < 1.0 / f:
             raise SceneError(_rule("focus_distance", f"greater than the focal length, {f:g} mm", 1.0 / power, time))
-        known = power > 0.0  # else the focus is beyond infinity
-        changed |= {"focus_distance": 1.0 / power if known else None, "sensor_distance": 1.0 / (1.0 / f - power)}
+        finite = power > 0.0  # else the focus is beyond infinity
+        changed |= {"focus_distance": 1.0 / power if finite else None, "sensor_distance": 1.0 / (1.0 / f - power)}
         if isinstance(scale, FollowedDistance):
             changed["normalization_distance"] = FollowedDistance(changed["sensor_distance"])
     if opening is not None:
@@ -86,8 +86,8 @@ def camera_at(scene: Scene, time: float) -> Camera:
     return with_distortion(camera.model_copy(update=changed), scene.lens)
 
 
-def _rule(key: str, rule: str, got: float, time: float) -> str:
-    return f'lens.keyframe: {key} must stay {rule}, as with interpolation = "linear"; got {got:.6g} at {time:.6g} s'
+def _rule(key: str, rule: str, value: float, time: float) -> str:
+    return f'lens.keyframe: {key} must stay {rule}, as with interpolation = "linear"; got {value:.6g} at {time:.6g} s'
 
 
 def colored(camera: Camera, lens: SceneLens | None, color: int | None) -> Camera:
@@ -113,8 +113,8 @@ def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
     camera, lens = camera_at(scene, time), scene.lens
     if lens is None or not scene.separates_colors:
         return (Lens.of(camera, lens),)
-    each = (Lens.of(camera, lens, color) for color in range(3))
-    return tuple(replace(one, blur_scale=one.blur_scale * size) for one, size in zip(each, lens.lateral, strict=True))
+    lenses = zip((Lens.of(camera, lens, color) for color in range(3)), lens.lateral, strict=True)
+    return tuple(replace(color_lens, blur_scale=color_lens.blur_scale * size) for color_lens, size in lenses)
 
 
 @lru_cache(maxsize=64)

@@ -28,8 +28,8 @@ from clsco.scene.model import Camera, Object, Scene
 Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
 STEPS, CLOSE = 24, 1e-9  # of Newton's method at most, and lines by which the last one may change
-STEEP = 0.5  # lines from line to line: points that move by more may be met by several lines
-SOME = 64  # points of an object, and lines, by which those are found
+STEEP = 0.5  # lines from line to line: several lines may show points that move by more
+SAMPLED = 64  # points of an object, and lines, that are tested for this
 NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor is that of another point
 
 
@@ -66,39 +66,40 @@ class Lines:
         x, y, distortion = right * self.steps[line], up * self.steps[line], distortion_of(self.cameras[0])
         return (x, y) if distortion is None else distortion.undistorted(x, y)
 
-    def of_object(self, number: int) -> tuple[Array, Array]:
+    def object_poses(self, number: int) -> tuple[Array, Array]:
         """Rotations (lines, 3, 3) and shifts (lines, 3) in mm of an object at each line's time."""
-        poses = [each[number] for each in self.poses]
+        poses = [line_poses[number] for line_poses in self.poses]
         return np.stack([pose.rotation for pose in poses]), np.stack([pose.shift for pose in poses])
 
 
 def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
     """Lines of a frame in a view, for a scene with a resolution."""
     times = line_times(scene, frame)
-    found = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in times.tolist()]
-    return Lines(scene.sequence.by_columns, times, tuple(one for one, _ in found), tuple(each for _, each in found))
+    cameras = tuple(camera_at(scene, time) for time in times.tolist())
+    poses = tuple(poses_at(scene, time, eye) for time in times.tolist())
+    return Lines(scene.sequence.by_columns, times, cameras, poses)
 
 
-def _first_met(
+def _first_crossing(
     at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
 ) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """As `LinePoints._shown`, for points that several lines may show: the first line that they reach.
+    """As `LinePoints._positions`, for points that several lines may show: the first line that they reach.
 
     at: returns the positions of the points at a line's time, and a mask of points in front of the lens.
     """
-    before, seen_before = at(0)
-    one, two, seen = before, before, seen_before
-    low, waiting = np.zeros(len(one)), np.ones(len(one), np.bool_)
+    before, visible_before = at(0)
+    start, end, visible = before, before, visible_before
+    low, waiting = np.zeros(len(start)), np.ones(len(start), np.bool_)
     for line in range(1, last + 1):
-        now, seen_now = at(line)
-        met = waiting & ((now[:, axis] <= line) | (line == last))
-        one, two = np.where(met[:, None], before, one), np.where(met[:, None], now, two)
-        seen, low = np.where(met, seen_before & seen_now, seen), np.where(met, line - 1.0, low)
-        waiting, before, seen_before = waiting & ~met, now, seen_now
-    slope = (two - one)[:, axis]
+        now, visible_now = at(line)
+        crossing = waiting & ((now[:, axis] <= line) | (line == last))
+        start, end = np.where(crossing[:, None], before, start), np.where(crossing[:, None], now, end)
+        visible, low = np.where(crossing, visible_before & visible_now, visible), np.where(crossing, line - 1.0, low)
+        waiting, before, visible_before = waiting & ~crossing, now, visible_now
+    slope = (end - start)[:, axis]
     alone = np.abs(slope) < 1.0
-    share = np.clip((one[:, axis] - low) / np.where(alone, 1.0 - slope, 1.0), 0.0, 1.0)
-    return one + share[:, None] * (two - one), seen & alone
+    share = np.clip((start[:, axis] - low) / np.where(alone, 1.0 - slope, 1.0), 0.0, 1.0)
+    return start + share[:, None] * (end - start), visible & alone
 
 
 class LinePoints:
@@ -128,7 +129,7 @@ class LinePoints:
         rows, columns = depth.shape
         for k, item in enumerate(items):
             row, column = np.nonzero(self.number == k)
-            rotations, shifts = now.of_object(k)
+            rotations, shifts = now.object_poses(k)
             line = column if now.by_columns else row
             across, up = now.slopes(line, column - 0.5 * (columns - 1), 0.5 * (rows - 1) - row)
             point = np.stack([across, up, np.ones(row.shape)], axis=-1) * depth[row, column, None].astype(np.float64)
@@ -152,15 +153,15 @@ class LinePoints:
         flow = np.zeros((*self.shape, 2))
         for k in range(len(self.items)):
             row, column = np.nonzero(self.number == k)
-            shown, found = self._shown(k, (row, column), then)
-            flow[row, column] = np.where(found[:, None], shown - np.stack([column, row], axis=-1), np.inf)
+            positions, valid = self._positions(k, (row, column), then)
+            flow[row, column] = np.where(valid[:, None], positions - np.stack([column, row], axis=-1), np.inf)
         return flow
 
-    def _shown(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, NDArray[np.bool_]]:
+    def _positions(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, NDArray[np.bool_]]:
         """Positions (points, 2), column and row, at which lines show points of an object, and a mask of points with
         one.
         """
-        axis, last, (rotations, shifts) = int(not then.by_columns), len(then.times) - 1, then.of_object(k)
+        axis, last, (rotations, shifts) = int(not then.by_columns), len(then.times) - 1, then.object_poses(k)
         body, center = self.bodies[pixels], rest_center(self.items[k])
 
         def at(line: Pixels | int, of: Any = ...) -> tuple[Array, NDArray[np.bool_]]:
@@ -171,22 +172,22 @@ class LinePoints:
             return np.asarray(np.abs((at(line + 1, of)[0] - at(line, of)[0])[:, axis]) > STEEP)
 
         u, steep = pixels[int(then.by_columns)].astype(np.float64), np.zeros(len(body), np.bool_)
-        some, steps = slice(None, None, max(len(body) // SOME, 1)), range(0, last, max(last // SOME, 1))
-        if any(fast(line, some).any() for line in range(last)):
+        sampled, steps = slice(None, None, max(len(body) // SAMPLED, 1)), range(0, last, max(last // SAMPLED, 1))
+        if any(fast(line, sampled).any() for line in range(last)):
             steep = np.any([fast(line) for line in steps], axis=0)
         for _ in range(STEPS):
             low = np.clip(u.astype(np.intp), 0, max(last - 1, 0))
-            (one, seen), (two, also) = at(low), at(np.minimum(low + 1, last))
-            shown = one + (u - low)[:, None] * (two - one)
-            slope = (two - one)[:, axis]
-            better = np.clip(u + (shown[:, axis] - u) / np.where(slope < 1.0, 1.0 - slope, 1.0), 0.0, last)
+            (start, start_visible), (end, end_visible) = at(low), at(np.minimum(low + 1, last))
+            positions = start + (u - low)[:, None] * (end - start)
+            slope = (end - start)[:, axis]
+            better = np.clip(u + (positions[:, axis] - u) / np.where(slope < 1.0, 1.0 - slope, 1.0), 0.0, last)
             change, u = np.abs(better - u).max(initial=0.0, where=~steep), better
             if change <= CLOSE:
                 break
-        found = seen & also & (np.abs(slope) < 1.0)
+        valid = start_visible & end_visible & (np.abs(slope) < 1.0)
         if steep.any():
-            shown[steep], found[steep] = _first_met(lambda line: at(line, steep), last, axis)
-        return shown, found
+            positions[steep], valid[steep] = _first_crossing(lambda line: at(line, steep), last, axis)
+        return positions, valid
 
     def _project(self, point: Array, then: Lines, line: Pixels | int) -> tuple[Array, NDArray[np.bool_]]:
         """Positions (points, 2) in px, column and row, of points in mm at the time of one line or of a line each, and a
@@ -215,29 +216,29 @@ class LinePoints:
         """
         rows, columns = self.shape
         row, column = np.nonzero(self.number >= 0)
-        there = np.stack([column, row], axis=-1) + flow[row, column]
-        outside = ~((there >= -0.5) & (there < np.array([columns, rows]) - 0.5)).all(axis=-1)
+        target = np.stack([column, row], axis=-1) + flow[row, column]
+        outside = ~((target >= -0.5) & (target < np.array([columns, rows]) - 0.5)).all(axis=-1)
         hidden = np.zeros(self.shape, np.bool_)
         hidden[row[outside], column[outside]] = True
-        row, column, there = row[~outside], column[~outside], there[~outside]
-        line = np.rint(there[:, int(not then.by_columns)]).astype(np.intp)
+        row, column, target = row[~outside], column[~outside], target[~outside]
+        line = np.rint(target[:, int(not then.by_columns)]).astype(np.intp)
         order = np.argsort(line, kind="stable")
         ends = np.searchsorted(line[order], np.arange(len(then.times) + 1))
         for number, poses in enumerate(then.poses):
-            of_line = order[ends[number] : ends[number + 1]]
-            if of_line.size:
-                pixels = row[of_line], column[of_line]
+            indices = order[ends[number] : ends[number + 1]]
+            if indices.size:
+                pixels = row[indices], column[indices]
                 hidden[pixels] = self._covered(pixels, poses)
         return hidden
 
     def _covered(self, pixels: tuple[Pixels, Pixels], poses: tuple[Pose, ...]) -> NDArray[np.bool_]:
         """Mask of points that a nearer surface hides in pixels, with objects in these poses."""
-        point, number, seen = self.bodies[pixels], self.number[pixels], np.zeros(len(pixels[0]))
+        point, number, nearest = self.bodies[pixels], self.number[pixels], np.zeros(len(pixels[0]))
         for k, (item, pose) in enumerate(zip(self.items, poses, strict=True)):
-            own = number == k
-            point[own] = rest_center(item) + pose.shift + point[own] @ pose.rotation.T
+            mask = number == k
+            point[mask] = rest_center(item) + pose.shift + point[mask] @ pose.rotation.T
         before = point[:, 2] > 0.0
         x, y = (point[:, axis] / np.where(before, point[:, 2], 1.0) for axis in (0, 1))
         for item, pose in zip(self.items, poses, strict=True):
-            seen = np.maximum(seen, predict_inverse_depth(item, place(item, pose), x, y))
-        return np.asarray(~before | (seen * point[:, 2] > NEARER))
+            nearest = np.maximum(nearest, predict_inverse_depth(item, place(item, pose), x, y))
+        return np.asarray(~before | (nearest * point[:, 2] > NEARER))

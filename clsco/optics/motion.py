@@ -114,11 +114,12 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     if not motion.model_fields_set:
         return AT_REST
     if motion.keyframe is None:
-        degrees = _accelerated(motion.angular_velocity, motion.angular_acceleration, time)
-        return Pose(_turned(degrees, rotation), _accelerated(motion.velocity, motion.acceleration, time))
+        degrees = _displacement(motion.angular_velocity, motion.angular_acceleration, time)
+        return Pose(_camera_rotation(degrees, rotation), _displacement(motion.velocity, motion.acceleration, time))
     track = _track(motion, rotation)
     turned = track.turns.at(time)
-    return Pose(turned if isinstance(track.turns, Orientations) else _turned(turned, rotation), track.shifts.at(time))
+    matrix = turned if isinstance(track.turns, Orientations) else _camera_rotation(turned, rotation)
+    return Pose(matrix, track.shifts.at(time))
 
 
 def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
@@ -148,18 +149,18 @@ def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
     Keyframe(time=5.0, position=(5.0, 0.0, 0.0), rotation=(0.0, 450.0, 0.0))
     """
     if motion.keyframe is None:
-        angles = _accelerated(motion.angular_velocity, motion.angular_acceleration, time).tolist()
-        shift = _accelerated(motion.velocity, motion.acceleration, time)
+        angles = _displacement(motion.angular_velocity, motion.angular_acceleration, time).tolist()
+        shift = _displacement(motion.velocity, motion.acceleration, time)
     else:
         track = _track(motion, rotation)
         turns = track.turns
         angles = turns.angles_at(time, rotation) if isinstance(turns, Orientations) else turns.at(time).tolist()
         shift = track.shifts.at(time)
-    (x, y, z), (a, b, c) = ((round(part, 9) + 0.0 for part in each) for each in (shift.tolist(), angles))
+    (x, y, z), (a, b, c) = ((round(part, 9) + 0.0 for part in values) for values in (shift.tolist(), angles))
     return Keyframe(time=time, position=(x, y, z), rotation=(a, b, c))
 
 
-def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
+def _camera_rotation(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
     """Rotation matrix (3, 3) for angles in deg, in the axes of the camera."""
     if not degrees.any():
         return UNTURNED
@@ -171,10 +172,10 @@ def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
     return np.asarray(TOWARDS_CAMERA @ rotation_matrix(angles, rotation) @ TOWARDS_CAMERA)
 
 
-def _accelerated(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
+def _displacement(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
     """Displacement v t + a t^2 / 2 (3,)."""
-    way = np.asarray(speed, dtype=np.float64) * time
-    return way if gain is None else way + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
+    displacement = np.asarray(speed, dtype=np.float64) * time
+    return displacement if gain is None else displacement + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,8 +243,8 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
         return rig
     angle = np.radians(scene.stereo.toe_in) * (1.0 if eye == "left" else -1.0)
     inwards = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
-    apart = np.array([scene.stereo.baseline if eye == "right" else 0.0, 0.0, 0.0])
-    return Pose(rig.rotation @ inwards, rig.shift + rig.rotation @ apart)
+    baseline = np.array([scene.stereo.baseline if eye == "right" else 0.0, 0.0, 0.0])
+    return Pose(rig.rotation @ inwards, rig.shift + rig.rotation @ baseline)
 
 
 def shake_pose(shake: CameraShake, time: float) -> Pose:
@@ -278,10 +279,10 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
     turns, shifts = shake.rotation_rms, shake.translation_rms
     amplitudes = [radians(turns)] * 3 + [shifts] * 3
     waves = _shake_waves(shake.seed, shake.band)
-    sums = [fsum(sin(2.0 * pi * ((f * time + phase) % 1.0)) for f, phase in each) for each in waves]
+    sums = [fsum(sin(2.0 * pi * ((f * time + phase) % 1.0)) for f, phase in sines) for sines in waves]
     scale = sqrt(2.0 / (3 * SHAKE_SINES))  # of a sine by which three components have the root mean square 1
-    found = np.array([scale * size * total for size, total in zip(amplitudes, sums, strict=True)])
-    return Pose(TOWARDS_CAMERA @ rotation_matrix(found[:3], "axis") @ TOWARDS_CAMERA, found[3:])
+    components = np.array([scale * size * total for size, total in zip(amplitudes, sums, strict=True)])
+    return Pose(TOWARDS_CAMERA @ rotation_matrix(components[:3], "axis") @ TOWARDS_CAMERA, components[3:])
 
 
 @lru_cache(maxsize=16)
@@ -291,7 +292,7 @@ def _shake_waves(seed: int, band: tuple[float, float]) -> tuple[tuple[tuple[floa
     uniform = (raw * 2.0**-53).reshape(6, SHAKE_SINES, 2)
     low, step = band[0], (band[1] - band[0]) / SHAKE_SINES
     return tuple(
-        tuple((low + step * (k + place), phase) for k, (place, phase) in enumerate(each)) for each in uniform.tolist()
+        tuple((low + step * (k + place), phase) for k, (place, phase) in enumerate(sines)) for sines in uniform.tolist()
     )
 
 
@@ -314,18 +315,18 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
     -------
     tuple of Pose, one for each object
     """
-    camera, found = eye_pose(scene, eye, time), []
-    groups = {group.name: _carrier(scene, group, time) for group in scene.groups}
+    camera, poses = eye_pose(scene, eye, time), []
+    groups = {group.name: _group_pose(scene, group, time) for group in scene.groups}
     for item in scene.objects:
         pose, center = pose_at(item.motion, time, scene.motion.rotation), rest_center(item)
         if item.group is not None:
-            pose = _carried(pose, center, *groups[item.group])
+            pose = _compose(pose, center, *groups[item.group])
         if camera is AT_REST and pose is AT_REST:
-            found.append(AT_REST)
+            poses.append(AT_REST)
             continue
         shift = camera.rotation.T @ (pose.shift - camera.shift) + (camera.rotation.T @ center - center)
-        found.append(Pose(camera.rotation.T @ pose.rotation, shift))
-    return tuple(found)
+        poses.append(Pose(camera.rotation.T @ pose.rotation, shift))
+    return tuple(poses)
 
 
 def moved_points(
@@ -359,16 +360,17 @@ def moved_points(
     return np.asarray(center + after.shift + body @ after.rotation.T)
 
 
-def _carrier(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[np.float64]]:
+def _group_pose(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[np.float64]]:
     """Pose of a group, and its center of rotation (3,), mm."""
     members = [item for item in scene.objects if item.group == group.name]
     origin = np.asarray(group_origin(group, members)) if members else np.zeros(3)
     return pose_at(group.motion, time, scene.motion.rotation), origin
 
 
-def _carried(own: Pose, center: NDArray[np.float64], group: Pose, origin: NDArray[np.float64]) -> Pose:
+def _compose(pose: Pose, center: NDArray[np.float64], group: Pose, origin: NDArray[np.float64]) -> Pose:
     """Pose of an object that moves within a group: first its own pose, P0 -> P1, then P = origin + shift + rotation (P1
     - origin).
     """
     arm = center - origin
-    return Pose(group.rotation @ own.rotation, group.shift + group.rotation @ own.shift + (group.rotation @ arm - arm))
+    shift = group.shift + group.rotation @ pose.shift + (group.rotation @ arm - arm)
+    return Pose(group.rotation @ pose.rotation, shift)

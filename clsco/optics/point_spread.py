@@ -209,11 +209,11 @@ class PointSpread:
         """`reach` for several radii."""
         extent = radii * (1.0 + self.stretched) * self.extent + self.pupil.margin
         if self.sampled and not subpixel:
-            found = np.where(radii >= MINIMUM_BLUR, np.floor(extent), 0.0)
+            reaches = np.where(radii >= MINIMUM_BLUR, np.floor(extent), 0.0)
         else:
             beyond = 1.0 if subpixel or self.edge == "integrated" else 0.5
-            found = np.maximum(np.ceil(extent + beyond) - 1.0, 0.0)
-        return found.astype(np.int64)
+            reaches = np.maximum(np.ceil(extent + beyond) - 1.0, 0.0)
+        return reaches.astype(np.int64)
 
     def weights(self, dx: Array, dy: Array, radius: Array) -> Array:
         """Fraction of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1.
@@ -330,7 +330,7 @@ def point_spread(
     'separable'
     """
     aperture = aperture or Aperture()
-    rims = tuple(Rim(each.distance, 0.5 * each.diameter) for each in aperture.rim)
+    rims = tuple(Rim(rim.distance, 0.5 * rim.diameter) for rim in aperture.rim)
     if psf.model == "gaussian":
         from clsco.optics.pupils.gaussian import Gaussian
 
@@ -344,8 +344,8 @@ def point_spread(
             rule = 'must be given with psf.model = "wave" or aberrations, for its aperture and pixels'
             raise SceneError(f"camera: {rule}; got None")
         varying = _field(psf, camera)
-        behind = _diffracted if psf.model == "wave" else _traced
-        return PointSpread(behind(pupil, psf, camera, varying), psf.edge, rims=rims, varying=varying)
+        make_pupil = _diffract if psf.model == "wave" else _trace_rays
+        return PointSpread(make_pupil(pupil, psf, camera, varying), psf.edge, rims=rims, varying=varying)
     return PointSpread(pupil, psf.edge, rims=rims)
 
 
@@ -370,49 +370,50 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
 
     pupil = spread.pupil
     assert isinstance(pupil, Diffracted)
-    each = (_diffracted(pupil.opening, psf, camera, spread.varying, color) for color in range(3))
-    return tuple(replace(spread, pupil=one) for one in each)
+    pupils = (_diffract(pupil.opening, psf, camera, spread.varying, color) for color in range(3))
+    return tuple(replace(spread, pupil=color_pupil) for color_pupil in pupils)
 
 
-def _diffracted(
+def _diffract(
     pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None, color: int = GREEN
 ) -> Diffracted:  # fmt: skip
     """The pupil with diffraction in one color, on the axis."""
     from clsco.optics.pupils.fourier import FourierDiffracted
     from clsco.optics.pupils.hankel import HankelDiffracted, is_round
 
-    apart = 0.5 * psf.bandwidth / sqrt(3.0)  # the two Gauss-Legendre nodes of the band
+    offset = 0.5 * psf.bandwidth / sqrt(3.0)  # the two Gauss-Legendre nodes of the band
     middle = psf.wavelengths[color]
-    nodes = (middle - apart, middle + apart) if apart else (middle,)
+    nodes = (middle - offset, middle + offset) if offset else (middle,)
     units = [diffraction_unit(camera, node) for node in nodes]
     if not units[0] >= LEAST_UNIT or not units[-1] <= MOST_UNIT:
         rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
         raise SceneError(f"psf.wavelengths: {rule}; got {units[0]:.3g} px, of {nodes[0]:.4g} nm")
     bands, keeps = tuple((unit, 1.0 / len(units)) for unit in units), psf.rest == "renormalize"
     wavefront = _wavefront(psf, camera)
-    found: Diffracted
+    diffracted: Diffracted
     if is_round(pupil) and wavefront.is_flat and varying is None:
-        found = HankelDiffracted(pupil, bands, psf.tail, keeps)
+        diffracted = HankelDiffracted(pupil, bands, psf.tail, keeps)
     else:
         steepest = 0.0 if varying is None else varying.slope(wavefront)
-        found = FourierDiffracted(pupil, bands, psf.tail, keeps, wavefront, steepest)
-    if found.margin > MOST_MARGIN:
+        diffracted = FourierDiffracted(pupil, bands, psf.tail, keeps, wavefront, steepest)
+    if diffracted.margin > MOST_MARGIN:
         rule = f"must leave at most {MOST_MARGIN:g} px of light outside of the rim of the blur"
-        slope = found.slope if isinstance(found, FourierDiffracted) else 0.0
+        slope = diffracted.slope if isinstance(diffracted, FourierDiffracted) else 0.0
         bent = f", and aberrations by {2.0 * slope:.3g} px" if slope else ""
-        raise SceneError(f"psf.tail: {rule}; got {found.margin:.4g} px, of {psf.tail:g} and {nodes[-1]:.4g} nm{bent}")
-    return found
+        cause = f"of {psf.tail:g} and {nodes[-1]:.4g} nm{bent}"
+        raise SceneError(f"psf.tail: {rule}; got {diffracted.margin:.4g} px, {cause}")
+    return diffracted
 
 
-def _traced(pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None) -> Traced:
+def _trace_rays(pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None) -> Traced:
     """The pupil with aberrations by rays, on the axis."""
     from clsco.optics.pupils.traced import Traced
 
     wavefront = _wavefront(psf, camera)
-    found = Traced(pupil, wavefront=wavefront, steepest=varying.slope(wavefront) if varying else 0.0)
-    if found.margin > MOST_MARGIN:
-        raise SceneError(f"psf: aberrations must bend light by at most {MOST_MARGIN:g} px; got {found.margin:.4g} px")
-    return found
+    traced = Traced(pupil, wavefront=wavefront, steepest=varying.slope(wavefront) if varying else 0.0)
+    if traced.margin > MOST_MARGIN:
+        raise SceneError(f"psf: aberrations must bend light by at most {MOST_MARGIN:g} px; got {traced.margin:.4g} px")
+    return traced
 
 
 def _wavefront(psf: Psf, camera: Camera) -> Wavefront:

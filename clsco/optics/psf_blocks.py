@@ -113,10 +113,10 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     """
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
-    found: tuple[list[NDArray[np.float32]], ...] = ([], [])
+    coefficients: tuple[list[NDArray[np.float32]], ...] = ([], [])
     widths = half_widths(psf, span, fine).astype(np.int32)
-    reach, of_columns = int(widths[-1]), psf.has_runs and not fine
-    outlines = np.zeros((len(span) if of_columns else 0, 2 * reach + 1, OUTLINE_RUN), np.int32)
+    reach, by_columns = int(widths[-1]), psf.has_runs and not fine
+    outlines = np.zeros((len(span) if by_columns else 0, 2 * reach + 1, OUTLINE_RUN), np.int32)
     outlines[..., 1] = -1
     for number, radii, half_width in _runs(psf, span, fine):
         taps = np.arange(-half_width, half_width + 1.0)
@@ -126,16 +126,16 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
             else []
             for sign in (1, -1)
         )
-        if of_columns:
+        if by_columns:
             columns = slice(reach - half_width, reach + half_width + 1)
             for k, nodes in enumerate(np.split(np.arange(len(radii)), len(radii) // len(NODES)), number):
                 values = squares[0][nodes]
                 outlines[k, columns] = _column_outline(values, _is_open(psf, values, radii[nodes]))
         if not psf.diffracted:  # rays of a lens cross in focus, and waves that it bends do not
             mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
-        for blocks, each in zip(found, (squares, mirrored), strict=True):
-            blocks += [block.ravel() for block in _cubics(np.concatenate(each, axis=1), half_width)] if each else []
-    positive, negative = (np.concatenate(blocks or [_none()]) for blocks in found)
+        for blocks, square in zip(coefficients, (squares, mirrored), strict=True):
+            blocks += [block.ravel() for block in _cubics(np.concatenate(square, axis=1), half_width)] if square else []
+    positive, negative = (np.concatenate(blocks or [_none()]) for blocks in coefficients)
     return WeightBlock(widths, positive, negative, np.zeros((0, POWERS, 0), np.float32), outlines)
 
 
@@ -162,8 +162,8 @@ def _none() -> NDArray[np.float32]:
 def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, Array, int]]:
     """Runs of at most RUN intervals with the same half-width: number of the first, radii at NODES, half-width in px."""
     first = 0
-    for half_width, of_same in groupby(half_widths(psf, span, subpixel).tolist()):
-        end = first + len(list(of_same))
+    for half_width, members in groupby(half_widths(psf, span, subpixel).tolist()):
+        end = first + len(list(members))
         for start in range(first, end, RUN):
             numbers = span[start] + np.arange(min(RUN, end - start))
             yield start, table_radius(psf, (numbers[:, None] + NODES).ravel(), subpixel), half_width
@@ -173,8 +173,8 @@ def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, 
 def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
     """Coefficients (rows, POWERS, lanes) of each interval, from values (nodes of all intervals, rows, dx)."""
     count = len(values) // len(NODES)
-    found = np.tensordot(values.reshape(count, len(NODES), *values.shape[1:]), TO_POWERS, axes=(1, 1))
-    for powers in np.moveaxis(found, -1, 2):
+    coefficients = np.tensordot(values.reshape(count, len(NODES), *values.shape[1:]), TO_POWERS, axes=(1, 1))
+    for powers in np.moveaxis(coefficients, -1, 2):
         block = np.zeros((*powers.shape[:2], row_lanes(half_width)), dtype=np.float32)
         block[:, :, : 2 * half_width + 1] = powers
         yield block
@@ -196,8 +196,8 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
 
 def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]:
     """Mask (dy, dx) of taps that are fully covered at all radii of an interval: `values` (radii, dy, dx)."""
-    whole = 1.0 / (np.pi * psf.pupil.light * radii * radii)
-    return np.asarray((np.abs(values / whole[:, None, None] - 1.0) < SAME).all(axis=0))
+    open_weight = 1.0 / (np.pi * psf.pupil.light * radii * radii)
+    return np.asarray((np.abs(values / open_weight[:, None, None] - 1.0) < SAME).all(axis=0))
 
 
 def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -208,12 +208,12 @@ def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int
     """
     lit, count = np.asarray((values > 0.0).any(axis=0)), len(is_open)
     place, half_width = np.arange(count)[:, None], count // 2
-    some = lit.any(axis=0)
+    any_lit = lit.any(axis=0)
     first, last = lit.argmax(axis=0) - half_width, count - 1 - lit[::-1].argmax(axis=0) - half_width
     length = place - np.maximum.accumulate(np.where(is_open, -1, place), axis=0)
     most, stop = length.max(axis=0), length.argmax(axis=0) + 1 - half_width
     run = np.stack([stop - most, stop], axis=1) * (most > 0)[:, None]
-    ends = np.stack([np.where(some, first, 0), np.where(some, last, -1)], axis=1)
+    ends = np.stack([np.where(any_lit, first, 0), np.where(any_lit, last, -1)], axis=1)
     return np.concatenate([ends, run], axis=1).astype(np.int32)
 
 

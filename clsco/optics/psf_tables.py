@@ -53,7 +53,7 @@ class PsfTable:
     1, 2), see `clsco.optics.psf_blocks._outline`, or for a ring (.., 4), see `clsco.optics.psf_blocks._ring_outline`;
     none for a separable shape. For a general shape, unless spread by waves, taps (.., POWERS, WIDE_LANES) hold for each
     such window first the weight of runs, then the weights of all dx from the left and for each all dy, as far as the
-    window's widest interval reaches; outlines (.., 4) are `_shared_outlines` for each interval and dx, followed for
+    window's widest interval reaches; outlines (.., 4) are `_share_outlines` for each interval and dx, followed for
     each window by its start in taps and its number of dy. For a sampled disc, coefficients and taps hold the one weight
     of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
     stride: coefficients per position of a field (`PointSpread.places`); positions are concatenated.
@@ -76,11 +76,11 @@ class PsfTable:
 def psf_features(psf: PointSpread) -> dict[str, int]:
     """Compile-time features for a PSF: its kind; EDGES is the number of edges of its lens mask."""
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
-    found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
-    found |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
-    found |= {"CUT_CHORDS": psf.cut_by_chords * (2 if psf.edge == "area" else 1)}
-    found |= {"BORDERS": int(psf.cut_by_chords and psf.pupil.borders is not None)}
-    return found | {"FIELD": int(psf.varying is not None), "ELLIPSES": int(psf.stretched > 0.0)}
+    features = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
+    features |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
+    features |= {"CUT_CHORDS": psf.cut_by_chords * (2 if psf.edge == "area" else 1)}
+    features |= {"BORDERS": int(psf.cut_by_chords and psf.pupil.borders is not None)}
+    return features | {"FIELD": int(psf.varying is not None), "ELLIPSES": int(psf.stretched > 0.0)}
 
 
 @lru_cache(maxsize=256)
@@ -92,12 +92,12 @@ def table_sizes(psf: PointSpread, smallest: float, largest: float, subpixel: int
 def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
     """Bytes of each array of `table_of` with the same arguments, by name."""
     if psf.layout == "disc" and not subpixel:
-        each = 4 * len(span)
-        return {"intervals": 2 * each, "coefficients": each, "taps": each, "outlines": 4 * span.stop}
+        size = 4 * len(span)
+        return {"intervals": 2 * size, "coefficients": size, "taps": size, "outlines": 4 * span.stop}
     widths = half_widths(psf, span, subpixel > 0)
     widest, row = int(widths[-1]), 4 * POWERS * row_lanes(widths)
     sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
-    of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
+    tap_bytes = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
     if psf.layout == "general":
         coefficients = (
             (2 - abs(psf.side)) * len(psf.places) * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
@@ -111,9 +111,9 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
     if subpixel:
         return sizes | {"coefficients": int((row * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())}
     if psf.layout == "separable":
-        return sizes | {"coefficients": int(row.sum()), "taps": of_taps * (widest + 1)}
+        return sizes | {"coefficients": int(row.sum()), "taps": tap_bytes * (widest + 1)}
     outline = 4 * OUTLINE_RUN if psf.pupil.hollow else 4 * OUTLINE
-    sizes |= {"taps": of_taps * _tap_count(psf, widest), "outlines": outline * len(span) * (widest + 1)}
+    sizes |= {"taps": tap_bytes * _tap_count(psf, widest), "outlines": outline * len(span) * (widest + 1)}
     return sizes | {"coefficients": int((row * (widths + 1)).sum())}
 
 
@@ -182,10 +182,10 @@ def psf_table(
     PsfTable
     """
     span = rounded_span(psf, smallest, largest, subpixel)
-    return narrowed(table_of(psf, span, subpixel, blocks), psf, smallest, largest, subpixel > 0)
+    return narrow_table(table_of(psf, span, subpixel, blocks), psf, smallest, largest, subpixel > 0)
 
 
-def narrowed(table: PsfTable, psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> PsfTable:
+def narrow_table(table: PsfTable, psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> PsfTable:
     """A table for fewer radii that shares the arrays."""
     span = span_of(psf, smallest, largest, subpixel)
     return replace(table, low=span.start, end=span.stop, reach=half_width(psf, span[-1], subpixel))
@@ -198,29 +198,29 @@ def table_of(
     coefficients, most of a table.
     """
     if psf.varying is not None:
-        each = [table_of(place, span, subpixel, blocks) for place in psf.places]
-        joined = join([table.coefficients for table in each])
-        return replace(each[0], coefficients=joined, stride=each[0].coefficients.size)
+        tables = [table_of(place, span, subpixel, blocks) for place in psf.places]
+        joined = join([table.coefficients for table in tables])
+        return replace(tables[0], coefficients=joined, stride=tables[0].coefficients.size)
     if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
     starts = range(span.start // size * size, span.stop, size)
-    found = [_part(psf, blocks(psf, start, subpixel), start, span, subpixel) for start in starts]
-    widths = np.concatenate([block.widths for block in found])
-    every = [block.coefficients for block in found] + [block.negative for block in found]
-    of_radii = [coefficients for coefficients in every if coefficients.size]
+    parts = [_part(psf, blocks(psf, start, subpixel), start, span, subpixel) for start in starts]
+    widths = np.concatenate([block.widths for block in parts])
+    every = [block.coefficients for block in parts] + [block.negative for block in parts]
+    coefficient_parts = [coefficients for coefficients in every if coefficients.size]
     sizes = _interval_size(psf, widths.astype(np.int64), subpixel)
     if psf.signed:
         widths, sizes = np.tile(widths, 2), np.tile(sizes, 2)
-    begins = (np.cumsum(sizes) - sizes) % sum(coefficients.size for coefficients in of_radii)
+    begins = (np.cumsum(sizes) - sizes) % sum(coefficients.size for coefficients in coefficient_parts)
     intervals = np.stack([begins, widths], axis=1).astype(np.int32)
     if psf.has_runs and not subpixel:
-        taps, outlines = _windows(found)
+        taps, outlines = _windows(parts)
     else:
-        taps, outlines = _joined_taps(found), _joined_outlines(found)
+        taps, outlines = _join_taps(parts), _join_outlines(parts)
     reach = int(widths.max())
     return PsfTable(
-        span.start, span.start, span.stop, intervals, join(of_radii), reach, len(span), taps, outlines
+        span.start, span.start, span.stop, intervals, join(coefficient_parts), reach, len(span), taps, outlines
     )  # fmt: skip
 
 
@@ -230,12 +230,12 @@ def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixe
     if (first, end) == (0, len(block.widths)):
         return block
     sizes = np.cumsum(_interval_size(psf, block.widths.astype(np.int64), subpixel))
-    of_part = slice(int(sizes[first - 1]) if first else 0, int(sizes[end - 1]))
+    selection = slice(int(sizes[first - 1]) if first else 0, int(sizes[end - 1]))
     widest = int(block.widths[end - 1])
     return WeightBlock(
         block.widths[first:end],
-        block.coefficients[of_part],
-        block.negative[of_part],
+        block.coefficients[selection],
+        block.negative[selection],
         block.taps[: _tap_count(psf, widest), :, first:end],
         _widest_columns(psf, block.outlines[first:end], widest),
     )
@@ -261,16 +261,16 @@ def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -
     return row if psf.layout == "separable" else row * (widths + 1)
 
 
-def _joined_taps(found: list[WeightBlock]) -> NDArray[np.float32]:
+def _join_taps(parts: list[WeightBlock]) -> NDArray[np.float32]:
     """Coefficients by tap, in windows of WIDE_LANES intervals every TAP_LANES (axis 1 of four); zeros beyond a block's
     taps.
     """
-    most, count = max(len(block.taps) for block in found), sum(block.taps.shape[2] for block in found)
+    most, count = max(len(block.taps) for block in parts), sum(block.taps.shape[2] for block in parts)
     if not count:
         return np.zeros(0, np.float32)
-    whole = -(-count // TAP_LANES) * TAP_LANES  # a table of few intervals fills no window otherwise
-    joined, start = np.zeros((most, POWERS, whole + WIDE_LANES - TAP_LANES), np.float32), 0
-    for block in found:
+    padded = -(-count // TAP_LANES) * TAP_LANES  # a table of few intervals fills no window otherwise
+    joined, start = np.zeros((most, POWERS, padded + WIDE_LANES - TAP_LANES), np.float32), 0
+    for block in parts:
         joined[: len(block.taps), :, start : start + block.taps.shape[2]] = block.taps
         start += block.taps.shape[2]
     windows = np.lib.stride_tricks.sliding_window_view(joined, WIDE_LANES, axis=2)[:, :, ::TAP_LANES]
@@ -283,29 +283,29 @@ def _window_sides(widths: NDArray[np.int64]) -> NDArray[np.int64]:
     return 2 * widths[last].astype(np.int64) + 1
 
 
-def _windows(found: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _windows(parts: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Coefficients by tap of each window of intervals of a general shape, and outlines followed by the starts of
     windows, see `PsfTable`.
     """
-    widths = np.concatenate([block.widths for block in found]).astype(np.int64)
-    sides, outlines = _window_sides(widths), _centered_outlines(found, int(widths[-1]))
+    widths = np.concatenate([block.widths for block in parts]).astype(np.int64)
+    sides, outlines = _window_sides(widths), _center_outlines(parts, int(widths[-1]))
     places = np.concatenate([[0], np.cumsum(sides * sides + 1)])
     taps = np.zeros((int(places[-1]), POWERS, WIDE_LANES), np.float32)
-    intervals = (each for block in found for each in _interval_taps(block))
-    for k, (half, of_interval) in enumerate(intervals):
+    intervals = (item for block in parts for item in _interval_taps(block))
+    for k, (half, interval_taps) in enumerate(intervals):
         start, stop = outlines[k, :, 2:].T
         column = int((stop - start).argmax())
         is_open = start[column] < stop[column]
-        open_tap = of_interval[half + column - int(widths[-1]), half + start[column]] if is_open else 0.0
+        open_tap = interval_taps[half + column - int(widths[-1]), half + start[column]] if is_open else 0.0
         for window in range(max(k // TAP_LANES - 1, 0), k // TAP_LANES + 1):
             side, lane = int(sides[window]), k - window * TAP_LANES
-            of_window = taps[places[window] + 1 : places[window + 1]].reshape(side, side, POWERS, WIDE_LANES)
+            window_taps = taps[places[window] + 1 : places[window + 1]].reshape(side, side, POWERS, WIDE_LANES)
             inside = slice(side // 2 - half, side // 2 + half + 1)
-            of_window[inside, inside, :, lane] = of_interval
+            window_taps[inside, inside, :, lane] = interval_taps
             taps[places[window], :, lane] = open_tap
     heads = np.zeros((len(sides), OUTLINE_RUN), np.int32)
     heads[:, 0], heads[:, 1] = places[:-1] * POWERS * WIDE_LANES, sides
-    return taps, np.concatenate([_shared_outlines(outlines).reshape(-1, OUTLINE_RUN), heads])
+    return taps, np.concatenate([_share_outlines(outlines).reshape(-1, OUTLINE_RUN), heads])
 
 
 def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32]]]:
@@ -318,21 +318,21 @@ def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32
         start += rows.size
 
 
-def _centered_outlines(found: list[WeightBlock], widest: int) -> NDArray[np.int32]:
+def _center_outlines(parts: list[WeightBlock], widest: int) -> NDArray[np.int32]:
     """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape; unlit columns have empty
     ones.
     """
-    joined = np.zeros((sum(len(block.outlines) for block in found), 2 * widest + 1, OUTLINE_RUN), np.int32)
+    joined = np.zeros((sum(len(block.outlines) for block in parts), 2 * widest + 1, OUTLINE_RUN), np.int32)
     joined[..., 1] = -1
     start = 0
-    for block in found:
+    for block in parts:
         beside, end = widest - block.outlines.shape[1] // 2, start + len(block.outlines)
         joined[start:end, beside : 2 * widest + 1 - beside] = block.outlines
         start = end
     return joined
 
 
-def _shared_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
+def _share_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
     """Outlines valid for WIDE_LANES intervals: for each, the union of lit taps up to it, and the intersection of runs
     from it on.
     """
@@ -349,15 +349,15 @@ def _shared_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.stack(ends, axis=-1)
 
 
-def _joined_outlines(found: list[WeightBlock]) -> NDArray[np.int32]:
+def _join_outlines(parts: list[WeightBlock]) -> NDArray[np.int32]:
     """Outlines of all intervals, empty beyond those of a block."""
-    most = max(block.outlines.shape[1] for block in found)
+    most = max(block.outlines.shape[1] for block in parts)
     if not most:
         return np.zeros(0, np.int32)
-    numbers = found[0].outlines.shape[2]
-    joined, start = np.zeros((sum(len(block.outlines) for block in found), most, numbers), np.int32), 0
+    numbers = parts[0].outlines.shape[2]
+    joined, start = np.zeros((sum(len(block.outlines) for block in parts), most, numbers), np.int32), 0
     joined[..., 1] = -1
-    for block in found:
+    for block in parts:
         joined[start : start + len(block.outlines), : block.outlines.shape[1]] = block.outlines
         start += len(block.outlines)
     return joined
@@ -368,10 +368,10 @@ def _disc_table(psf: PointSpread, span: range) -> PsfTable:
     widths = np.floor(np.sqrt(span)).astype(np.int32)
     intervals = np.stack([np.arange(len(span)), widths], axis=1).astype(np.int32)
     center = np.zeros(1)
-    each = psf.weights(center, center, table_radius(psf, np.array(span) + 0.5, False)).astype(np.float32)
+    weights = psf.weights(center, center, table_radius(psf, np.array(span) + 0.5, False)).astype(np.float32)
     roots = np.floor(np.sqrt(np.arange(span.stop))).astype(np.int32)
     return PsfTable(
-        span.start, span.start, span.stop, intervals, each, int(widths[-1]), len(span), each, roots
+        span.start, span.start, span.stop, intervals, weights, int(widths[-1]), len(span), weights, roots
     )  # fmt: skip
 
 
@@ -403,20 +403,20 @@ def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[n
     ((9, 9), 1.0)
     """
     coordinate = float(table_coordinate(psf, np.asarray(radius)))
-    whole = int(coordinate)
-    number = whole - table.first + (table.count if psf.signed and radius < 0.0 else 0)
+    index = int(coordinate)
+    number = index - table.first + (table.count if psf.signed and radius < 0.0 else 0)
     start, half = (int(value) for value in table.intervals[number])
     size = 2 * half + 1
     if psf.layout == "disc":
         across = np.abs(np.arange(-half, half + 1))
-        ends = table.outlines[whole - across**2]
+        ends = table.outlines[index - across**2]
         return np.where(across <= ends[:, None], table.coefficients[start], np.float32(0.0))
     rows = {"separable": 1, "symmetric": half + 1, "general": size}[psf.layout]
     lanes = row_lanes(half)
     cubics = table.coefficients[start : start + rows * POWERS * lanes].reshape(rows, POWERS, lanes)[..., :size]
-    found = np.tensordot((coordinate - whole) ** np.arange(POWERS), cubics.astype(np.float64), axes=(0, 1))
+    weights = np.tensordot((coordinate - index) ** np.arange(POWERS), cubics.astype(np.float64), axes=(0, 1))
     if psf.layout == "separable":
-        found = found[0] * found[0][:, None]
+        weights = weights[0] * weights[0][:, None]
     elif psf.layout == "symmetric":
-        found = np.concatenate([found[:0:-1], found])
-    return np.asarray(found, np.float32)
+        weights = np.concatenate([weights[:0:-1], weights])
+    return np.asarray(weights, np.float32)

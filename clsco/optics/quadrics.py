@@ -99,7 +99,7 @@ class PlacedSurface:
     ball : ndarray of float64, (4,)
         Center x, y, z and radius of a ball around the part of the surface in front of the camera, mm; infinite radius
         without one.
-    seen : Extent
+    extent : Extent
         Bounds of the surface in the image and in depth.
     width : float
         Approximate width of the image across its longest direction, as a slope of rays; infinite for unbounded
@@ -116,7 +116,7 @@ class PlacedSurface:
     rest: Vector
     constant: float
     ball: Vector
-    seen: Extent = EVERYWHERE
+    extent: Extent = EVERYWHERE
     width: float = inf
 
 
@@ -144,11 +144,11 @@ def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Cano
     # A weak curvature would put its center so far away that the offset swallows the digits of the surface.
     curved = (q != 0) & (np.abs(half_linear) <= farthest * np.abs(q))
     shift = np.where(curved, -half_linear / np.where(curved, q, 1.0), 0.0)
-    rest = np.where(curved, 0.0, half_linear)
+    linear_rest = np.where(curved, 0.0, half_linear)
     k = -(constant + float(half_linear @ shift))
     if not q.any():
         shift, k = half_linear * (k / (2.0 * float(half_linear @ half_linear))), 0.0
-    return Canonical(q, rest, k, axes, axes.T @ shift)
+    return Canonical(q, linear_rest, k, axes, axes.T @ shift)
 
 
 def canonical(item: Object) -> Canonical:
@@ -218,8 +218,8 @@ def cutting_bounds(item: Object) -> Bounds | None:
     square, linear = shape.axes.T @ np.diag(shape.q) @ shape.axes, shape.axes.T @ shape.l
     half = linear - square @ shape.origin
     constant = -float(shape.origin @ (half + linear)) - shape.k
-    whole = np.block([[square, half[:, None]], [half, constant]])
-    return cutting(tuple(map(tuple, whole.tolist())), shape.nappe, item.bounds)
+    matrix = np.block([[square, half[:, None]], [half, constant]])
+    return cutting(tuple(map(tuple, matrix.tolist())), shape.nappe, item.bounds)
 
 
 def place(item: Object, pose: Pose) -> PlacedSurface:
@@ -249,8 +249,8 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
         constant = (distance - item.radius) * (distance + item.radius)
     else:
         constant = float(shape.q @ offset**2 + 2.0 * (shape.l @ offset) - shape.k)
-    ways, ball = (turn, offset, body_turn, body_offset, own_turn, own_offset), _ball(item, pose)
-    placed = PlacedSurface(shape, *ways, rest, constant, ball, _seen(*ball.tolist()))
+    transforms, ball = (turn, offset, body_turn, body_offset, own_turn, own_offset), _ball(item, pose)
+    placed = PlacedSurface(shape, *transforms, rest, constant, ball, _ball_extent(*ball.tolist()))
     return replace(placed, width=_width(item, placed))
 
 
@@ -281,7 +281,7 @@ def _width(item: Object, surface: PlacedSurface) -> float:
     area A distance / Z^3, no longer than that of the ball.
     """
     depth, radius = surface.ball[2:].tolist()
-    whole = 2.0 * radius / depth if depth > radius else inf
+    ball_width = 2.0 * radius / depth if depth > radius else inf
     shape = surface.canonical
     if shape.q.any():
         if not shape.l.any() and (shape.k == 0.0 or not shape.q.all()):
@@ -289,13 +289,13 @@ def _width(item: Object, surface: PlacedSurface) -> float:
         form = outline_form(surface)
         bends = np.linalg.eigvalsh(-form[:2, :2])
         if not bends[0] > 0.0:
-            return whole
+            return ball_width
         most = form[2, 2] - form[2, :2] @ np.linalg.solve(form[:2, :2], form[:2, 2])
-        return min(whole, 2.0 * float(np.sqrt(most / bends[1]))) if most > 0.0 else whole
+        return min(ball_width, 2.0 * float(np.sqrt(most / bends[1]))) if most > 0.0 else ball_width
     if isinstance(item, Rectangle | Disc):
         area = pi * item.radius**2 if isinstance(item, Disc) else item.size[0] * item.size[1]
         return area * abs(surface.constant) / (2.0 * radius * depth**2) if depth > radius else inf
-    return whole
+    return ball_width
 
 
 def _ball(item: Object, pose: Pose) -> Vector:
@@ -316,7 +316,7 @@ def _ball(item: Object, pose: Pose) -> Vector:
     return np.array([*(rest_center(item) + pose.shift + pose.rotation @ middle), radius * (1.0 + 1e-9)])
 
 
-def _seen(x: float, y: float, z: float, radius: float) -> Extent:
+def _ball_extent(x: float, y: float, z: float, radius: float) -> Extent:
     """Extent of a ball; unbounded if the lens is inside it."""
     if z - radius <= 1e-3 * radius:
         return EVERYWHERE
@@ -357,20 +357,20 @@ def predict_inverse_depth(
     """
     rays, shape, bounds = np.stack([x, y, np.ones_like(x)]), surface.canonical, cutting_bounds(item)
     d = np.tensordot(surface.turn, rays, axes=1)
-    own = d if bounds is None else np.tensordot(surface.own_turn, rays, axes=1)
+    own_rays = d if bounds is None else np.tensordot(surface.own_turn, rays, axes=1)
     o, q, half_linear = (v.reshape(3, *([1] * x.ndim)) for v in (surface.offset, shape.q, shape.l))
     a = (q * d * d).sum(axis=0)
     b = ((q * o + half_linear) * d).sum(axis=0)
     c = surface.constant
     discriminant = b * b - a * c
-    root, met = np.sqrt(np.maximum(discriminant, 0.0)), discriminant >= 0
+    root, hit = np.sqrt(np.maximum(discriminant, 0.0)), discriminant >= 0
     best = np.zeros_like(a)
     # Of a surface that nothing cuts, one sign gives the nearer point.
     is_whole = bounds is None and not shape.nappe and shape.radius == inf
     for sign in (np.copysign(1.0, c),) if is_whole else (1.0, -1.0):
         with np.errstate(all="ignore"):  # NaN is not kept
             w = (-b + sign * root) / c if c != 0 else -a / (2 * b)
-            keep = met & (w > best) & (w < inf)
+            keep = hit & (w > best) & (w < inf)
             if shape.nappe:
                 keep &= shape.nappe * (surface.offset[2] * w + d[2]) >= 0
             if shape.radius < inf:
@@ -378,7 +378,7 @@ def predict_inverse_depth(
                 keep &= np.hypot(*across) <= shape.radius * w
             if bounds is not None:
                 for axis in (axis for axis, ends in enumerate(bounds) if ends != (-inf, inf)):
-                    along, (low, high) = surface.own_offset[axis] * w + own[axis], bounds[axis]
+                    along, (low, high) = surface.own_offset[axis] * w + own_rays[axis], bounds[axis]
                     keep &= (along >= low * w) & (along <= high * w)
         best[keep] = w[keep]
     return best

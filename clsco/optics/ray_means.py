@@ -69,8 +69,8 @@ class RayMeans:
         head = np.zeros(TAP_LANES)
         head[:4] = self.first, radii, self.half_width, pitch
         scales = np.repeat(self.scales[..., None], TAP_LANES, axis=-1)
-        each = np.concatenate([scales, self.means.reshape(places, radii, -1)], axis=-1)
-        return np.concatenate([head, each.ravel(), np.zeros(2 * TAP_LANES)]).astype(np.float32)
+        records = np.concatenate([scales, self.means.reshape(places, radii, -1)], axis=-1)
+        return np.concatenate([head, records.ravel(), np.zeros(2 * TAP_LANES)]).astype(np.float32)
 
     def around(self, radius: Array, places: NDArray[np.int64], shares: Array) -> tuple[NDArray[np.int64], Array, Array]:
         """Means for sources of signed radii (n,) between positions (k, n) of the field with blending factors `shares`:
@@ -89,12 +89,12 @@ class RayMeans:
         far, means = self.half_width, self.means.reshape(-1, *self.means.shape[2:])
         left, top = (np.floor(at + ROUNDING) for at in (x, y))
         column, row = (np.clip(at, -far, far - 1).astype(np.int64)[:, None] + far for at in (left, top))
-        found = np.zeros((means.shape[1], len(x)))
+        planes = np.zeros((means.shape[1], len(x)))
         for i, below in enumerate((1.0 - (y - top), y - top)):
             for j, beside in enumerate((1.0 - (x - left), x - left)):
-                for axis in range(len(found)):
-                    found[axis] += below * beside * (parts * means[numbers, axis, row + i, column + j]).sum(axis=-1)
-        return found
+                for axis in range(len(planes)):
+                    planes[axis] += below * beside * (parts * means[numbers, axis, row + i, column + j]).sum(axis=-1)
+        return planes
 
 
 def step_of(radius: Array) -> Array:
@@ -134,8 +134,8 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
         if isinstance(opening, Traced):
             wavefront, opening = opening.wavefront, opening.opening
         for n, radius in enumerate(radii.tolist()):
-            scales[k, n], found = _means(opening, wavefront, radius, half_width, psf.pupil.bends_rays)
-            means[k, n, :, :, : 2 * half_width + 1] = found
+            scales[k, n], planes = _means(opening, wavefront, radius, half_width, psf.pupil.bends_rays)
+            means[k, n, :, :, : 2 * half_width + 1] = planes
     return RayMeans(int(steps[0]), half_width, scales, means)
 
 
@@ -165,27 +165,27 @@ def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int,
     below, beside = np.array([[0], [0], [1], [1]]), np.array([[0], [1], [0], [1]])
     cells = (row + half_width + below) * side + column + half_width + beside
     aside = [cell + step - at for at, cell, step in ((at_x, column, beside), (at_y, row, below))]
-    each = light * np.maximum(1.0 - np.abs(aside[0]), 0.0) * np.maximum(1.0 - np.abs(aside[1]), 0.0)
+    pixel_light = light * np.maximum(1.0 - np.abs(aside[0]), 0.0) * np.maximum(1.0 - np.abs(aside[1]), 0.0)
     spread = [float((light * at * at).sum() - (light * at).sum() ** 2) for at in (at_x, at_y, x, y)]
     scale = max(((spread[0] + spread[1]) / (spread[2] + spread[3])) ** 0.5, IN_FOCUS)
     values: list[Array] = [np.ones_like(x), x, y, x * x, x * y, y * y]
-    sums = _sums(cells, each, values, side * side)
+    sums = _sums(cells, pixel_light, values, side * side)
     if bent:
-        beyond = _second_sheet(cells, each, values, sums, SPLIT / (TENT * scale * scale))
+        beyond = _second_sheet(cells, pixel_light, values, sums, SPLIT / (TENT * scale * scale))
         values += [*aside, 2.0 * x * aside[0], x * aside[1] + y * aside[0], 2.0 * y * aside[1]]
-        sums = _sums(cells + side * side * beyond, each, values, SHEETS * side * side)
+        sums = _sums(cells + side * side * beyond, pixel_light, values, SHEETS * side * side)
     sums = sums.reshape(len(sums), -1, side, side).swapaxes(0, 1)
-    light_of = sums[:, 0].sum(axis=0)
-    weight = np.where(light_of > LEAST_LIGHT, light_of, 0.0)
+    light_sum = sums[:, 0].sum(axis=0)
+    weight = np.where(light_sum > LEAST_LIGHT, light_sum, 0.0)
     sheets = []
     for part, *sheet in sums:
         means = np.stack(sheet) * (part > 0.0) / np.where(part > 0.0, part, 1.0)
         if bent:
-            for k, (one, other) in enumerate(((0, 0), (0, 1), (1, 1)), 7):
-                means[k] -= means[one] * means[5 + other] + means[other] * means[5 + one]
+            for k, (a, b) in enumerate(((0, 0), (0, 1), (1, 1)), 7):
+                means[k] -= means[a] * means[5 + b] + means[b] * means[5 + a]
             means[7:] *= TENT * scale
-        for k, (one, other) in enumerate(((0, 0), (0, 1), (1, 1)), 2):
-            means[k] = (one == other) - TENT * scale * scale * (means[k] - means[one] * means[other])
+        for k, (a, b) in enumerate(((0, 0), (0, 1), (1, 1)), 2):
+            means[k] = (a == b) - TENT * scale * scale * (means[k] - means[a] * means[b])
         if bent:
             means *= part / np.where(weight > 0.0, weight, 1.0)
         sheets.append(means)

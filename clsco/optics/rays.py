@@ -43,7 +43,7 @@ def slopes_at(camera: Camera, right: ArrayLike, up: ArrayLike) -> tuple[Array, A
     broadcast.
     """
     step, distortion = ray_step(camera), distortion_of(camera)
-    x, y = np.broadcast_arrays(*(step * np.asarray(each, dtype=np.float64) for each in (right, up)))
+    x, y = np.broadcast_arrays(*(step * np.asarray(offset, dtype=np.float64) for offset in (right, up)))
     return (x, y) if distortion is None else distortion.undistorted(x, y)
 
 

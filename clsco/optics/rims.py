@@ -14,9 +14,9 @@ from clsco.optics.vignetting import throughput
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
-LEAST_WAY = 1e-6  # part of the lens radius that rays through different lens points are apart in a rim
+LEAST_SPREAD = 1e-6  # of the lens radius: least spread in a rim of rays through different lens points
 CELLS = 24  # of the lens, per radius, that its light is summed over
-POINTS = 1024  # at a time, so that all that is known of them stays in the caches
+POINTS = 1024  # at a time, so that their data stays in the caches
 NODES = 257  # of a frame along each side, between which `frame_throughput` is linear
 
 
@@ -39,9 +39,9 @@ def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> 
         Signed blur radius, px.
     """
     d = rim.distance
-    way = 1 + d * (-w if d > 0 else lens.detector_power + radius / lens.blur_scale)
-    across = lens.radius * np.where(way < 0, np.minimum(way, -LEAST_WAY), np.maximum(way, LEAST_WAY))
-    size = np.where((d > 0) & (way <= 0), np.inf, rim.radius / np.abs(across))
+    spread = 1 + d * (-w if d > 0 else lens.detector_power + radius / lens.blur_scale)
+    across = lens.radius * np.where(spread < 0, np.minimum(spread, -LEAST_SPREAD), np.maximum(spread, LEAST_SPREAD))
+    size = np.where((d > 0) & (spread <= 0), np.inf, rim.radius / np.abs(across))
     return -d * slopes[:, 0] / across, d * slopes[:, 1] / across, size
 
 
@@ -67,16 +67,16 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
     where rims begin to cut to where they block all light.
     """
     camera = camera_at(scene, time)
-    found = throughput(camera, "none" if scene.lens is None else scene.lens.vignetting)
+    image = throughput(camera, "none" if scene.lens is None else scene.lens.vignetting)
     if not psf.rims:
-        return found
+        return image
     (columns, rows), lens = camera.frame_size, lens_at(scene, time)
     down, across = (np.linspace(0.0, n - 1.0, min(n, NODES)) for n in (rows, columns))
     slopes = np.stack(ray_slopes(camera, down[:, None], across), axis=-1).reshape(-1, 2)
     in_focus = lens.blur_radius(0.0, (slopes * slopes).sum(axis=1)) / lens.blur_scale + np.zeros(len(slopes))
     share = rim_throughput(lens, psf, slopes, in_focus, np.zeros(len(slopes))).reshape(down.size, across.size)
     lines = np.stack([np.interp(np.arange(columns), across, line) for line in share])
-    return np.asarray(found * np.stack([np.interp(np.arange(rows), down, line) for line in lines.T], axis=1))
+    return np.asarray(image * np.stack([np.interp(np.arange(rows), down, line) for line in lines.T], axis=1))
 
 
 def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:
@@ -84,22 +84,22 @@ def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius
 
     By area if the aperture has borders; else by summing over cells of the lens, to 0.5 %.
     """
-    found = np.ones(w.shape)
+    shares = np.ones(w.shape)
     parts = [slice(start, start + POINTS) for start in range(0, w.size, POINTS)]
     if psf.cut_by_chords:
         for part in parts:
             circles = [rim_circle(lens, rim, slopes[part], w[part], radius[part]) for rim in psf.rims]
-            found[part] = open_share(circles, psf.pupil.borders) / psf.pupil.light
-        return found
+            shares[part] = open_share(circles, psf.pupil.borders) / psf.pupil.light
+        return shares
     at = (np.arange(2.0 * CELLS) + 0.5 - CELLS) * psf.extent / CELLS
     x, y = (axis.ravel() for axis in np.meshgrid(at, at))
     cells = psf.pupil.cells(CELLS).ravel()
     x, y, cells = x[cells > 0], y[cells > 0], cells[cells > 0] / cells.sum()
     for part in parts:
-        passes = np.ones((found[part].size, x.size))
+        passes = np.ones((shares[part].size, x.size))
         for rim in psf.rims:
             right, down, size = rim_circle(lens, rim, slopes[part], w[part], radius[part])
             away = np.hypot(x - right[:, None], y - down[:, None])
             passes *= np.clip((size[:, None] - away) * CELLS / psf.extent + 0.5, 0.0, 1.0)
-        found[part] = passes @ cells
-    return found
+        shares[part] = passes @ cells
+    return shares

@@ -97,22 +97,22 @@ def sensor_model(scene: Scene, channels: int) -> SensorModel:
     >>> import clsco
     >>> from clsco.optics.sensor import sensor_model
     >>> sensor = clsco.Sensor(dark_current=8.0, temperature=28.0, iso=200.0)
-    >>> found = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
-    >>> found.dark, found.scale[0], round(found.gain, 4)
+    >>> model = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
+    >>> model.dark, model.scale[0], round(model.gain, 4)
     (16.0, 5000.0, 0.6718)
     """
     sensor = scene.sensor
     assert sensor is not None
-    more = sensor.iso_base / sensor.iso if sensor.iso is not None else 1.0
+    gain_factor = sensor.iso_base / sensor.iso if sensor.iso is not None else 1.0
     doublings = (sensor.temperature - sensor.temperature_reference) / sensor.temperature_doubling
     time = scene.sequence.shutter * 2.0 ** min(doublings, MOST_DOUBLINGS)
     largest = 2**sensor.bits - 1
-    gain = sensor.gain or (largest - sensor.black_level) / sensor.full_well / more
-    red, green, blue = (sensor.white_electrons * more * each for each in sensor.quantum_efficiency)
+    gain = sensor.gain or (largest - sensor.black_level) / sensor.full_well / gain_factor
+    red, green, blue = (sensor.white_electrons * gain_factor * efficiency for efficiency in sensor.quantum_efficiency)
     white = scale = red, green, blue
     if sensor.exposure == "physical":
         opening = scene.camera.aperture_diameter / scene.camera.normalization_distance * sensor.reference_f_number
-        passed = scene.sequence.shutter / sensor.reference_shutter * opening**2 / more
+        passed = scene.sequence.shutter / sensor.reference_shutter * opening**2 / gain_factor
         scale = (min(red * passed, MOST_SCALE), min(green * passed, MOST_SCALE), min(blue * passed, MOST_SCALE))
     if sensor.mosaic != "none":
         filters: tuple[tuple[int, ...], ...] = (MOSAICS[sensor.mosaic],)
@@ -122,16 +122,16 @@ def sensor_model(scene: Scene, channels: int) -> SensorModel:
     return SensorModel(scale, white, dark, leak, gain, largest, channels, filters, sensor)
 
 
-def sensor_values(found: SensorModel) -> dict[str, Any]:
+def sensor_values(model: SensorModel) -> dict[str, Any]:
     """Numbers of a read-out for kernels and reference: fields of sensor_t."""
-    sensor, filters = found.sensor, np.zeros((PLANES, 4), np.int64)
-    filters[: len(found.filters)] = found.filters
+    sensor, filters = model.sensor, np.zeros((PLANES, 4), np.int64)
+    filters[: len(model.filters)] = model.filters
     return {
-        "planes": len(found.filters),
-        "channel": np.minimum(filters, found.channels - 1).ravel(),
-        "scale": np.array(found.scale)[filters].ravel(),
-        "maximum": found.largest,
-        "largest": found.largest,
+        "planes": len(model.filters),
+        "channel": np.minimum(filters, model.channels - 1).ravel(),
+        "scale": np.array(model.scale)[filters].ravel(),
+        "maximum": model.largest,
+        "largest": model.largest,
         "seed_low": sensor.seed & 0xFFFFFFFF,
         "seed_high": sensor.seed >> 32,
         "noise_low": sensor.noise_seed & 0xFFFFFFFF,
@@ -139,12 +139,12 @@ def sensor_values(found: SensorModel) -> dict[str, Any]:
         "hot": min(round(sensor.hot_pixels * 2**32), 2**32 - 1),
         "prnu": sensor.prnu,
         "dsnu": sensor.dsnu,
-        "dark": min(found.dark, MOST_MEAN),
-        "leak": min(found.leak, MOST_MEAN),
+        "dark": min(model.dark, MOST_MEAN),
+        "leak": min(model.leak, MOST_MEAN),
         "most": MOST_MEAN,
         "full_well": sensor.full_well,
         "read_noise": sensor.read_noise,
-        "gain": found.gain,
+        "gain": model.gain,
         "black": sensor.black_level,
     }
 
@@ -159,12 +159,12 @@ def reciprocals_of_counts() -> NDArray[np.float32]:
     return (1.0 / np.maximum(np.arange(FEW_ELECTRONS), 1)).astype(np.float32)
 
 
-def noise_variance(found: SensorModel, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
+def noise_variance(model: SensorModel, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
     """Variance of a pixel's reading over exposures and sensors, without clipping, e-^2.
 
     Parameters
     ----------
-    found : SensorModel
+    model : SensorModel
     photoelectrons : ndarray of float64, any shape
         Mean electrons of the light, e-.
 
@@ -181,10 +181,10 @@ def noise_variance(found: SensorModel, photoelectrons: NDArray[np.float64]) -> N
     >>> import clsco, numpy as np
     >>> from clsco.optics.sensor import noise_variance, sensor_model
     >>> sensor = clsco.Sensor(prnu=0.0, dsnu=0.0, read_noise=3.0, gain=1.0)
-    >>> found = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
-    >>> noise_variance(found, np.array([0.0, 100.0])).round(3).tolist()
+    >>> model = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
+    >>> noise_variance(model, np.array([0.0, 100.0])).round(3).tolist()
     [9.083, 109.083]
     """
-    sensor = found.sensor
-    still = found.dark + sensor.dsnu**2 + sensor.read_noise**2 + 1.0 / (12.0 * found.gain**2)
+    sensor = model.sensor
+    still = model.dark + sensor.dsnu**2 + sensor.read_noise**2 + 1.0 / (12.0 * model.gain**2)
     return np.asarray(photoelectrons + (sensor.prnu * photoelectrons) ** 2 + still)

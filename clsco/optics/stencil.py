@@ -57,13 +57,13 @@ class Stencil:
     @property
     def pairs(self) -> NDArray[np.int32]:
         """Evaluation of the union from a summed-area table: int32 (count, 4), (dy, dx) of the +1 and of the -1."""
-        found, inner = list[tuple[int, int, int, int]](), -1
+        pairs, inner = list[tuple[int, int, int, int]](), -1
         for a, b in self.rectangles:
-            found += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]
+            pairs += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]
             if inner >= 0:
-                found += [(inner, -a - 1, inner, a), (-inner - 1, a, -inner - 1, -a - 1)]
+                pairs += [(inner, -a - 1, inner, a), (-inner - 1, a, -inner - 1, -a - 1)]
             inner = b
-        return np.array(found, np.int32).reshape(-1, 4)
+        return np.array(pairs, np.int32).reshape(-1, 4)
 
 
 def is_summed(psf: PointSpread, half_width: int) -> bool:
@@ -131,26 +131,26 @@ def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Recta
     cost, before = np.zeros(count + 1), np.zeros(count + 1, np.intp)
     for end in range(1, count + 1):
         missing = np.maximum(filled[:end] - allowed[end - 1], 0)[::-1].cumsum()[::-1]
-        each = cost[:end] + 4 * PAIR_COST + WEIGHT_COST * missing
-        before[end] = each.argmin()
-        cost[end] = each.min()
+        costs = cost[:end] + 4 * PAIR_COST + WEIGHT_COST * missing
+        before[end] = costs.argmin()
+        cost[end] = costs.min()
     above = np.append(filled[:count][::-1].cumsum()[::-1], 0)
-    end, found = int((cost + WEIGHT_COST * above).argmin()), list[Rectangle]()
+    end, rectangles = int((cost + WEIGHT_COST * above).argmin()), list[Rectangle]()
     while end:
-        found.append((int(allowed[end - 1]) - 1, end - 1))
+        rectangles.append((int(allowed[end - 1]) - 1, end - 1))
         end = int(before[end])
-    return tuple(found[::-1])
+    return tuple(rectangles[::-1])
 
 
 def _runs(quadrant: Weights) -> tuple[NDArray[np.int32], Weights]:
     """Runs of a PSF (|dy|, |dx|) and their weights, as in Stencil."""
-    runs, found, start = list[tuple[int, int, int, int]](), [np.zeros(0, np.float32)], 0
+    runs, weights, start = list[tuple[int, int, int, int]](), [np.zeros(0, np.float32)], 0
     for dx, half in enumerate(quadrant.T):
         column = np.concatenate([half[:0:-1], half]) * np.float32(1.0 if dx else 0.5)
         lit = np.flatnonzero(column)
         for together in np.split(lit, np.flatnonzero(np.diff(lit) > 1) + 1):
             for run in np.array_split(together, -(-len(together) // LONGEST_RUN)) if len(together) else ():
                 runs.append((dx, int(run[0]) - len(half) + 1, len(run), start))
-                found.append(column[run])
+                weights.append(column[run])
                 start += len(run)
-    return np.array(runs, np.int32).reshape(-1, 4), np.concatenate(found)
+    return np.array(runs, np.int32).reshape(-1, 4), np.concatenate(weights)

@@ -21,14 +21,14 @@ from clsco.scene.model import Camera, Object
 
 Array = NDArray[np.float64]
 Window = tuple[int, int, int, int]
-"""Left, top, right, bottom of a part of the grid of a frame or strip, apron included, px; the last two beyond it."""
+"""Left, top, right, bottom of a part of the grid of a frame or strip, guard band included, px; the ends excluded."""
 
 SAME_SHAPE = 1e-12  # relative: differences of rounding, in poses that turn a shape about its axis
-WINDOW_MARGIN = 2 * MOVING_MARGIN + 1  # px: sources that are not still, and what their outlines are found from
+WINDOW_MARGIN = 2 * MOVING_MARGIN + 1  # px: sources that are not still, and the pixels that determine their outlines
 
 
 @dataclass(frozen=True, eq=False)
-class Exposed:
+class StillSplit:
     """Changes of objects during the exposure of a frame.
 
     Attributes
@@ -38,7 +38,7 @@ class Exposed:
         that rotates about its axis is changing but not moving: it hides the same points as before.
     places : ndarray of float64, (samples, objects, PLACE_NUMBERS)
         Bounds of each object at each time sample: low and high x and y of rays, low and high inverse depth in 1/mm
-        (`PlacedSurface.seen`); and, for the ball around it, x and y of the ray to its center, the center's inverse
+        (`PlacedSurface.extent`); and, for the ball around it, x and y of the ray to its center, the center's inverse
         depth, and this times the radius, infinite without a ball.
     """
 
@@ -46,7 +46,7 @@ class Exposed:
     changing: int
     places: Array
 
-    def spares(self, group: OcclusionGroup) -> bool:
+    def has_still(self, group: OcclusionGroup) -> bool:
         """True if sources of an occlusion group may be still, because all moving objects near them are bounded."""
         moving = numbers(self.moving & (group.members | group.occluders))
         return bool(group.members & ~self.changing) and bool(np.isfinite(self.places[:, moving, 9]).all())
@@ -64,20 +64,20 @@ class Exposed:
         reach : float
             Extent of the lens in lens radii.
         guard : int
-            Columns of the apron on each side, px.
+            Columns of the guard band on each side, px.
         first, height : int
-            First row of the grid in the frame, negative in the apron, and number of rows.
+            First row of the grid in the frame, negative in the guard band, and number of rows.
         """
         step, (columns, rows), radius = ray_step(camera), camera.frame_size, Lens.of(camera).radius * reach
-        still, found = numbers(group.members & ~self.changing), list[Array]()
+        still, extents = numbers(group.members & ~self.changing), list[Array]()
         for k in numbers(group.members & self.changing):
-            found.append(self.places[:, k, :4])
+            extents.append(self.places[:, k, :4])
         for k in numbers(group.occluders & self.moving) if still else ():
             ahead = self.places[:, k, 5] - self.places[:, still, 4].min()
-            found.append(self.places[:, k, :4] + radius * np.maximum(ahead, 0.0)[:, None] * [-1.0, 1.0, -1.0, 1.0])
-        if not found:
+            extents.append(self.places[:, k, :4] + radius * np.maximum(ahead, 0.0)[:, None] * [-1.0, 1.0, -1.0, 1.0])
+        if not extents:
             return None
-        ends = np.concatenate(found) / step
+        ends = np.concatenate(extents) / step
         x, y = 0.5 * (columns - 1) + guard, 0.5 * (rows - 1) - first
         left, right = _cells(x + ends[:, 0].min(), x + ends[:, 1].max(), columns + 2 * guard)
         top, bottom = _cells(y - ends[:, 3].max(), y - ends[:, 2].min(), height)
@@ -96,8 +96,8 @@ def _cells(low: float, high: float, size: int) -> tuple[int, int]:
     return min(max(first, 0), size), max(min(last, size), 0)
 
 
-def exposed(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]]) -> Exposed:
-    """Find the changes during an exposure of analytic objects, given their surfaces at each time sample.
+def split_still(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]]) -> StillSplit:
+    """Determine the changes during an exposure of analytic objects, given their surfaces at each time sample.
 
     Examples
     --------
@@ -105,38 +105,38 @@ def exposed(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]]) -
     >>> from clsco import Cylinder
     >>> from clsco.optics.motion import Pose
     >>> from clsco.optics.quadrics import place
-    >>> from clsco.optics.still import exposed
+    >>> from clsco.optics.still import split_still
     >>> tube, turn = Cylinder(center=(0, 0, 280), radius=30), np.diag([-1.0, 1.0, -1.0])
-    >>> found = exposed((tube,), [(place(tube, Pose(r, np.zeros(3))),) for r in (np.eye(3), turn)])
-    >>> found.moving, found.changing
+    >>> split = split_still((tube,), [(place(tube, Pose(r, np.zeros(3))),) for r in (np.eye(3), turn)])
+    >>> split.moving, split.changing
     (0, 1)
     """
     moving = changing = 0
     for k, item in enumerate(items):
-        first, *others = (surfaces[k] for surfaces in times)
-        changed = [other for other in others if not _same_place(first, other)]
+        first, *later = (surfaces[k] for surfaces in times)
+        changed = [surface for surface in later if not _same_place(first, surface)]
         changing |= bool(changed) << k
-        moving |= (not all(_same_shape(item, first, other) for other in changed)) << k
-    places = np.array([_place(one) for surfaces in times for one in surfaces])
-    return Exposed(moving, changing, places.reshape(len(times), len(items), PLACE_NUMBERS))
+        moving |= (not all(_same_shape(item, first, surface) for surface in changed)) << k
+    places = np.array([_place(surface) for surfaces in times for surface in surfaces])
+    return StillSplit(moving, changing, places.reshape(len(times), len(items), PLACE_NUMBERS))
 
 
 def _place(surface: PlacedSurface) -> list[float]:
-    """One entry of `Exposed.places`."""
-    seen, (x, y, z, radius) = surface.seen, surface.ball.tolist()
-    w, size = (0.0, inf) if isinf(seen.w[1]) else (1.0 / z, radius / z)  # infinite: the lens is in the ball
-    return [*seen.x, *seen.y, *seen.w, x * w, y * w, w, size]
+    """One entry of `StillSplit.places`."""
+    extent, (x, y, z, radius) = surface.extent, surface.ball.tolist()
+    w, size = (0.0, inf) if isinf(extent.w[1]) else (1.0 / z, radius / z)  # infinite: the lens is in the ball
+    return [*extent.x, *extent.y, *extent.w, x * w, y * w, w, size]
 
 
-def _same_place(one: PlacedSurface, other: PlacedSurface) -> bool:
+def _same_place(first: PlacedSurface, second: PlacedSurface) -> bool:
     """True if an object is in exactly the same pose."""
-    ways = ("turn", "offset", "body_turn", "body_offset", "own_turn", "own_offset")
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ways)
+    names = ("turn", "offset", "body_turn", "body_offset", "own_turn", "own_offset")
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)
 
 
-def _same_shape(item: Object, one: PlacedSurface, other: PlacedSurface) -> bool:
+def _same_shape(item: Object, first: PlacedSurface, second: PlacedSurface) -> bool:
     """True if an object in another pose hides the same points, up to rounding."""
-    pairs = zip(_hiding(item, one), _hiding(item, other), strict=True)
+    pairs = zip(_hiding(item, first), _hiding(item, second), strict=True)
     return all(bool((np.abs(a - b) <= SAME_SHAPE * scale).all()) for (a, scale), (b, _) in pairs)
 
 

@@ -38,7 +38,7 @@ class OcclusionGroup:
     root: int = 0
 
 
-NO_GROUP = OcclusionGroup(0, 0)  # where objects are not told apart
+NO_GROUP = OcclusionGroup(0, 0)  # if objects are not distinguished
 
 
 @lru_cache(maxsize=16)
@@ -51,55 +51,53 @@ def lens_floats(psf: PointSpread) -> Array:
     """
     cells = psf.lens_cells()
     if psf.signed:
-        found = np.concatenate([cells.ravel(), cells[::-1, ::-1].ravel(), np.ravel(psf.pupil.edges)])
+        floats = np.concatenate([cells.ravel(), cells[::-1, ::-1].ravel(), np.ravel(psf.pupil.edges)])
     else:
         at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
         away = np.hypot(at, at[:, None])
-        found = np.stack([cells, 1.0 - 0.5 * np.clip(away - (LENS_CELLS - 0.5), 0.0, 1.0) / away])
+        floats = np.stack([cells, 1.0 - 0.5 * np.clip(away - (LENS_CELLS - 0.5), 0.0, 1.0) / away])
     if psf.cut_by_chords and (borders := psf.pupil.borders):
-        lists = [np.ravel(each) for each in (borders.columns, borders.edges, borders.circles, borders.holes)]
-        head = [borders.squeeze, psf.pupil.light, *(float(each.size) for each in lists)]
-        found = np.concatenate([found.ravel(), head, *lists])
-    found.flags.writeable = False
-    return found
+        lists = [np.ravel(array) for array in (borders.columns, borders.edges, borders.circles, borders.holes)]
+        head = [borders.squeeze, psf.pupil.light, *(float(array.size) for array in lists)]
+        floats = np.concatenate([floats.ravel(), head, *lists])
+    floats.flags.writeable = False
+    return floats
 
 
-def extent(item: Object, poses: Sequence[Pose], seen: Array, slack: float = 0.0) -> Extent:
-    """Bounds of an object's image and depth over all `poses`; seen: inverse depths in 1/mm at rays over the frame, 0
-    for none; slack: fraction of the changes over poses by which bounds are widened.
+def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.0) -> Extent:
+    """Bounds of an object's image and depth over all `poses`; depths: inverse depths in 1/mm at rays over the frame,
+    0 for none; slack: fraction of the changes over poses by which bounds are widened.
     """
-    hit = seen[seen > 0]
-    depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
-    if isinstance(item, Plane) and hit.size < seen.size:
-        depths = 0.0, depths[1]  # its horizon may be in sight, between rays
-    found = []
+    hit = depths[depths > 0]
+    depth_range = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
+    if isinstance(item, Plane) and hit.size < depths.size:
+        depth_range = 0.0, depth_range[1]  # its horizon may be in sight, between rays
+    extents = []
     for pose in poses:
-        one = place(item, pose).seen
+        bounds = place(item, pose).extent
         # Without an end, or around the lens: as deep as its rays are. A thin thing may hide between them.
-        found.append(one if one.w[1] < inf else replace(one, w=depths))
-    hull = reduce(_hull, found)
-    return _wider(hull, found, slack) if slack > 0.0 else hull
+        extents.append(bounds if bounds.w[1] < inf else replace(bounds, w=depth_range))
+    hull = reduce(_hull, extents)
+    return _widen(hull, extents, slack) if slack > 0.0 else hull
 
 
-def _wider(hull: Extent, found: Sequence[Extent], slack: float) -> Extent:
+def _widen(hull: Extent, extents: Sequence[Extent], slack: float) -> Extent:
     """Hull of extents, widened by a fraction `slack` of their differences."""
 
-    def both(ends: tuple[float, float], each: Sequence[tuple[float, float]]) -> tuple[float, float]:
-        lows, highs = zip(*each, strict=True)
+    def widen(ends: tuple[float, float], intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
+        lows, highs = zip(*intervals, strict=True)
         low, high = (slack * (max(side) - min(side)) if np.isfinite(side).all() else 0.0 for side in (lows, highs))
         return ends[0] - low, ends[1] + high
 
-    w = both(hull.w, [one.w for one in found])
-    return Extent(
-        both(hull.x, [one.x for one in found]), both(hull.y, [one.y for one in found]), (max(w[0], 0.0), w[1])
-    )
+    w = widen(hull.w, [extent.w for extent in extents])
+    return Extent(widen(hull.x, [e.x for e in extents]), widen(hull.y, [e.y for e in extents]), (max(w[0], 0.0), w[1]))
 
 
 def _hull(a: Extent, b: Extent) -> Extent:
-    def both(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
-        return min(one[0], other[0]), max(one[1], other[1])
+    def join(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
+        return min(first[0], second[0]), max(first[1], second[1])
 
-    return Extent(both(a.x, b.x), both(a.y, b.y), both(a.w, b.w))
+    return Extent(join(a.x, b.x), join(a.y, b.y), join(a.w, b.w))
 
 
 def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
@@ -110,9 +108,9 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
     if depth <= 0.0:
         return False
     # In the image a line to lens point l moves by (D / 2) l per inverse depth.
-    way = Lens.of(camera).radius * reach * depth
+    shift = Lens.of(camera).radius * reach * depth
     axes = ((near.x, far.x), (near.y, far.y))
-    return all(a[0] - way <= b[1] and b[0] - way <= a[1] for a, b in axes)
+    return all(a[0] - shift <= b[1] and b[0] - shift <= a[1] for a, b in axes)
 
 
 def is_hollow(item: Object) -> bool:
@@ -120,7 +118,7 @@ def is_hollow(item: Object) -> bool:
     return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
 
 
-def apart(items: Sequence[Object], camera: Camera, psf: PointSpread) -> tuple[OcclusionGroup, ...]:
+def separate_groups(items: Sequence[Object], camera: Camera, psf: PointSpread) -> tuple[OcclusionGroup, ...]:
     """Occlusion groups for objects that may be anywhere: one object each, with all others as occluders."""
     return occlusion_groups(items, [EVERYWHERE] * len(items), camera, psf)
 
@@ -150,6 +148,6 @@ def occlusion_groups(
         for root in (1, 2)
     ]
     return (*hollow, *(
-        OcclusionGroup(sum(1 << k for k in group), sum(1 << m for m in found))
-        for group, found in zip(groups, occluders, strict=True)
+        OcclusionGroup(sum(1 << k for k in group), sum(1 << m for m in numbers))
+        for group, numbers in zip(groups, occluders, strict=True)
     ))  # fmt: skip

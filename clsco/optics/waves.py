@@ -36,8 +36,8 @@ def check_waves(psf: PointSpread, largest: float) -> None:
     if not isinstance(pupil, Diffracted) or isinstance(pupil, Traced) or pupil.waves(largest) <= MOST_WAVES:
         return
     rule = f'"wave" takes at most {MOST_WAVES:g} waves of defocus at the rim'
-    about = f'R {largest:.3g} px; "pillbox" has about {disc_psnr(pupil.widest):.0f} dB against it'
-    raise SceneError(f"psf.model: {rule}; got {pupil.waves(largest):.4g} ({about})")
+    hint = f'R {largest:.3g} px; "pillbox" has about {disc_psnr(pupil.widest):.0f} dB against it'
+    raise SceneError(f"psf.model: {rule}; got {pupil.waves(largest):.4g} ({hint})")
 
 
 @lru_cache(maxsize=64)
@@ -46,10 +46,10 @@ def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
     waves.
     """
     pupils = [place.pupil for place in (*psf.places[:1], psf)]  # of a field in a corner, and on the axis
-    each = (
+    fractions = (
         pupil.left_out(r) for pupil in pupils if isinstance(pupil, Diffracted) for r in {smallest, largest, -largest}
     )
-    return max(each, default=0.0)
+    return max(fractions, default=0.0)
 
 
 def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> float:
@@ -58,13 +58,14 @@ def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes
 
     silhouettes: sub-pixel sources along an axis, 0 for none.
     """
-    pupils = {each.upright for spread in (psf.places or (psf,)) if isinstance(each := spread.pupil, FourierDiffracted)}
-    found = 0.0
+    spreads = psf.places or (psf,)
+    pupils = {p.upright for spread in spreads if isinstance(p := spread.pupil, FourierDiffracted)}
+    seconds = 0.0
     for pupil in pupils:
         nodes = pupil.NODES / pupil.panel * (1 if pupil.wavefront.is_flat or psf.side else 2)
         for radius in range(int(smallest), int(largest) + 1):
-            found += nodes * pupil.seconds(radius + 1.0, 1 + silhouettes**2)
-    return found
+            seconds += nodes * pupil.seconds(radius + 1.0, 1 + silhouettes**2)
+    return seconds
 
 
 def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> tuple[tuple[str, str], ...]:
@@ -79,20 +80,20 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
     rest = "given to the rest" if pupil.keeps else "lost"
     seconds = table_seconds(psf, smallest, largest, silhouettes)
     once = f", made once in about {ceil(seconds)} s" if seconds >= 0.5 else ""
-    found: tuple[tuple[str, str], ...] = (("tables", f"{size / 2**20:.2g} MiB{once}"),)
+    words: tuple[tuple[str, str], ...] = (("tables", f"{size / 2**20:.2g} MiB{once}"),)
     if isinstance(pupil, Traced):
-        found += (
+        words += (
             ("rays", f"bent by up to {pupil.margin:.3g} px, {pupil.samples(largest):.0f} of them over the diameter"),
         )
     else:
-        found += (
+        words += (
             ("waves", f"Q = {pupil.widest:.3g} px, {pupil.waves(largest):.3g} waves of defocus at the largest R"),
             ("tail", f"{100.0 * cut:.2g} % of the light, beyond {pupil.margin:.3g} px from the rim, is {rest}"),
             ("disc", f"would have about {disc_psnr(pupil.widest):.0f} dB against waves"),
         )
         if isinstance(pupil, FourierDiffracted):
-            found += (("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms"),)
+            words += (("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms"),)
     if psf.varying is None:
-        return found
+        return words
     (across, down), off = psf.varying.cells, psf.varying.blending
-    return *found, ("field", f"{across} x {down} cells, between whose corners weights are blended, {off:.1g} off (L1)")
+    return *words, ("field", f"{across} x {down} cells, between whose corners weights are blended, {off:.1g} off (L1)")

@@ -55,8 +55,8 @@ class FrameSum:
                 cl.enqueue_fill_buffer(self.target.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
             self.begins = False
         head = (np.int32(n) for n in (self.begins, plane.rows, columns, channels))
-        given = copied(self.target.session, weights.astype(np.float32))  # sooner than by a command in the queue
-        args = (*head, *plane.layout, given, np.int32(top), np.int32(height), self.sum, self.lost)
+        line_weights = copied(self.target.session, weights.astype(np.float32))  # faster than a command in the queue
+        args = (*head, *plane.layout, line_weights, np.int32(top), np.int32(height), self.sum, self.lost)
         self.begins = False
         self.target.run("accumulate", (-(-columns // SUMMED_PIXELS), plane.rows), self.local, events, *args)
         return Plane(self.sum, (channels, height, columns), height, columns)

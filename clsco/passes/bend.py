@@ -28,7 +28,7 @@ class Bends:
     def __init__(self, target: Target, scene: Scene) -> None:
         self.target, self.scene = target, scene
         self.curved = curvature_of(scene)
-        self.own: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
+        self.latest: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
 
     def planes(self, grid: Struct, lens: Struct, events: Events) -> dict[str, cl.Buffer]:
         """Buffers "bends" and "slopes" for a grid and a lens, as far as the lens needs them; none for a thin lens."""
@@ -44,9 +44,10 @@ class Bends:
             return planes
 
         if not self.scene.lens_moves and grid["rows"] == grid["frame_rows"]:
-            made = lambda: filled(allocate(session, sizes))  # noqa: E731
-            return session.cache.get(("bends", key), made, lambda _: sum(sizes.values()))
-        if self.own[0] != key:
-            kept = self.own[1] if {name: each.size for name, each in self.own[1].items()} == sizes else None
-            self.own = key, filled(kept or allocate(session, sizes))
-        return self.own[1]
+            total = sum(sizes.values())
+            return session.cache.get(("bends", key), lambda: filled(allocate(session, sizes)), lambda _: total)
+        latest_key, planes = self.latest
+        if latest_key != key:
+            fits = {name: buffer.size for name, buffer in planes.items()} == sizes
+            self.latest = key, filled(planes if fits else allocate(session, sizes))
+        return self.latest[1]

@@ -32,7 +32,7 @@ GROUP = (GROUP_COLUMNS, GROUP_ROWS)  # of `tiles`
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
-# The kernel files of each method in the program that its caller builds; `convolve` builds its own.
+# Kernel files of each method, in the program of its caller; `convolve` builds its own.
 FILES_OF: dict[Blur, tuple[str, ...]] = {
     "gather": ("blur/blur.cl", "blur/cpu/gather.cl"),
     "scatter": ("blur/blur.cl",),
@@ -134,7 +134,7 @@ class Sources:
     Attributes
     ----------
     source : Buffer, optional
-        Planes of frame and apron (sources.clh); None for "convolve" and "none".
+        Planes of frame and guard band (sources.clh); None for "convolve" and "none".
     value : Buffer
         Radiance.
     sub_source, sub_value : Buffer, optional
@@ -165,7 +165,7 @@ class Sources:
 
 
 BehindRims = Callable[[Any], dict[str, Any]]
-"""Lens and surfaces of a time sample, none of which hides any, as `Sources` have them: for images that rims cut."""
+"""Lens, and an empty set of occluders, as in `Sources`: for images with aperture rims."""
 
 
 def prepare_sources(
@@ -235,9 +235,8 @@ class Plane:
 
 def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
     """The frame's part of an image on the padded grid, used as the blurred plane if the scene has no blur."""
-    columns, rows, width, height, above, guard = (
-        int(grid[name]) for name in ("columns", "rows", "width", "height", "above", "guard")
-    )
+    names = ("columns", "rows", "width", "height", "above", "guard")
+    columns, rows, width, height, above, guard = (int(grid[name]) for name in names)
     return Plane(buffer, (channels, height, width), rows, columns, above, guard)
 
 
@@ -356,7 +355,7 @@ class Scatter(TableBlur):
         wide = target.session.device.has_int64_atomics
         gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(spec.largest, 1.0)))
         most = 2.0 ** (40 if wide else 31) / (max(spec.brightest, 1e-30) * (1.0 if wide else gain))
-        self.scale = min(most, 2.0**126)  # a float32, also where there is no radiance at all
+        self.scale = min(most, 2.0**126)  # finite as a float32, even without radiance
         self.sums = empty(target.session, sizes["sums"])
 
     @property

@@ -33,8 +33,8 @@ class Layers:
     Attributes
     ----------
     count : int
-    each : iterator of Image
-        The layers from near to far, with coverage as their last channel; each is enqueued when requested and may
+    images : iterator of Image
+        The layers from near to far, with coverage as their last channel; each one is enqueued when requested and may
         overwrite the previous one. Empty if there is only one layer.
     image : Image
         Radiance that is added without occlusion; overwritten with border = "renormalize".
@@ -43,7 +43,7 @@ class Layers:
     """
 
     count: int
-    each: Iterator[Image]
+    images: Iterator[Image]
     image: Image
     edge: cl.Buffer
 
@@ -100,11 +100,11 @@ class Clusters:
         """Record the depth discontinuities of a time sample, or of one strip of it."""
         far = np.int32(2 * self.reach + 1)
         head = (job.grid, _real(self.low, self.target.real), np.int32(self.bins), far)
-        width, height = _padded(job.grid)
+        width, height = _size(job.grid)
         args = (*head, *image.maps, self.buffers["latest"])
         self.target.run("find_discontinuities", (height + width,), LINES, job.events, *args)
 
-    def found(self) -> LayerBounds:
+    def read_bounds(self) -> LayerBounds:
         """Bounds of depth layers from all strips passed to `find` since the last call. Waits for the device."""
         size = DISCONTINUITY_CLASSES * self.bins + 1
         latest = download(self.target.session, self.buffers["latest"], (size,), np.int32)
@@ -122,34 +122,34 @@ class Clusters:
             return Layers(1, iter(()), image, self.buffers["edge"])
         self._label(job, image, bounds)
         count = len(bounds.bounds) + 1
-        each = (self._extended(job, image, number, bounds.deep) for number in range(1, count + 1))
-        return Layers(count, each, image, self.buffers["edge"])
+        images = (self._extend(job, image, number, bounds.deep) for number in range(1, count + 1))
+        return Layers(count, images, image, self.buffers["edge"])
 
-    def _label(self, job: Job, image: Image, found: LayerBounds) -> None:
+    def _label(self, job: Job, image: Image, bounds: LayerBounds) -> None:
         """Compute the depth layer of every pixel, and the layer behind it."""
-        run, (width, height), (coc, _) = self.target.run, _padded(job.grid), image.maps
+        run, (width, height), (coc, _) = self.target.run, _size(job.grid), image.maps
         layer, seed, offset, hidden, edge = (self.buffers[n] for n in ("layer", "seed", "offset", "hidden", "edge"))
-        some = (*found.bounds, *(0,) * (8 - len(found.bounds)))  # at most MOST_LAYERS - 1
-        bounds = cl.cltypes.make_int8(*some)  # type: ignore[attr-defined]
+        padded = (*bounds.bounds, *(0,) * (8 - len(bounds.bounds)))  # at most MOST_LAYERS - 1
+        packed = cl.cltypes.make_int8(*padded)  # type: ignore[attr-defined]
         low = _real(self.low, self.target.real)
-        head = (job.grid, low, np.int32(self.bins), np.int32(len(found.bounds)), bounds)
+        head = (job.grid, low, np.int32(self.bins), np.int32(len(bounds.bounds)), packed)
         run("label_depth_layers", (width, height), PIXELS, job.events, *head, *image.maps, layer)
         run("seed_hidden", (width, height), PIXELS, job.events, job.grid, coc, layer, seed)
         run("column_seeds", (-(-width // SEED_COLUMNS),), LINES, job.events, job.grid, seed, offset)
-        args = (job.grid, np.int32(found.deep), layer, seed, offset, hidden, edge)
+        args = (job.grid, np.int32(bounds.deep), layer, seed, offset, hidden, edge)
         run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, job.events, *args)
 
-    def _extended(self, job: Job, image: Image, which: int, deep: int) -> Image:
+    def _extend(self, job: Job, image: Image, index: int, deep: int) -> Image:
         """One depth layer extended by its hidden part."""
-        run, number, (width, height) = self.target.run, np.int32(which), _padded(job.grid)
+        run, number, (width, height) = self.target.run, np.int32(index), _size(job.grid)
         layer, hidden, pyramid = (self.buffers[name] for name in ("layer", "hidden", "pyramid"))
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         planes = (image.value, image.maps[0], layer)
         run("open_depth_layer", (width, height), PIXELS, job.events, job.grid, number, *planes, pyramid)
         levels = levels_of(height, width, deep, self.channels + 2)
         pairs = list(pairwise(levels))
-        for name, chosen in (("push", pairs), ("pull", pairs[:0:-1])):
-            for (rows, columns, start), (half_rows, half_columns, half_start) in chosen:
+        for name, steps in (("push", pairs), ("pull", pairs[:0:-1])):
+            for (rows, columns, start), (half_rows, half_columns, half_start) in steps:
                 sizes = (np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
                 if name == "push":
                     last, size = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSH_PIXELS), half_rows)
@@ -162,7 +162,7 @@ class Clusters:
         return Image(value, (coc, valid))
 
 
-def _padded(grid: Struct) -> tuple[int, int]:
+def _size(grid: Struct) -> tuple[int, int]:
     return int(grid["width"]), int(grid["height"])
 
 

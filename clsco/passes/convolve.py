@@ -51,12 +51,11 @@ class Convolve(BlurredPlane):
         """Does nothing, because the plane is overwritten."""
 
     def add(self, sources: Sources, events: Events) -> None:
-        columns, rows, width, height, above, guard = (
-            int(self.grid[name]) for name in ("columns", "rows", "width", "height", "above", "guard")
-        )
-        found = stencils(self.spec.psf, sources.radius)
-        tables = [self._tables(number, stencil) for number, stencil in enumerate(found)]
-        *first, last = zip(found, tables, strict=True)
+        names = ("columns", "rows", "width", "height", "above", "guard")
+        columns, rows, width, height, above, guard = (int(self.grid[name]) for name in names)
+        chain = stencils(self.spec.psf, sources.radius)
+        tables = [self._tables(number, stencil) for number, stencil in enumerate(chain)]
+        *first, last = zip(chain, tables, strict=True)
         for k in range(self.channels):
             source: Layout = (sources.value, k * width * height, above * width + guard, width)
             for across in first:
@@ -83,15 +82,15 @@ class Convolve(BlurredPlane):
         return (1.0 if self.wide else 2.0**DROPPED_BITS) / scale
 
     def _convolve(
-        self, stencil: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
+        self, step: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
         target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
         """Enqueue one convolution; target: buffer, pixel (0, 0), pitch."""
-        found, (runs, weights, pairs) = stencil
+        stencil, (runs, weights, pairs) = step
         args = (
-            *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(found.runs)), weights,
-            self.sums, pairs, np.int32(len(found.pairs)), np.float32(share),
-            *map(np.int32, found.reach),
+            *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(stencil.runs)), weights,
+            self.sums, pairs, np.int32(len(stencil.pairs)), np.float32(share),
+            *map(np.int32, stencil.reach),
             target[0], *map(np.int32, target[1:]),
         )  # fmt: skip
         tiles = (TILES_ABREAST, -(-size[0] // CONVOLVED_ROWS), -(-size[1] // (TILES_ABREAST * CONVOLVED_COLUMNS)))

@@ -74,17 +74,17 @@ class FillPlanes:
     other_w: Any
 
     @classmethod
-    def allocated(cls, session: Session, sizes: Sizes) -> FillPlanes:
+    def create(cls, session: Session, sizes: Sizes) -> FillPlanes:
         """Buffers of these sizes (`clsco.plan.buffers.fill_buffers`). Raises DeviceError."""
-        found = allocate(session, sizes)
-        for name, bytes_of_lane in (("value", 4), ("valid", 1)):  # read beyond the end, and used for nothing
+        buffers = allocate(session, sizes)
+        for name, bytes_of_lane in (("value", 4), ("valid", 1)):  # vectors read beyond the end, and discard it
             tail = bytes_of_lane * FILL_LANES
-            cl.enqueue_copy(session.queue, found[name], np.zeros(tail, np.uint8), dst_offset=sizes[name] - tail)
-        indices = found.pop("list"), found.pop("next list")
-        far = (found.pop("far"),) if "far" in found else ()
-        given = {name.replace(" ", "_"): buffer for name, buffer in found.items()}
+            cl.enqueue_copy(session.queue, buffers[name], np.zeros(tail, np.uint8), dst_offset=sizes[name] - tail)
+        indices = buffers.pop("list"), buffers.pop("next list")
+        far = (buffers.pop("far"),) if "far" in buffers else ()
+        fields = {name.replace(" ", "_"): buffer for name, buffer in buffers.items()}
         absent: dict[str, Any] = dict.fromkeys(("object", "done", "sums", "other_value", "other_w"))
-        return cls(indices=indices, far=far, **absent | given)
+        return cls(indices=indices, far=far, **absent | fields)
 
 
 class Filler:
@@ -118,7 +118,7 @@ class Filler:
         self.fills = self.interpolates or self.smooths
         self.is_far = bool(features["FILL_FAR"])
         self.rows, self.columns = int(grid["height"]), int(grid["width"])
-        self.planes = FillPlanes.allocated(self.session, sizes)
+        self.planes = FillPlanes.create(self.session, sizes)
 
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
@@ -127,31 +127,31 @@ class Filler:
         radiance. Waits for the device once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
-        source, left = self.planes.indices
+        source, remaining = self.planes.indices
         placed = (self.grid, surfaces, np.int32(count), self.planes.valid)
-        found = self._mark(placed, source, events)
-        wins = self._score(brightest, events) if self.smooths and found[COUNTER_LEFT] else 0
+        counts = self._mark(placed, source, events)
+        wins = self._score(brightest, events) if self.smooths and counts[COUNTER_LEFT] else 0
         sweeps = filled = first = 0
         most, least = CHAPTER5.minimum if self.smooths else 1, 0 if self.is_far else 1
         minimum = most
-        while self.fills and found[COUNTER_LEFT]:
-            self._sweep(source, found[COUNTER_LEFT], np.int32(wins), np.int32(minimum), events)
-            found = self._settle(placed, source, left, found[COUNTER_LEFT], events)
-            source, left = left, source
-            if found[COUNTER_FILLED]:
+        while self.fills and counts[COUNTER_LEFT]:
+            self._sweep(source, counts[COUNTER_LEFT], np.int32(wins), np.int32(minimum), events)
+            counts = self._settle(placed, source, remaining, counts[COUNTER_LEFT], events)
+            source, remaining = remaining, source
+            if counts[COUNTER_FILLED]:
                 sweeps, minimum = sweeps + 1, most
-                filled += found[COUNTER_FILLED_INSIDE]
+                filled += counts[COUNTER_FILLED_INSIDE]
                 first = filled if sweeps == 1 else first
             elif minimum > least:
                 minimum -= 1  # fewer neighbors will do where the filling would stall, and then nearer ones
             else:
                 break
-        if self.smooths and found[COUNTER_DONE]:
-            self._smooth(found[COUNTER_DONE], events)
+        if self.smooths and counts[COUNTER_DONE]:
+            self._smooth(counts[COUNTER_DONE], events)
         return {
-            "missing_pixels": filled + found[COUNTER_LEFT_INSIDE],
+            "missing_pixels": filled + counts[COUNTER_LEFT_INSIDE],
             "filled_pixels": filled,
-            "unfilled_pixels": found[COUNTER_LEFT_INSIDE],
+            "unfilled_pixels": counts[COUNTER_LEFT_INSIDE],
             "sweeps": sweeps,
             "filled_first_sweep": first,
         }
@@ -162,7 +162,7 @@ class Filler:
         self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
         args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
         self._run("mark_missing", events, chunks, (1, *LINES), *args)
-        return self._found()
+        return self._read_counters()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
         """Buffers with depths of neighbors, and the bound computed from them."""
@@ -173,8 +173,8 @@ class Filler:
         use the median of k neighbors.
         """
         p = self.planes
-        seen = () if p.object is None else (p.object,)
-        planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *seen)
+        objects = () if p.object is None else (p.object,)
+        planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *objects)
         head = (self.grid, self.lens, source, np.int32(count))
         if self.interpolates:
             rule = (minimum,) if self.is_far else ()
@@ -184,20 +184,20 @@ class Filler:
             self._run("fill_mean_median", events, vectors, LINES, *head, wins, minimum, *planes)
 
     def _settle(
-        self, placed: tuple[Any, ...], source: cl.Buffer, left: cl.Buffer, count: int, events: Events
+        self, placed: tuple[Any, ...], source: cl.Buffer, remaining: cl.Buffer, count: int, events: Events
     ) -> list[int]:
-        """End a sweep over the list `source`; writes pixels still missing to the list `left`, and returns the
+        """End a sweep over the list `source`; writes pixels still missing to the list `remaining`, and returns the
         counts.
         """
         p = self.planes
         cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
-        args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, left, p.counters)
+        args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, remaining, p.counters)
         done = (p.done,) if self.smooths else ()
         self._run("settle_sweep", events, (-(-count // FILL_CHUNK),), LINES, *args, *done)
-        grown = (*placed, *lines, p.status, left, p.counters, *self._depths())
+        grown = (*placed, *lines, p.status, remaining, p.counters, *self._depths())
         self._run("mark_grown", events, (self.rows + self.columns,), LISTED, *grown)
-        return self._found()
+        return self._read_counters()
 
     def _score(self, brightest: float, events: Events) -> int:
         """Bit mask over counts k of neighbors for which the median is the better estimator."""
@@ -210,17 +210,17 @@ class Filler:
     def _smooth(self, count: int, events: Events) -> None:
         """Apply rounds of the median to the filled pixels, in alternation between two sets of planes."""
         p = self.planes
-        here, there = (p.value, p.w), (p.other_value, p.other_w)
-        for source, target in zip(here, there, strict=True):
+        current, next_ = (p.value, p.w), (p.other_value, p.other_w)
+        for source, target in zip(current, next_, strict=True):
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
         vectors, head = (-(-count // FILL_LANES),), (self.grid, self.lens, p.done, np.int32(count), *p.far, p.valid)
         for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
-            self._run("smooth_median", events, vectors, LINES, *head, *here, *there, p.coc)
-            here, there = there, here
+            self._run("smooth_median", events, vectors, LINES, *head, *current, *next_, p.coc)
+            current, next_ = next_, current
 
-    def _found(self) -> list[int]:
-        found: list[int] = download(self.session, self.planes.counters, (COUNTERS,), np.int32).tolist()
-        return found
+    def _read_counters(self) -> list[int]:
+        counts: list[int] = download(self.session, self.planes.counters, (COUNTERS,), np.int32).tolist()
+        return counts
 
     def _run(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
         self.target.run(name, size, local, events, *args)

@@ -17,10 +17,10 @@ from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, bands_at_a_time
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct
 
-HIDDEN_TAP = 3e-9  # s, of a tap of a source that is hidden in part, sub-pixel sources and all
-LONGEST = 2.0  # s that a launch may take if all taps were such: a frame may have many more than the one before
-VECTOR = 1.5e-9  # s of the work of a vector of taps, before any was measured
-BRIEF = 2  # times shorter than others is a first piece
+HIDDEN_TAP = 3e-9  # s of a tap of a partly hidden source with its sub-pixel sources
+LONGEST = 2.0  # s of a launch if all taps were hidden taps, which the previous frame may not have had
+VECTOR = 1.5e-9  # s of a vector of taps, before any is measured
+BRIEF = 2  # a first piece is shorter by this factor
 MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # the last two as in gather.cl
 INT2 = cl.cltypes.int2
 
@@ -33,16 +33,16 @@ class Gather(TableBlur):
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)
         session, table = target.session, self.weights[0]
-        alike = {"taps": table.taps, "outlines": table.outlines}
-        self.alike = tuple(
-            upload_cached(session, array, (table.place, name)) if array.size else None for name, array in alike.items()
+        arrays = {"taps": table.taps, "outlines": table.outlines}
+        self.tap_tables = tuple(
+            upload_cached(session, array, (table.place, name)) if array.size else None for name, array in arrays.items()
         )
         # Rows of sources after which sums go on to the frame, 0 where they are short.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
         self.ends = (filled_with(session, sizes["ends"]),) if "ends" in sizes else ()
         self.scratch, self.bands = tuple[object, ...](), -(-tallest.rows // BAND)
-        self.step = tallest.columns  # of sources that fit in, where there are such, which a piece takes at least
+        self.step = tallest.columns  # columns that a piece processes at least
         if {"part", "scratch"} & sizes.keys():
             self.bands = bands_at_a_time(tallest.rows, session.device.compute_units)
         if "scratch" in sizes:
@@ -59,15 +59,15 @@ class Gather(TableBlur):
         work, most = UNITS_PER_TAP * taps, HIDDEN_TAP * taps / session.device.compute_units
         parts = np.int32(self.group), self.part, *self.ends
         for start in range(0, -(-rows // BAND), self.bands):
-            before = (*head, *self.alike, *self.scratch, np.int32(start))
+            before = (*head, *self.tap_tables, *self.scratch, np.int32(start))
             after = (self.position, *parts, *self.layout, *tail)
             expected = session.pace.expected(run, work)
             if expected <= pace.PIECE and (not self.spec.occluders or most <= LONGEST):
                 pieces = [self._launch(before, 0, 0, after)]
-                session.pace.launched(run, work, pieces, expected)
+                session.pace.record_launch(run, work, pieces, expected)
             else:
                 pieces = self._in_pieces(before, after, min(self.bands, -(-rows // BAND) - start))
-                session.pace.measured(run, work, sum(map(pace.spent, pieces)))
+                session.pace.record_time(run, work, sum(map(pace.event_seconds, pieces)))
             events.extend(("gather", event) for event in pieces)
 
     def _launch(self, before: tuple[Any, ...], steps: int, vectors: int, after: tuple[Any, ...]) -> cl.Event:
@@ -84,7 +84,7 @@ class Gather(TableBlur):
         steps, vectors = 1, max(1, int(pace.PIECE / BRIEF / VECTOR / at_once))
         walked = np.zeros(self.bands, np.int32)
         all_steps = -(-columns // self.step) * bool(self.scratch)
-        of_band = all_steps + (BAND + 2 * self.spec.reach) * -(-int(self.grid["width"]) // WIDE_LANES)
+        band_steps = all_steps + (BAND + 2 * self.spec.reach) * -(-int(self.grid["width"]) // WIDE_LANES)
         cl.enqueue_copy(session.queue, self.position, walked)
         pieces: list[cl.Event] = []
         while (walked[:bands] != DONE).any():
@@ -93,9 +93,9 @@ class Gather(TableBlur):
             pieces.append(self._launch(before, steps, vectors, after))
             download_into(session, self.position, walked)
             if least * self.step < columns:
-                steps = pace.resized(steps, pace.spent(pieces[-1]))
+                steps = pace.next_size(steps, pace.event_seconds(pieces[-1]))
             else:
-                vectors = min(pace.resized(vectors, pace.spent(pieces[-1])), MOST_VECTORS)
+                vectors = min(pace.next_size(vectors, pace.event_seconds(pieces[-1])), MOST_VECTORS)
             if session.progress is not None:
-                session.progress.share = float(np.minimum(walked[:bands] % OTHERS / of_band, 1.0).mean())
+                session.progress.share = float(np.minimum(walked[:bands] % OTHERS / band_steps, 1.0).mean())
         return pieces

@@ -12,7 +12,7 @@ from clsco.frame.strips import Strip
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.motion import Pose
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.still import Exposed
+from clsco.optics.still import StillSplit
 from clsco.passes.blur import Events
 from clsco.records import Struct
 from clsco.scene.model import Camera
@@ -73,18 +73,18 @@ class TimeSample:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Some of the sources of an exposure: the still ones, or the other ones of a time sample.
+class SourcePart:
+    r"""Some of the sources of an exposure: the still ones, or the other ones of a time sample.
 
-    Attributes
-    ----------
-    exposed : Exposed
-    places : Buffer
-        `exposed.places` on the device.
-    still : bool
+        Attributes
+        ----------
+    split : StillSplit
+        places : Buffer
+        `split.places` on the device.
+        still : bool
     """
 
-    exposed: Exposed
+    split: StillSplit
     places: cl.Buffer
     still: bool
 
@@ -104,7 +104,7 @@ class SceneJob(Job):
         The strip that `strip` is a part of, or equals.
     noise_stream : int, optional
         `clsco.optics.sensor.camera_word` of the frame, set only for its last time sample.
-    part : Part, optional
+    part : SourcePart, optional
         Sources to trace, if the frame splits them into still and other ones.
     """
 
@@ -113,4 +113,4 @@ class SceneJob(Job):
     is_first: bool
     whole_strip: Strip
     noise_stream: int | None = None
-    part: Part | None = None
+    part: SourcePart | None = None

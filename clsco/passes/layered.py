@@ -58,9 +58,9 @@ class DepthLayers:
         self, blur: BlurredPlane, target: Target, tallest: Grid, behind_rims: BehindRims | None = None
     ) -> None:  # fmt: skip
         session, real, spec, planes = target.session, target.real, depth_layer_spec(blur.spec), tallest.channels + 1
-        own = blur_target(session, spec, planes, real)
-        self.outer, self.inner = blur, make_blur(own, spec, replace(tallest, channels=planes), blur.grid)
-        self.target = Target(session, own.program | target.program, real)
+        layer_target = blur_target(session, spec, planes, real)
+        self.outer, self.inner = blur, make_blur(layer_target, spec, replace(tallest, channels=planes), blur.grid)
+        self.target = Target(session, layer_target.program | target.program, real)
         sizes = layered_buffers(blur.spec, tallest, session.device)
         self.source, self.covered = (empty(session, sizes[name]) for name in ("source", "covered"))
         self.behind_rims = behind_rims
@@ -76,7 +76,7 @@ class DepthLayers:
             if behind:
                 args = (job.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.open)
                 self.target.run("open_share", self.inner.size, PIXELS, job.events, *args)
-        for layer in layers.each:
+        for layer in layers.images:
             self._blur(job, layer, layers.edge, behind)
         sources = self._sources(job, self.outer, layers.image, behind)
         if layers.count > 1:

@@ -20,7 +20,7 @@ from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
-from clsco.optics.still import Exposed, Window
+from clsco.optics.still import StillSplit, Window
 from clsco.optics.texture_mapping import TextureMap, detail_least, texture_spread
 from clsco.optics.visibility import OcclusionGroup
 from clsco.records import MOST_RIMS, Real, Struct, filled, structs
@@ -33,14 +33,14 @@ def grid_struct(
     rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0,
     rest_step: float | None = None,
 ) -> Struct:  # fmt: skip
-    """grid_t of a frame with an apron.
+    """grid_t of a frame with a guard band.
 
     Parameters
     ----------
     rows, columns : int
         Size of the frame, px.
     guard : int
-        Width of the apron, px.
+        Width of the guard band, px.
     real : {"double", "float"}
     strip : Strip, optional
         Rows of the frame to process; by default all.
@@ -98,8 +98,8 @@ def _start_of(distortion: Distortion, radius: float) -> tuple[NDArray[np.float64
 
 def lens_struct(lens: Lens, real: Real) -> Struct:
     """lens_t of a lens."""
-    known = structs(real)["lens_t"].names or ()
-    return filled("lens_t", real, {name: getattr(lens, name) for name in known})
+    names = structs(real)["lens_t"].names or ()
+    return filled("lens_t", real, {name: getattr(lens, name) for name in names})
 
 
 def surface_structs(
@@ -109,7 +109,7 @@ def surface_structs(
     each, by default 0.
     """
     numbers = textures or [0] * len(items)
-    placed = [_surface_struct(*one, real) for one in zip(items, surfaces, numbers, strict=True)]
+    placed = [_surface_struct(*fields, real) for fields in zip(items, surfaces, numbers, strict=True)]
     return np.array(placed, structs(real)["surface_t"])
 
 
@@ -136,9 +136,9 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
             "radius": shape.radius,
             "nappe": shape.nappe,
             "texture": texture,
-            "near_x": surface.seen.x,
-            "near_y": surface.seen.y,
-            "near_w": surface.seen.w[1],
+            "near_x": surface.extent.x,
+            "near_y": surface.extent.y,
+            "near_w": surface.extent.w[1],
             "width": surface.width,
         },
     )
@@ -160,16 +160,16 @@ def texture_map_structs(
         Value of the last channel outside of the image: 1 for coverage, else 0.
     real : {"double", "float"}
     """
-    found_structs = []
-    for found, base in zip(maps, bases, strict=True):
+    packed = []
+    for texture, base in zip(maps, bases, strict=True):
         values: dict[str, Any] = {"kind": MAP_PROJECTED}
-        if found is not None:
-            values = vars(found) | {"frame": found.frame.ravel(), "scale": found.scale.ravel()}
-            levels = len(level_sizes(found.columns, found.rows))
+        if texture is not None:
+            values = vars(texture) | {"frame": texture.frame.ravel(), "scale": texture.scale.ravel()}
+            levels = len(level_sizes(texture.columns, texture.rows))
             values |= {"base": base, "levels": levels, "spread": texture_spread(psf), "outside": covered}
             values["least"] = detail_least(psf)
-        found_structs.append(filled("texture_map_t", real, values))
-    return np.array(found_structs, structs(real)["texture_map_t"])
+        packed.append(filled("texture_map_t", real, values))
+    return np.array(packed, structs(real)["texture_map_t"])
 
 
 def pose_structs(poses: Sequence[Pose], real: Real, step: float = 0.0) -> NDArray[np.void]:
@@ -189,10 +189,10 @@ def group_struct(group: OcclusionGroup, objects: int) -> Struct:
     return filled("group_t", "double", vars(group) | {"count": objects})
 
 
-def exposure_struct(exposed: Exposed, still: bool, window: Window | None, real: Real) -> Struct:
+def exposure_struct(split: StillSplit, still: bool, window: Window | None, real: Real) -> Struct:
     """exposure_t of a part of an exposure; window None: no sources move."""
     ends = dict(zip(("left", "top", "right", "bottom"), window or (0, 0, 0, 0), strict=True))
-    values = {"moving": exposed.moving, "changing": exposed.changing, "samples": len(exposed.places), "still": still}
+    values = {"moving": split.moving, "changing": split.changing, "samples": len(split.places), "still": still}
     return filled("exposure_t", real, values | ends)
 
 

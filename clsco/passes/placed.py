@@ -21,9 +21,9 @@ from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place
-from clsco.optics.still import exposed
+from clsco.optics.still import split_still
 from clsco.optics.texture_mapping import texture_map
-from clsco.passes.job import Part, Surfaces, TimeSample
+from clsco.passes.job import SourcePart, Surfaces, TimeSample
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
 from clsco.records import REAL, Real, structs
 from clsco.scene.model import Camera, Scene
@@ -70,11 +70,11 @@ class PlacedScene:
         gains = [1.0 if item.mapped is None else MOST_DETAIL for item in scene.objects]
         self.brightest = max(gain * texture.brightest for gain, texture in zip(gains, textures, strict=True))
         pairs = list(zip(textures, scene.objects, strict=True))
-        projected = [each for each, item in pairs if item.mapped is None]
-        # Those that several objects have in common once, in one order for all scenes.
+        projected = [texture for texture, item in pairs if item.mapped is None]
+        # Each texture once, even if several objects share it, in one order for all scenes.
         self.stack = sorted(dict.fromkeys(projected), key=lambda texture: repr(texture.content))
-        self.texture_of = [self.stack.index(each) if item.mapped is None else 0 for each, item in pairs]
-        self.mapped = list(dict.fromkeys(each for each, item in pairs if item.mapped is not None))
+        self.texture_of = [self.stack.index(texture) if item.mapped is None else 0 for texture, item in pairs]
+        self.mapped = list(dict.fromkeys(texture for texture, item in pairs if item.mapped is not None))
         self._texture: cl.Buffer | None = None
         self._maps: cl.Buffer | None = None
         self._held: list[cl.Buffer] = []
@@ -89,9 +89,9 @@ class PlacedScene:
     @property
     def content(self) -> Hashable:
         """Key of the textures, equal for equal textures; None if unknown."""
-        found = ("textures", self.channels, *(texture.content for texture in self.stack))
-        found += ("mapped", *(texture.content for texture in self.mapped)) if self.mapped else ()
-        return None if None in found else found
+        key = ("textures", self.channels, *(texture.content for texture in self.stack))
+        key += ("mapped", *(texture.content for texture in self.mapped)) if self.mapped else ()
+        return None if None in key else key
 
     @property
     def texture(self) -> cl.Buffer:
@@ -107,13 +107,13 @@ class PlacedScene:
             return upload(self.session, texture_planes(radiances, channels))
         sizes = [self._mipmap_floats(texture) for texture in self.mapped]
         base = sum(channels * image.shape[0] * image.shape[1] for image in radiances)
-        found = empty_image((base + sum(sizes),))
+        planes = empty_image((base + sum(sizes),))
         if radiances:
-            found[:base] = texture_planes(radiances, channels).ravel()
+            planes[:base] = texture_planes(radiances, channels).ravel()
         for texture, size in zip(self.mapped, sizes, strict=True):
-            texture.mipmap(found[base : base + size], channels)
+            texture.mipmap(planes[base : base + size], channels)
             base += size
-        return upload(self.session, found)
+        return upload(self.session, planes)
 
     def _mipmap_floats(self, texture: Texture) -> int:
         rows, columns = texture.radiance.shape[:2]
@@ -156,12 +156,12 @@ class PlacedScene:
         """The objects in the reference pose, as textures show them."""
         return self.posed(rest_poses(self.scene))
 
-    def parts(self, times: Sequence[float]) -> dict[bool | None, Part]:
-        """Still and other sources of an exposure with time samples at these times in s, by `Part.still`."""
+    def split_sources(self, times: Sequence[float]) -> dict[bool | None, SourcePart]:
+        """Still and other sources of an exposure with time samples at these times in s, by `SourcePart.still`."""
         placed = (self._placed(poses_at(self.scene, time, self.eye)) for time in times)
-        found = exposed(self.scene.objects, [[each for each in one if each is not None] for one in placed])
-        places = self.hold(found.places.astype(REAL[self.real]))
-        return {still: Part(found, places, still) for still in (True, False)}
+        split = split_still(self.scene.objects, [[s for s in surfaces if s is not None] for surfaces in placed])
+        places = self.hold(split.places.astype(REAL[self.real]))
+        return {still: SourcePart(split, places, still) for still in (True, False)}
 
     def _placed(self, poses: Sequence[Pose]) -> Surfaces:
         pairs = zip(self.scene.objects, poses, strict=True)
@@ -189,11 +189,11 @@ class PlacedScene:
 
     def _surface_structs(self, placed: Surfaces) -> NDArray[np.void]:
         """surface_t of every object; for depth maps only the center of rotation."""
-        items, known = self.scene.objects, [k for k, surface in enumerate(placed) if surface is not None]
+        items, analytic = self.scene.objects, [k for k, surface in enumerate(placed) if surface is not None]
         array = np.zeros(len(items), structs(self.real)["surface_t"])
-        given = [surface for surface in placed if surface is not None]
-        array[known] = surface_structs([items[k] for k in known], given, self.real)
-        for k in set(range(len(items))) - set(known):
+        surfaces = [surface for surface in placed if surface is not None]
+        array[analytic] = surface_structs([items[k] for k in analytic], surfaces, self.real)
+        for k in set(range(len(items))) - set(analytic):
             array["rest"][k] = rest_center(items[k])
         array["texture"] = self.texture_of
         return array

@@ -24,7 +24,7 @@ from clsco.scene.model import Camera
 Array = NDArray[np.float64]
 
 
-class GivenImage(ABC):
+class HostImage(ABC):
     """An image and its signed radii, in host memory.
 
     Parameters
@@ -32,9 +32,9 @@ class GivenImage(ABC):
     session : Session
     radiance : ndarray (rows, columns[, channels])
     guard : int
-        Width of the apron around the frame, px.
+        Width of the guard band around the frame, px.
     outside : {"symmetric", "constant"}
-        In the apron both continue as mirror images, as textures do, or are 0.
+        In the guard band both continue as mirror images, as textures do, or are 0.
     """
 
     def __init__(
@@ -54,12 +54,12 @@ class GivenImage(ABC):
         """The image of a strip, in buffers "value", "coc" and "valid"; kernels read the host's array in place of a
         missing buffer, and "valid" stays unchanged if `radii` has none.
         """
-        value = self._sent(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
-        sent = {name: self._sent(buffers.get(name), array) for name, array in self.radii(job.strip).items()}
-        found = {name: buffers[name] for name in ("coc", "valid") if name in buffers} | sent
-        return Image(value, tuple(found[name] for name in ("coc", "valid") if name in found))
+        value = self._send(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
+        uploaded = {name: self._send(buffers.get(name), array) for name, array in self.radii(job.strip).items()}
+        planes = {name: buffers[name] for name in ("coc", "valid") if name in buffers} | uploaded
+        return Image(value, tuple(planes[name] for name in ("coc", "valid") if name in planes))
 
-    def _sent(self, buffer: cl.Buffer | None, array: NDArray[Any]) -> cl.Buffer:
+    def _send(self, buffer: cl.Buffer | None, array: NDArray[Any]) -> cl.Buffer:
         if buffer is None:
             return lent(self.session, np.ascontiguousarray(array))
         cl.enqueue_copy(self.session.queue, buffer, array)
@@ -69,7 +69,7 @@ class GivenImage(ABC):
         return with_apron(plane, strip, self.guard, self.outside)
 
 
-class StaticMap(GivenImage):
+class StaticMap(HostImage):
     """Image and depth map of a static scene seen from the original viewpoint: its pixels are the pinhole image.
 
     Parameters
@@ -81,7 +81,7 @@ class StaticMap(GivenImage):
     inverse_depth : ndarray of float64 (rows, columns)
         1/mm, 0 without a surface.
     guard : int
-        Width of the apron, px.
+        Width of the guard band, px.
     real : {"double", "float"}
 
     Notes
@@ -98,9 +98,9 @@ class StaticMap(GivenImage):
 
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
         w = self._around(self.inverse_depth, strip)
-        there, radii = w > 0, self._radii(w, strip.top - strip.above)
-        radii *= there
-        return {"coc": radii.astype(REAL[self.real], copy=False), "valid": there.view(np.uint8)}
+        valid, radii = w > 0, self._radii(w, strip.top - strip.above)
+        radii *= valid
+        return {"coc": radii.astype(REAL[self.real], copy=False), "valid": valid.view(np.uint8)}
 
     def _radii(self, w: Array, top: int) -> Array:
         """Signed radii of inverse depths (rows, columns), from row `top` on, for columns centered on the axis."""
@@ -114,23 +114,23 @@ class StaticMap(GivenImage):
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
         """Mask (rows, columns) of pixels without depth between pixels with depth in their row or column."""
-        there = self.inverse_depth > 0
+        valid = self.inverse_depth > 0
         ends = [
-            np.logical_or.accumulate(there, axis) & np.flip(np.logical_or.accumulate(np.flip(there, axis), axis), axis)
+            np.logical_or.accumulate(valid, axis) & np.flip(np.logical_or.accumulate(np.flip(valid, axis), axis), axis)
             for axis in (0, 1)
         ]
-        return (ends[0] | ends[1]) & ~there
+        return (ends[0] | ends[1]) & ~valid
 
     def truth(self) -> dict[str, NDArray[Any]]:
         """Ground truth that needs no differences; arrays as of `clsco.passes.warp.ForwardWarp.truth`."""
-        w, there = self.inverse_depth, self.inverse_depth > 0
-        seen = there if self.radiance.ndim == 2 else there[..., None]
+        w, valid = self.inverse_depth, self.inverse_depth > 0
+        mask = valid if self.radiance.ndim == 2 else valid[..., None]
         radii = self._radii(w, 0)
         return {
-            "sharp": np.where(seen, self.radiance, np.float32(0)),
+            "sharp": np.where(mask, self.radiance, np.float32(0)),
             "filled": np.where(self.missing, np.uint8(2), np.uint8(0)),
-            "depth": np.where(there, 1.0 / np.where(there, w, 1.0), np.inf),
-            "blur_radius": np.where(there, radii, 0.0).astype(np.float32),
-            "mask": there,
-            "object_id": np.where(there, 0, -1).astype(np.int32),
+            "depth": np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf),
+            "blur_radius": np.where(valid, radii, 0.0).astype(np.float32),
+            "mask": valid,
+            "object_id": np.where(valid, 0, -1).astype(np.int32),
         }

@@ -19,7 +19,7 @@ from clsco.opencl.session import Session
 from clsco.optics import point_spread, psf_blocks, psf_grid, pupils
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
-from clsco.optics.psf_tables import PsfTable, narrowed, rounded_span, span_sizes, table_of
+from clsco.optics.psf_tables import PsfTable, narrow_table, rounded_span, span_sizes, table_of
 from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 
@@ -61,7 +61,7 @@ class TableStore:
         span = rounded_span(psf, smallest, largest, subpixel)
         large = _size(psf, span, subpixel) > JOINED_BYTES
         place = _key(psf, subpixel), large
-        # Of a sampled disc each range has a table of its own.
+        # Each range of a sampled disc has its own table.
         key: Hashable = (place, span.start, span.stop) if _is_disc(psf, subpixel) else place
         with self._lock:
             table = self._tables.get(key)
@@ -69,14 +69,14 @@ class TableStore:
                 wider = span if table is None else range(min(span.start, table.first), max(span.stop, _end(table)))
                 if _size(psf, wider, subpixel) <= JOINED_BYTES:
                     span = wider
-                made = table_of(psf, span, subpixel, block, joined_in_pages)
-                table = self._tables[key] = _in_pages(replace(made, place=place))
-                trim()  # what its making took
+                built = table_of(psf, span, subpixel, block, joined_in_pages)
+                table = self._tables[key] = _in_pages(replace(built, place=place))
+                trim()  # memory that building it used
             self._tables.move_to_end(key)
             # A rendering has two, of pixels and of sub-pixel sources: one must not push out the other.
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 2:
                 self._tables.popitem(last=False)
-        return narrowed(table, psf, smallest, largest, subpixel > 0)
+        return narrow_table(table, psf, smallest, largest, subpixel > 0)
 
     def block(self, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
         """A block of weights, from the process or the disk if cached."""
@@ -84,9 +84,9 @@ class TableStore:
         return self.blocks.get(key, lambda: self._block(key, psf, first, subpixel), lambda block: block.nbytes)
 
     def _block(self, key: str, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
-        found = self.disk.get(key)
-        if found is not None and found.keys() == WeightBlock.__dataclass_fields__.keys():
-            return WeightBlock(**found)
+        arrays = self.disk.get(key)
+        if arrays is not None and arrays.keys() == WeightBlock.__dataclass_fields__.keys():
+            return WeightBlock(**arrays)
         block = weight_block(psf, first, subpixel)
         self.disk.put(key, vars(block))
         return _in_pages(block)

@@ -20,26 +20,21 @@ from clsco.optics.still import Window
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.passes.bend import Bends
 from clsco.passes.blur import BLOCKS, PIXELS, Image, Sources, Target
-from clsco.passes.job import Part, SceneJob
+from clsco.passes.job import SceneJob, SourcePart
 from clsco.passes.pack import exposure_struct, group_struct, lens_struct
 from clsco.passes.placed import PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers, silhouette_buffers
 from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
 
-SPARE_SLOTS = 1.25  # times those that a time sample has taken, as the next one may take more
+SPARE_SLOTS = 1.25  # times those of a time sample, as the next one may need more
 ROUNDED = 1e-5  # relative: far more than rays and depths in single precision differ from those of the host
-TRACE_FILES = (
-    "trace/trace.cl",
-    "trace/small.cl",
-    "trace/bend.cl",
-    "trace/truth.cl",
-    "trace/merge.cl",
-)  # the kernels that cast rays
-# What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
+# The kernels that cast rays.
+TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth.cl", "trace/merge.cl")
+# Statistics at the beginning of a frame: no radius, no slot (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
-NO_SOURCE = np.array([-1.0], np.float32)  # as a coordinate, and as the bits of a mark, which is no slot
+NO_SOURCE = np.array([-1.0], np.float32)  # as a coordinate; its bits are no slot of a mark
 
 HitPlanes = tuple[cl.Buffer, ...]  # value, depth and label, as in trace.cl
 Cast = Callable[[HitPlanes], None]
@@ -82,28 +77,28 @@ class LatestHits:
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
         if key.group not in self.buffers:
             self.buffers[key.group] = allocate(self.session, sizes)
-        found = tuple(self.buffers[key.group].values())
+        planes = tuple(self.buffers[key.group].values())
         if self.keys.get(key.group) != key:
-            cast(found)
+            cast(planes)
             self.keys[key.group] = key
-        return found
+        return planes
 
 
-class KeptHits:
+class CachedHits:
     """Cache of all planes of ray hits, kept by the session."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        def made() -> HitPlanes:
-            found = tuple(allocate(self.session, sizes).values())
-            cast(found)
-            return found
+        def cast_new() -> HitPlanes:
+            planes = tuple(allocate(self.session, sizes).values())
+            cast(planes)
+            return planes
 
         if key.textures is None:
-            return made()
-        return self.session.cache.get(("hits", key), made, lambda _: sum(sizes.values()))
+            return cast_new()
+        return self.session.cache.get(("hits", key), cast_new, lambda _: sum(sizes.values()))
 
 
 @dataclass(eq=False)
@@ -154,8 +149,8 @@ class Tracer:
         count = len(self.plan.scene.objects)
         if count == 1:
             return ()
-        found = [(*each.x, *each.y, *each.w) for each in self.plan.extents or [EVERYWHERE] * count]
-        ends = np.array(found)
+        extents = self.plan.extents or [EVERYWHERE] * count
+        ends = np.array([(*extent.x, *extent.y, *extent.w) for extent in extents])
         ends += np.array([-1.0, 1.0] * 3) * (ROUNDED * np.abs(ends))
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
@@ -173,9 +168,9 @@ class Tracer:
             planes = tuple(buffers[name] for name in sizes)
             self._cast(job, group, planes, window, exposure)
         else:
-            every = self._exposure(job, group, every=True)
+            shared = self._exposure(job, group, shared=True)
             planes = self.hits.planes(
-                sizes, self._key(job, group), lambda planes: self._cast(job, group, planes, whole_grid(job), every)
+                sizes, self._key(job, group), lambda planes: self._cast(job, group, planes, whole_grid(job), shared)
             )
         value, depth, label = planes
         source = buffers.get("source")
@@ -189,24 +184,23 @@ class Tracer:
         if plan.spec.occluders:
             occluders = {"lens": head[1], "surfaces": job.sample.surfaces, "group": head[3], "depth": depth}
         sources = Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **occluders)
-        return sources if plan.silhouettes else self._merged(job, sources)
+        return sources if plan.silhouettes else self._merge(job, sources)
 
     def _cast(
         self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]
     ) -> None:  # fmt: skip
         """Enqueue the rays of one occlusion group, which all lenses share."""
         grid, lens, surfaces, members, psf = self._head(job, group)
-        divided, slopes = (lens, psf) if exposure else (), self._bends(job, "slopes")
-        self._per_pixel(
-            "cast", job, window, grid, surfaces, members, *self._appearance(job), *planes, *divided, *slopes, *exposure
-        )
+        lens_args, slopes = (lens, psf) if exposure else (), self._bends(job, "slopes")
+        args = (*self._appearance(job), *planes, *lens_args, *slopes, *exposure)
+        self._per_pixel("cast", job, window, grid, surfaces, members, *args)
 
     def silhouettes(self, job: SceneJob, group: OcclusionGroup, sources: Sources | None) -> Sources | None:
         """The sources of an occlusion group, with sub-pixel sources added."""
         window = self._window(job, group)
         if sources is None or window is None:
             return None
-        size = (max(self._take_slots(job, sources, window), 1),)
+        size = (max(self._assign_slots(job, sources, window), 1),)
         buffers, room = self.buffers, self._room
         source, statistics, slots = buffers["source"], buffers["statistics"], np.int32(room)
         subs = buffers["sub_source"], buffers["sub_value"]
@@ -227,31 +221,31 @@ class Tracer:
             value = buffers["sharper"]
             self._per_pixel("sharpen", job, window, job.grid, sources.value, buffers["share"], source, value)
         several = replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)
-        return self._merged(job, several)
+        return self._merge(job, several)
 
     @property
     def _room(self) -> int:
         """Number of slots for pixels near silhouettes."""
         return self.buffers["pixels"].size // 4
 
-    def _take_slots(self, job: SceneJob, sources: Sources, window: Window) -> int:
+    def _assign_slots(self, job: SceneJob, sources: Sources, window: Window) -> int:
         """Assign slots to the pixels that need sub-pixel sources, and reallocate if there are more than predicted;
         returns their number. Waits for the device.
         """
         session, statistics = self.target.session, self.buffers["statistics"]
         left, top, right, bottom = window
         runs, origin = (-(-right // TAP_LANES) - left // TAP_LANES, bottom - top), (left // TAP_LANES, top)
-        given = np.zeros(1, np.int32)
+        first_slot = np.zeros(1, np.int32)
         while True:
-            cl.enqueue_fill_buffer(session.queue, statistics, given, 4 * STATISTIC_SLOTS, 4)
+            cl.enqueue_fill_buffer(session.queue, statistics, first_slot, 4 * STATISTIC_SLOTS, 4)
             marks = (self.buffers["source"], self.buffers["pixels"], statistics)
             head = (job.grid, sources.label, np.int32(self._room))
             self.target.run("mark_silhouettes", runs, BLOCKS, job.events, *head, *marks, origin=origin)
-            taken = int(download(session, statistics, (STATISTIC_SLOTS + 1,), np.int32)[STATISTIC_SLOTS])
-            if taken <= self._room:
-                return taken
-            given[0] = self._room
-            self._make_room(int(SPARE_SLOTS * taken))
+            count = int(download(session, statistics, (STATISTIC_SLOTS + 1,), np.int32)[STATISTIC_SLOTS])
+            if count <= self._room:
+                return count
+            first_slot[0] = self._room
+            self._make_room(int(SPARE_SLOTS * count))
 
     def _make_room(self, slots: int) -> None:
         """Replace the slot buffers by larger ones and copy existing slots. The queue must be empty."""
@@ -259,7 +253,7 @@ class Tracer:
         self.buffers.update(allocate(session, silhouette_buffers(self.plan.spec, self.plan.grid, slots, False)))
         cl.enqueue_copy(session.queue, self.buffers["pixels"], before, byte_count=before.size).wait()
 
-    def _merged(self, job: SceneJob, sources: Sources) -> Sources:
+    def _merge(self, job: SceneJob, sources: Sources) -> Sources:
         """The sources, merged as far as the tolerance allows."""
         plan, grid = self.plan, job.grid
         if plan.merged:
@@ -279,7 +273,7 @@ class Tracer:
         return Image(value, (coc, valid))
 
     @cached_property
-    def _built(self) -> Hashable:
+    def _hit_features(self) -> Hashable:
         """Features of the kernels that hits depend on."""
         features = self.plan.features()
         return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
@@ -288,8 +282,8 @@ class Tracer:
         """Everything that ray hits depend on: the rays and the surfaces that they may meet."""
         sample = job.sample
         members = [k for k in range(len(sample.placed)) if group.members >> k & 1]
-        light = tuple(each.tobytes() for each in sample.light)
-        cast = (job.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), self._built)
+        light = tuple(light_t.tobytes() for light_t in sample.light)
+        cast = (job.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), self._hit_features)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
         return HitKey(group, (cast, maps), self.scene.content)
 
@@ -297,7 +291,7 @@ class Tracer:
         """The textures, their mappings, and the light, as far as the scene has them."""
         return (self.scene.texture, *self.scene.texture_maps, *job.sample.light)
 
-    def nothing_hidden(self, job: SceneJob) -> dict[str, Any]:
+    def without_occluders(self, job: SceneJob) -> dict[str, Any]:
         """The lens, and an empty set of occluders, as fields of `Sources`."""
         return {"lens": self.lens(job), "surfaces": job.sample.surfaces, "group": group_struct(NO_GROUP, 0)}
 
@@ -305,11 +299,11 @@ class Tracer:
         members = group_struct(group, len(job.sample.placed))
         return job.grid, self.lens(job), job.sample.surfaces, members, self.psf
 
-    def _changed(self, job: SceneJob, group: OcclusionGroup, part: Part) -> Window | None:
+    def _moving_window(self, job: SceneJob, group: OcclusionGroup, part: SourcePart) -> Window | None:
         """Window around the sources that are not still."""
         plan, strip = self.plan, job.strip
         rows = strip.top - strip.above, strip.height
-        return part.exposed.window(group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
+        return part.split.window(group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
 
     def _window(self, job: SceneJob, group: OcclusionGroup) -> Window | None:
         """Part of the grid whose sources are traced, aligned to whole groups of pixels, so that all passes pad it
@@ -317,15 +311,15 @@ class Tracer:
         """
         if job.part is None or job.part.still:
             return whole_grid(job)
-        window = self._changed(job, group, job.part)
+        window = self._moving_window(job, group, job.part)
         return None if window is None else (window[0] - window[0] % PIXELS[0], *window[1:])
 
-    def _exposure(self, job: SceneJob, group: OcclusionGroup, every: bool = False) -> tuple[Any, ...]:
-        """Kernel arguments of a part of an exposure; every: True for rays that other lenses share."""
+    def _exposure(self, job: SceneJob, group: OcclusionGroup, shared: bool = False) -> tuple[Any, ...]:
+        """Kernel arguments of a part of an exposure; shared: True for rays that all lenses share."""
         if job.part is None:
             return ()
-        window, part = self._changed(job, group, job.part), job.part
-        return exposure_struct(part.exposed, part.still or every, window, self.scene.real), part.places
+        window, part = self._moving_window(job, group, job.part), job.part
+        return exposure_struct(part.split, part.still or shared, window, self.scene.real), part.places
 
     def _per_pixel(self, name: str, job: SceneJob, window: Window, *args: Any) -> None:
         left, top, right, bottom = window
@@ -333,7 +327,7 @@ class Tracer:
 
 
 def whole_grid(job: SceneJob) -> Window:
-    """Window of all pixels of the frame and the apron."""
+    """Window of all pixels of the frame and the guard band."""
     return 0, 0, int(job.grid["width"]), int(job.grid["height"])
 
 

@@ -28,7 +28,7 @@ from clsco.passes.placed import PlacedScene
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import everything, ray_target
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.buffers import OF_LINES, truth_buffers
+from clsco.plan.buffers import LINE_OUTPUTS, truth_buffers
 from clsco.plan.plan import Plan
 from clsco.scene.model import Camera
 
@@ -56,20 +56,20 @@ class GroundTruth:
         """Target with the kernels that cast rays, built when the first ray is cast."""
         return ray_target(self.plan, self.scene)
 
-    def of_frame(self, index: int, events: Events) -> Arrays:
+    def compute(self, index: int, events: Events) -> Arrays:
         """The requested outputs of frame `index`: (rows, columns[, 3]), as in `Frame`."""
         plan = self.plan
         if not plan.truth:
             return {}
         times = self._middles(index)
         if plan.scene.rolls:
-            found = self._of_lines(index, events)
+            outputs = self._from_lines(index, events)
         else:
-            found = self._of_rays(*times, events) if plan.scene.is_analytic else self._of_maps(*times, events)
+            outputs = self._from_rays(*times, events) if plan.scene.is_analytic else self._from_maps(*times, events)
         if "throughput" in plan.truth:
             share = frame_throughput(plan.scene, times[1], plan.psf)
-            found["throughput"] = share.astype(np.float32)
-        return {name: array for name, array in found.items() if name in plan.truth}
+            outputs["throughput"] = share.astype(np.float32)
+        return {name: array for name, array in outputs.items() if name in plan.truth}
 
     def _middles(self, index: int) -> tuple[float, float, float]:
         """Times of the ground truth of the previous, the current and the next frame."""
@@ -82,47 +82,47 @@ class GroundTruth:
     def _opposite(self) -> Eye:
         return "left" if self.plan.eye == "right" else "right"
 
-    def _of_rays(self, before: float, time: float, later: float, events: Events) -> Arrays:
+    def _from_rays(self, before: float, time: float, later: float, events: Events) -> Arrays:
         """Outputs from rays at analytic surfaces, strip by strip."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         sample, after = scene.at(time), scene.at(later)
-        there = scene.at(time, eye=self._opposite) if set(STEREO_NAMES) & set(names) else None
+        other_view = scene.at(time, eye=self._opposite) if set(STEREO_NAMES) & set(names) else None
         earlier = scene.at(before) if set(MOTION_NAMES) & set(names) else None
-        rest = scene.in_reference_pose() if plan.moves or plan.eye_moved else sample
-        arguments = self._arguments(rest, sample, after, there, earlier)
+        reference = scene.in_reference_pose() if plan.moves or plan.eye_moved else sample
+        arguments = self._arguments(reference, sample, after, other_view, earlier)
         out = self._arrays(names)
         buffers = allocate(scene.session, truth_buffers(names, plan.grid))
         for strip in plan.strips:
             self._cast(strip, sample.camera, arguments, buffers, events, (plan.columns, strip.rows))
             self._download(strip, buffers, out)
-        self._tell_colors_apart(out, np.array(time))
-        self._take_out_background(out)
+        self._split_colors(out, np.array(time))
+        self._clear_background(out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
-        return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._of_motion() | out
+        return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._still_outputs() | out
 
-    def _of_motion(self) -> Arrays:
+    def _still_outputs(self) -> Arrays:
         """Outputs that are 0 everywhere in static scenes and need no rays."""
         shape = self.plan.rows, self.plan.columns
         return {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
 
     def _arguments(
-        self, reference: TimeSample, sample: TimeSample, after: TimeSample, there: TimeSample | None = None,
+        self, reference: TimeSample, sample: TimeSample, after: TimeSample, other_view: TimeSample | None = None,
         earlier: TimeSample | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Kernel arguments of a frame, or of one of its lines, between the grid and the outputs.
 
-        reference: objects in the reference pose; after, earlier: in the next and the previous frame; there: in the
-        other view.
+        reference: objects in the reference pose; after, earlier: in the next and the previous frame; other_view:
+        in the other view.
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
-        shown = (scene.texture, *scene.texture_maps, *sample.light)
+        appearance = (scene.texture, *scene.texture_maps, *sample.light)
         lens = lens_struct(Lens.of(sample.camera, plan.scene.lens), scene.real)
-        head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
+        head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *appearance)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
-        if there is not None:
-            view = there.surfaces, scene.poses(there), np.int32(1 if plan.eye == "right" else -1)
+        if other_view is not None:
+            view = other_view.surfaces, scene.poses(other_view), np.int32(1 if plan.eye == "right" else -1)
         return *head, *view, poses if earlier is None else scene.poses(earlier), after.surfaces
 
     def _cast(
@@ -135,45 +135,45 @@ class GroundTruth:
         local = PIXELS if size[0] > 1 else PIXELS[::-1]
         self.target.run("ground_truth", size, local, events, grid, *arguments, *out, origin=origin)
 
-    def _of_lines(self, index: int, events: Events) -> Arrays:
+    def _from_lines(self, index: int, events: Events) -> Arrays:
         """Outputs from rays at analytic surfaces with a time per line; the host follows points from line to line."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         times, by_columns = line_times(plan.scene, index), plan.scene.sequence.by_columns
         reference = scene.in_reference_pose()
-        samples = [(each.camera, self._arguments(reference, each, each)) for each in map(scene.at, times.tolist())]
+        samples = [(s.camera, self._arguments(reference, s, s)) for s in map(scene.at, times.tolist())]
         buffers, out = allocate(scene.session, truth_buffers(names, plan.grid)), self._arrays(names)
         for strip in plan.strips:
             size = (1, strip.rows) if by_columns else (plan.columns, 1)
-            for line, sample in enumerate(samples if by_columns else samples[strip.inside]):
-                self._cast(strip, *sample, buffers, events, size, (line, 0) if by_columns else (0, line))
+            for line, line_arguments in enumerate(samples if by_columns else samples[strip.inside]):
+                self._cast(strip, *line_arguments, buffers, events, size, (line, 0) if by_columns else (0, line))
             self._download(strip, buffers, out)
-        self._tell_colors_apart(out, times if by_columns else times[:, None])
-        self._take_out_background(out)
+        self._split_colors(out, times if by_columns else times[:, None])
+        self._clear_background(out)
         out |= {"row_time": times, "filled": np.zeros((plan.rows, plan.columns), np.uint8)}
-        return out | (self._between_lines(index, out) if set(OF_LINES) & set(plan.truth) else {})
+        return out | (self._between_lines(index, out) if set(LINE_OUTPUTS) & set(plan.truth) else {})
 
-    def _between_lines(self, index: int, found: Arrays) -> Arrays:
+    def _between_lines(self, index: int, outputs: Arrays) -> Arrays:
         """Flow, disparity and their occlusion, with a time per line."""
         plan, out = self.plan, Arrays()
         items, eye = plan.scene.objects, plan.eye
-        points = LinePoints(items, found["depth"], found["object_id"], lines_of(plan.scene, index, eye))
-        others = {"flow": (1, eye), "flow_backward": (-1, eye), "disparity": (0, self._opposite)}
-        for name, (step, other) in others.items():
-            hides = {"flow": "flow_occluded", "disparity": "occluded"}.get(name)
-            if not {name, hides} & set(plan.truth):
+        points = LinePoints(items, outputs["depth"], outputs["object_id"], lines_of(plan.scene, index, eye))
+        pairs = {"flow": (1, eye), "flow_backward": (-1, eye), "disparity": (0, self._opposite)}
+        for name, (step, view) in pairs.items():
+            occlusion = {"flow": "flow_occluded", "disparity": "occluded"}.get(name)
+            if not {name, occlusion} & set(plan.truth):
                 continue
-            lines = lines_of(plan.scene, index + step, other)
+            lines = lines_of(plan.scene, index + step, view)
             flow = points.flow(lines)
             out[name] = flow.astype(np.float32)
-            if hides in plan.truth:
-                out[hides] = points.occluded(lines, flow)
+            if occlusion in plan.truth:
+                out[occlusion] = points.occluded(lines, flow)
         if "disparity" in out:
             out["disparity"] = out["disparity"][..., 0] * np.float32(1 if eye == "right" else -1)
         return out
 
-    def _tell_colors_apart(self, found: Arrays, times: NDArray[np.float64]) -> None:
+    def _split_colors(self, outputs: Arrays, times: NDArray[np.float64]) -> None:
         """Convert radii to those of red, green and blue, if the lens separates colors; times: of lines, s."""
-        if not self.plan.scene.separates_colors or "blur_radius" not in found:
+        if not self.plan.scene.separates_colors or "blur_radius" not in outputs:
             return
         sizes, shifts, steps = np.empty((*times.shape, 3)), np.empty((*times.shape, 3)), np.empty(times.shape)
         for line in np.ndindex(times.shape):
@@ -182,8 +182,8 @@ class GroundTruth:
             sizes[line] = [lens.blur_scale / middle.blur_scale for lens in lenses]
             shifts[line] = [lens.blur_scale * (lens.focus_power - middle.focus_power) for lens in lenses]
             steps[line] = ray_step(camera_at(self.plan.scene, time))
-        radius = found["blur_radius"][..., None] * sizes + shifts * self._stretch(steps)
-        found["blur_radius"] = np.where(found["mask"][..., None], radius, 0.0).astype(np.float32)
+        radius = outputs["blur_radius"][..., None] * sizes + shifts * self._stretch(steps)
+        outputs["blur_radius"] = np.where(outputs["mask"][..., None], radius, 0.0).astype(np.float32)
 
     def _stretch(self, steps: NDArray[np.float64]) -> NDArray[np.float64] | float:
         """Ratio of sizes (rows, columns, 1) in the distorted image to sizes without distortion; steps: between rays,
@@ -196,12 +196,12 @@ class GroundTruth:
         y = (0.5 * (self.plan.rows - 1) - np.arange(self.plan.rows)[:, None]) * steps
         return distortion.stretch(*distortion.undistorted(x, y))[..., None]
 
-    def _take_out_background(self, found: Arrays) -> NDArray[np.bool_]:
+    def _clear_background(self, outputs: Arrays) -> NDArray[np.bool_]:
         """Give background pixels the output values of pixels without a surface; returns the mask of these pixels."""
         if self.plan.background is None:
             return np.zeros((), np.bool_)
-        beyond = np.asarray(found["object_id"] == self.plan.background)
-        for name, array in found.items():
+        beyond = np.asarray(outputs["object_id"] == self.plan.background)
+        for name, array in outputs.items():
             if (empty := OUTPUTS[name].empty) is not None:
                 array[beyond] = empty
         return beyond
@@ -219,7 +219,7 @@ class GroundTruth:
         for name, array in out.items():
             download_into(self.scene.session, buffers[name], array[strip.inside])
 
-    def _of_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
+    def _from_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
         """Outputs of a scene with depth maps, which rays cannot be cast at: from its warped pixels."""
         scene, plan, pixels = self.scene, self.plan, self.pixels
         now, then = scene.at(time), scene.at(later)
@@ -227,20 +227,20 @@ class GroundTruth:
         if isinstance(pixels, StaticMap):
             out = pixels.truth()
         elif isinstance(pixels, ForwardWarp):
-            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # three for the others
-        self._tell_colors_apart(out, np.array(time))
-        beyond = self._take_out_background(out)
-        seen = MapPoints(plan.scene.objects, out["depth"], out["object_id"], now.camera, now.poses)
-        out |= {"normal": map_normal(now.camera, out["depth"]), "flow": map_flow(seen, then.camera, then.poses)}
+            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # these are inputs of others
+        self._split_colors(out, np.array(time))
+        beyond = self._clear_background(out)
+        points = MapPoints(plan.scene.objects, out["depth"], out["object_id"], now.camera, now.poses)
+        out |= {"normal": map_normal(now.camera, out["depth"]), "flow": map_flow(points, then.camera, then.poses)}
         out["hidden"] = (out["filled"] > 0) & ~beyond
         if isinstance(pixels, ForwardWarp) and "flow_backward" in plan.truth:
             earlier = scene.at(before)
-            out["flow_backward"] = map_flow(seen, earlier.camera, earlier.poses)
+            out["flow_backward"] = map_flow(points, earlier.camera, earlier.poses)
         if isinstance(pixels, ForwardWarp) and "flow_occluded" in plan.truth:
             following = pixels.truth(then, ("depth",), events)["depth"]
-            out["flow_occluded"] = map_occluded(seen, then.camera, then.poses, following)
+            out["flow_occluded"] = map_occluded(points, then.camera, then.poses, following)
         if isinstance(pixels, ForwardWarp) and plan.scene.stereo is not None:
-            there = scene.at(time, eye=self._opposite)
-            opposite = pixels.truth(there, ("depth",), events)["depth"]
-            out["disparity"], out["occluded"] = map_stereo(seen, there.poses, opposite, plan.eye)
+            other_view = scene.at(time, eye=self._opposite)
+            opposite = pixels.truth(other_view, ("depth",), events)["depth"]
+            out["disparity"], out["occluded"] = map_stereo(points, other_view.poses, opposite, plan.eye)
         return out | {"depth": out["depth"].astype(np.float32)}

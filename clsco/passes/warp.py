@@ -30,8 +30,7 @@ from clsco.records import REAL, structs
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
 NOWHERE = np.array(NO_WINNER, np.int32)
 
-# Bands of rows that reproject_nearest makes of the image: few, since each looks at all segments, but enough
-# to share out.
+# Bands of rows of reproject_nearest: few, as each reads all segments, but enough for all cores.
 BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 
 SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
@@ -107,16 +106,16 @@ class ForwardWarp:
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
         self.filler = Filler(self.kernels, self.grid, self.lens, features, fill_sizes(plan.scene, plan.grid))
-        # Once the pixels are in their places, the filling may have these for its lists.
+        # The filling uses these for its lists, after the pixels are moved.
         self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)
         self.rest, self.moved = (empty(session, sizes[name]) for name in ("rest", "moved"))
         self.object = (empty(session, sizes["object"]),) if "object" in sizes else ()
-        if self.object:  # objects take turns, and leave what is another one's as it is
+        if self.object:  # each object writes only its own pixels
             for buffer in (self.target, self.moved):
                 cl.enqueue_fill_buffer(session.queue, buffer, ZERO, 0, buffer.size)
-        given = [depth for depth in maps if depth is not None]
-        self.maps = (upload(session, np.stack(given).astype(REAL[real])),) if given else ()
+        depths = [depth for depth in maps if depth is not None]
+        self.maps = (upload(session, np.stack(depths).astype(REAL[real])),) if depths else ()
         self.bounds = empty(session, sizes["bounds"]) if self.owned else None
         # The filling writes its radii later.
         self.depth = self.filler.planes.coc if self.owned else empty(session, self.winner.size)
@@ -150,9 +149,9 @@ class ForwardWarp:
         counters = self.filler.fill(sample.surfaces, len(sample.placed), events, self.scene.brightest)
         if self.maps:
             out = (self.lens, planes.value, planes.w, planes.coc, planes.valid)
-            seen = () if planes.object is None else (planes.object,)
+            objects = () if planes.object is None else (planes.object,)
             if self.filler.fills:
-                self._per_line("fill_entered", events, *out, planes.status, *seen)
+                self._per_line("fill_entered", events, *out, planes.status, *objects)
             self._per_pixel("extend_border", events, (plan.width, plan.height), self.grid, *out)
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
@@ -182,24 +181,24 @@ class ForwardWarp:
             self.kernels.run("reproject_gaps", chunks, (1, *LINES) if self.owned else PIXELS, events, *gaps)
         head = (self.grid, self.lens, self.scene.texture, self.moved, self.winner)
         several = (self.rest_surfaces, *self.object) if self.object else ()
-        seen = () if planes.object is None else (planes.object,)
-        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
+        objects = () if planes.object is None else (planes.object,)
+        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *objects)
         self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *several, *out)
         if self.maps:
             self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
-        """Store the largest and the smallest radius found by `warp` in the first two of these ints."""
+        """Store the largest and the smallest radius of `warp` in the first two of these ints."""
         chunks = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
-        found = (self.filler.planes.coc, self.filler.planes.valid, statistics)
-        self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.grid, *found)
+        planes = (self.filler.planes.coc, self.filler.planes.valid, statistics)
+        self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.grid, *planes)
 
     def missing(self, warped: Warped) -> NDArray[np.bool_]:
         """Mask (rows, columns) of the frame's pixels that were missing, filled or not."""
         return self._frame(warped.status, np.uint8) > 0
 
-    def truth(self, sample: TimeSample, wanted: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
-        """The arrays in `wanted`, float32 unless stated otherwise, (rows, columns[, channels]).
+    def truth(self, sample: TimeSample, names: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
+        """The arrays in `names`, float32 unless stated otherwise, (rows, columns[, channels]).
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. For a scene with a depth map, at which no
         ray can be cast, also properties of the pixels' surface, including filled ones: "depth" in mm, +inf for none,
@@ -208,26 +207,26 @@ class ForwardWarp:
         from its center.
         """
         plan = self.plan
-        names = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
-        if not names & set(wanted):
+        available = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
+        if not available & set(names):
             return {}
         warped = self.warp(sample, events)
         real, valid = REAL[self.scene.real], self._frame(warped.valid, np.bool_)
-        found: dict[str, NDArray[Any]] = {"mask": valid}
-        if "sharp" in wanted:
+        arrays: dict[str, NDArray[Any]] = {"mask": valid}
+        if "sharp" in names:
             planes = self._frame(warped.value, np.float32, plan.channels)
-            found["sharp"] = np.ascontiguousarray(planes[0] if plan.channels == 1 else np.moveaxis(planes, 0, -1))
-        if "filled" in wanted:
-            found["filled"] = self._frame(warped.status, np.uint8)
+            arrays["sharp"] = np.ascontiguousarray(planes[0] if plan.channels == 1 else np.moveaxis(planes, 0, -1))
+        if "filled" in names:
+            arrays["filled"] = self._frame(warped.status, np.uint8)
         if self.maps:
             w = self._frame(warped.w, real).astype(np.float64)
-            found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
-            found["blur_radius"] = self._frame(warped.coc, real).astype(np.float32)
-            seen = np.zeros(valid.shape, np.int32)
+            arrays["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
+            arrays["blur_radius"] = self._frame(warped.coc, real).astype(np.float32)
+            numbers = np.zeros(valid.shape, np.int32)
             if warped.object is not None:
-                seen = self._frame(warped.object, np.uint8).astype(np.int32)
-            found["object_id"] = np.where(valid, seen, -1).astype(np.int32)
-        return {name: array for name, array in found.items() if name in names & set(wanted)}
+                numbers = self._frame(warped.object, np.uint8).astype(np.int32)
+            arrays["object_id"] = np.where(valid, numbers, -1).astype(np.int32)
+        return {name: array for name, array in arrays.items() if name in available & set(names)}
 
     def _frame(self, buffer: cl.Buffer, dtype: Any, channels: int | None = None) -> NDArray[Any]:
         """The frame's part (rows, columns) of a plane on the padded grid, or (channels, rows, columns) of several

@@ -40,10 +40,10 @@ from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.rays import slopes_at
 from clsco.optics.texture_mapping import needs_detail, texture_map
-from clsco.plan.image_motion import ImagePath, image_paths, some_frames
+from clsco.plan.image_motion import ImagePath, image_paths, sampled_frames
 from clsco.plan.plan import Plan
-from clsco.plan.predict import Maps, middle_of, seen_depths, seen_slopes
-from clsco.plan.texture_sources import STEEP, footprints, lost_squares, power_in_frame, spectrum_of
+from clsco.plan.predict import Maps, grid_slopes, middle_of, predict_depths
+from clsco.plan.texture_sources import STEEP, footprints, power_in_frame, spectrum_of, squared_errors
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -51,15 +51,15 @@ Samples = tuple[int, int]
 
 SIDE, LINES = 256, 64  # px of a segment of a texture whose spectrum is taken, and how many segments along each axis
 FREQUENCIES = np.arange(1, SIDE + 1) / SIDE  # cycles per px; textures have half of them, outlines all
-NOTHING = np.zeros(SIDE)
+NO_POWER = np.zeros(SIDE)
 CYCLE_STEPS = 8  # per cycle
-EACH = 7  # px: every so many pixels of a texture have its mean; no period of a pattern, as a rule
-MARGIN = 1.5  # of squared errors: rays know outlines and ways roughly
-CORNERS = 0.06  # of outlines, whose coverage sources count: corners, and what is seen edge-on
-FINE_COST, OUTLINE_COST = 1 / 8, 1 / 80  # of N^2 sources a pixel, each: of a time sample with one
-UNEVEN = 0.2  # of outlines: the same from one time sample to another
+STRIDE = 7  # px between the pixels of a texture that enter its means; rarely the period of a pattern
+MARGIN = 1.5  # of squared errors: rays sample outlines and paths coarsely
+CORNERS = 0.06  # of outlines, whose coverage is counted by sources: corners, and surfaces seen edge-on
+FINE_COST, OUTLINE_COST = 1 / 8, 1 / 80  # cost of each of N^2 sources per pixel, relative to a time sample with one
+UNEVEN = 0.2  # of outlines, as CORNERS: for differences between time samples
 MERGED_RADII = tuple(8.0 * 2.0 ** (k / 2) for k in range(9))  # px: |R| from which on sources may be merged
-WAYS = (0.55, 0.7, 0.85, 1.0)  # parts of the longest way, of which the worst counts: not all that moves goes as far
+TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # of the longest path, the worst counts: some points travel less
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ class ApproximationReport:
         RMS error that was asked for, 1 = white.
     rms_error : float
         Estimated RMS error relative to all samples of the scene; 0 if all are used.
-    samples, of_samples : int
+    samples, scene_samples : int
         Time samples used, and those of the scene.
-    silhouette_samples, of_silhouette_samples : int
+    silhouette_samples, scene_silhouette_samples : int
         The same for sub-pixel sources along an axis of a pixel, 1 for none.
     merged : float
         |R| in px from which partly hidden sources may be merged, 0 for none.
@@ -83,27 +83,27 @@ class ApproximationReport:
     tolerance: float
     rms_error: float
     samples: int
-    of_samples: int
+    scene_samples: int
     silhouette_samples: int
-    of_silhouette_samples: int
+    scene_silhouette_samples: int
     merged: float = 0.0
 
     @property
-    def taken(self) -> Samples:
-        """Time samples, and sub-pixel sources along an axis, in use."""
+    def counts(self) -> Samples:
+        """Numbers of time samples, and of sub-pixel sources along an axis."""
         return self.samples, self.silhouette_samples
 
     def line(self) -> str:
         """Report in one line."""
-        time, silhouettes = (self.samples, self.of_samples), (self.silhouette_samples, self.of_silhouette_samples)
+        time, silhouettes = (self.samples, self.scene_samples), (self.silhouette_samples, self.scene_silhouette_samples)
         if time == silhouettes == (1, 1) and not self.merged:
             return "exact: nothing can be saved, as nothing moves, and no silhouette is in sight"
         if self.rms_error == 0.0:
             return f"exact: fewer samples may be off by more than {self.tolerance:g} of white"
         kinds = (("time", *time), ("silhouette", *silhouettes))
-        taken = [f"{count} of {whole} {kind} samples" for kind, count, whole in kinds if whole > 1]
-        taken += [f"hidden sources merged from {self.merged:.3g} px of blur on"] if self.merged else []
-        return f"{' and '.join(taken)}: estimated RMS error {self.rms_error:.2g} of white"
+        clauses = [f"{count} of {total} {kind} samples" for kind, count, total in kinds if total > 1]
+        clauses += [f"hidden sources merged from {self.merged:.3g} px of blur on"] if self.merged else []
+        return f"{' and '.join(clauses)}: estimated RMS error {self.rms_error:.2g} of white"
 
 
 def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
@@ -153,26 +153,26 @@ def fewer_samples(
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square, merged = *exact, 0.0, 0.0
     fine = needs_detail(scene, plan.psf, plan.largest_blur)
-    whole = exact[1] == 1 or (fine and not (plan.psf.uniform or plan.psf.pupil.soft))  # all silhouette samples stay
+    keeps_silhouettes = exact[1] == 1 or (fine and not (plan.psf.uniform or plan.psf.pupil.soft))
     merges = _may_merge(plan)
-    if (exact[0] > 1 or not whole or merges) and not scene.lens_moves:  # whose changes are not in the estimate
+    if (exact[0] > 1 or not keeps_silhouettes or merges) and not scene.lens_moves:  # the estimate assumes a fixed lens
         images = textures()
         parts = _parts(scene, images, maps)
         outlines = _Outlines.of(plan.psf, parts)
-        of_time = partial(_of_time, scene, *_cycles(plan.psf, parts), outlines.uneven(exact[1]), exact[0])
-        of_sources = {exact[1]: 0.0}
-        if not whole:
+        time_error = partial(_time_error, scene, *_cycles(plan.psf, parts), outlines.coverage_error(exact[1]), exact[0])
+        source_errors = {exact[1]: 0.0}
+        if not keeps_silhouettes:
             # A whole pixel in focus reaches over its border, and has more taps than its parts have.
             fewer = [count for count in STEEP if max(least[1], 1 + fine) <= count < exact[1]]
-            of_sources |= {count: outlines.square(exact[1], count) for count in fewer}
+            source_errors |= {count: outlines.source_error(exact[1], count) for count in fewer}
             if fine:
-                for count, lost in lost_squares(scene, plan.psf, images, maps, exact[1], fewer).items():
-                    of_sources[count] += MARGIN * lost
-        samples, silhouettes = _cheapest((least[0], exact[0]), of_sources, tolerance**2, of_time, fine)
-        square = of_sources[silhouettes] + (of_time(samples) if samples < exact[0] else 0.0)
+                for count, error in squared_errors(scene, plan.psf, images, maps, exact[1], fewer).items():
+                    source_errors[count] += MARGIN * error
+        samples, silhouettes = _cheapest((least[0], exact[0]), source_errors, tolerance**2, time_error, fine)
+        square = source_errors[silhouettes] + (time_error(samples) if samples < exact[0] else 0.0)
         if merges:
-            merged, of_merging = _merging(plan.psf, parts, tolerance**2 - square)
-            square += of_merging
+            merged, merging_error = _merging(plan.psf, parts, tolerance**2 - square)
+            square += merging_error
     report = ApproximationReport(tolerance, sqrt(square), samples, exact[0], silhouettes, exact[1], merged)
     if (samples, silhouettes) == exact:
         return scene, report
@@ -185,19 +185,19 @@ def fewer_samples(
 
 
 def _cheapest(
-    samples: Samples, of_sources: Mapping[int, float], square: float, of_time: Callable[[int], float], fine: bool
+    samples: Samples, source_errors: Mapping[int, float], square: float, time_error: Callable[[int], float], fine: bool
 ) -> Samples:
     """Time samples, and sources along an axis, with the lowest cost within a squared error.
 
-    of_sources: squared errors by number of sources; of_time: squared error by number of time samples; fine: True if
-    textures need sub-pixel sources, not only outlines.
+    source_errors: squared errors by number of sources; time_error: squared error by number of time samples; fine: True
+    if textures need sub-pixel sources, not only outlines.
     """
-    each, found = FINE_COST if fine else OUTLINE_COST, []
-    for count, lost in of_sources.items():
-        if lost <= square:
-            taken = _fewest(range(*samples), square - lost, of_time) or samples[1]
-            found.append((taken * (1.0 + each * count**2), taken, count))
-    return min(found)[1:]
+    source_cost, choices = FINE_COST if fine else OUTLINE_COST, []
+    for count, error in source_errors.items():
+        if error <= square:
+            time_samples = _fewest(range(*samples), square - error, time_error) or samples[1]
+            choices.append((time_samples * (1.0 + source_cost * count**2), time_samples, count))
+    return min(choices)[1:]
 
 
 def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
@@ -224,8 +224,8 @@ def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple
     for least in MERGED_RADII:
         error, wide = 0.0, [part for part in parts if part.widest >= least]
         for part in wide:
-            passed = _passed(psf, max(part.radius, least))
-            error += MARGIN * part.light * 4.0 * float(passed[along] + passed[across])
+            transfer = _squared_transfer(psf, max(part.radius, least))
+            error += MARGIN * part.light * 4.0 * float(transfer[along] + transfer[across])
         if wide and error <= square:
             return least, error
     return 0.0, 0.0
@@ -235,13 +235,13 @@ def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple
 class _Part:
     """Statistics of an object in the frame.
 
-    way: path of its image and of its blur's edge while the shutter is open, px along x and y; radius, widest: smallest
-    and largest |R|, px, the latter 0 if no object is nearer; light: mean squared radiance, times its share of the
-    frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length times
+    travel: path of its image and of its blur's edge while the shutter is open, px along x and y; radius, widest:
+    smallest and largest |R|, px, the latter 0 if no object is nearer; light: mean squared radiance, times its share of
+    the frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length times
     squared contrast per px^2, of outlines across x and y.
     """
 
-    way: tuple[float, float]
+    travel: tuple[float, float]
     radius: float
     widest: float
     light: float
@@ -251,21 +251,21 @@ class _Part:
 
 def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
     """Cycles by which patterns move while the shutter is open, (n,), and their power in the frame, white^2, for each of
-    WAYS (ways, n).
+    TRAVEL_SHARES (shares, n).
     """
-    longest = max((max(part.way) for part in parts), default=0.0)
-    found = np.zeros((len(WAYS), ceil(longest * CYCLE_STEPS) + 1))
+    longest = max((max(part.travel) for part in parts), default=0.0)
+    powers = np.zeros((len(TRAVEL_SHARES), ceil(longest * CYCLE_STEPS) + 1))
     for part in parts:
-        passed = _passed(psf, part.radius)
-        step = passed * (np.sinc(FREQUENCIES) / (2.0 * np.pi * FREQUENCIES)) ** 2 * 2.0 / SIDE
-        for way, power, outline in zip(part.way, part.power, part.outline, strict=True):
-            for part_of, cycles in zip(WAYS, found, strict=True):
-                at = np.rint(part_of * way * FREQUENCIES * CYCLE_STEPS).astype(np.intp)
-                np.add.at(cycles, at, power * passed + outline * step)
-    return np.arange(found.shape[1]) / CYCLE_STEPS, found
+        transfer = _squared_transfer(psf, part.radius)
+        step = transfer * (np.sinc(FREQUENCIES) / (2.0 * np.pi * FREQUENCIES)) ** 2 * 2.0 / SIDE
+        for travel, power, outline in zip(part.travel, part.power, part.outline, strict=True):
+            for share, cycles in zip(TRAVEL_SHARES, powers, strict=True):
+                index = np.rint(share * travel * FREQUENCIES * CYCLE_STEPS).astype(np.intp)
+                np.add.at(cycles, index, power * transfer + outline * step)
+    return np.arange(powers.shape[1]) / CYCLE_STEPS, powers
 
 
-def _of_time(scene: Scene, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
+def _time_error(scene: Scene, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
     """Squared error of `count` time samples instead of `exact`; uneven: squared error of the coverage in each
     sample.
     """
@@ -295,20 +295,20 @@ class _Outlines:
     def of(psf: PointSpread, parts: tuple[_Part, ...]) -> _Outlines:
         """Outlines of all objects."""
         slope = 2.0 / SIDE * (2.0 * np.pi * FREQUENCIES * np.sinc(FREQUENCIES)) ** 2
-        lengths, passed = [sum(part.outline) for part in parts], [_passed(psf, part.radius) for part in parts]
-        edges = (length * float(each[: SIDE // 2].mean()) for length, each in zip(lengths, passed, strict=True))
-        slopes = (length * float(slope @ each) for length, each in zip(lengths, passed, strict=True))
+        pairs = [(sum(part.outline), _squared_transfer(psf, part.radius)) for part in parts]
+        edges = (length * float(transfer[: SIDE // 2].mean()) for length, transfer in pairs)
+        slopes = (length * float(slope @ transfer) for length, transfer in pairs)
         return _Outlines(sum(edges), sum(slopes))
 
-    def uneven(self, sources: int) -> float:
+    def coverage_error(self, sources: int) -> float:
         """Squared error of the coverage at one time, for `sources` per axis."""
         return self.edges * (UNEVEN if sources > 1 else 1.0) / (12.0 * sources**2)
 
-    def square(self, exact: int, count: int) -> float:
+    def source_error(self, exact: int, count: int) -> float:
         """Squared error of count x count sub-pixel sources instead of exact x exact."""
         place = np.linspace(0.0, 1.0, 1025)[1:]  # of an edge in its pixel
-        known, found = (np.floor(place * sources + 0.5) / sources for sources in (exact, count))
-        square = (CORNERS if count > 1 else 1.0) * self.edges * float(np.mean((found - known) ** 2))
+        exact_coverage, coverage = (np.floor(place * sources + 0.5) / sources for sources in (exact, count))
+        square = (CORNERS if count > 1 else 1.0) * self.edges * float(np.mean((coverage - exact_coverage) ** 2))
         if count > 1:
             square += self.slopes * float(np.mean((_moments(place, exact) - _moments(place, count)) ** 2))
         return MARGIN * square
@@ -320,7 +320,7 @@ def _moments(place: Array, sources: int) -> Array:
     return np.asarray((0.5 * full**2 + (place * sources - full) * (full + 0.5)) / sources**2)
 
 
-def _passed(psf: PointSpread, radius: float) -> Array:
+def _squared_transfer(psf: PointSpread, radius: float) -> Array:
     """Upper bound of H^2 by FREQUENCIES: for a Gaussian, or for the disc with the second moment of another PSF; 1 if
     light is not spread evenly.
     """
@@ -334,31 +334,30 @@ def _passed(psf: PointSpread, radius: float) -> Array:
 
 def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Part, ...]:
     """Objects visible in the middle of the sequence, with their longest paths over the whole sequence."""
-    w, (x, y) = seen_depths(scene, maps), seen_slopes(scene)
+    w, (x, y) = predict_depths(scene, maps), grid_slopes(scene)
     front = w.max(axis=0)
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
     contrasts = _contrasts(textures, scene.light is not None)
     across, down = (_outlines(scene, contrasts, nearest, front, axis) for axis in (1, 0))
-    paths = [image_paths(scene, maps, frame) for frame in some_frames(scene)] if scene.moves else []
+    paths = [image_paths(scene, maps, frame) for frame in sampled_frames(scene)] if scene.moves else []
     parts = []
     for k in np.flatnonzero(np.bincount(nearest.ravel() + 1)[1:]).tolist():
-        seen = nearest == k
-        radii = np.abs([lens.image_radius(w[k][seen], x[seen], y[seen]) for lens in lenses_at(scene, 0.0)])
-        way, power = (0.0, 0.0), (NOTHING, NOTHING)
+        visible = nearest == k
+        slopes = x[visible], y[visible]
+        radii = np.abs([lens.image_radius(w[k][visible], *slopes) for lens in lenses_at(scene, 0.0)])
+        travel, power = (0.0, 0.0), (NO_POWER, NO_POWER)
         if scene.moves:
-            way = _way(scene, [each[k] for each in paths])
-            item = scene.objects[k]
-            along = (
-                _power(textures[k]) if item.mapped is None else _mapped_power(scene, k, textures[k], x[seen], y[seen])
-            )
-            power = (seen.mean() * along[0], seen.mean() * along[1])
-        widest = float(radii.max()) if (np.delete(w, k, axis=0) > w[k][seen].min()).any() else 0.0
-        light = float(seen.mean() * contrasts[k, -1])
-        parts.append(_Part(way, float(radii.min()), widest, light, power, (across[k], down[k])))
+            travel = _longest_travel(scene, [frame_paths[k] for frame_paths in paths])
+            mapped = scene.objects[k].mapped is not None
+            along_x, along_y = _mapped_power(scene, k, textures[k], *slopes) if mapped else _power(textures[k])
+            power = (visible.mean() * along_x, visible.mean() * along_y)
+        widest = float(radii.max()) if (np.delete(w, k, axis=0) > w[k][visible].min()).any() else 0.0
+        light = float(visible.mean() * contrasts[k, -1])
+        parts.append(_Part(travel, float(radii.min()), widest, light, power, (across[k], down[k])))
     return tuple(parts)
 
 
-def _way(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
+def _longest_travel(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
     """Longest path of an object's image and of its blur's edge along x and y, px; a diagonal path counts fully for
     both.
     """
@@ -366,9 +365,9 @@ def _way(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
     for path in paths:
         slopes = slopes_at(reference_camera(scene), path.places[:, 0], path.places[:, 1])
         radius = np.abs(lens.image_radius(path.places[:, 2], *slopes))
-        rim = (np.abs(np.diff(radius, axis=0)) * path.seen).sum(axis=0)
-        along, whole = np.abs(path.steps).sum(axis=0) + rim, np.linalg.norm(path.steps, axis=1).sum(axis=0) + rim
-        longest = np.maximum(longest, np.minimum(2.0 * along, whole).max(axis=1, initial=0.0))
+        rim = (np.abs(np.diff(radius, axis=0)) * path.visible).sum(axis=0)
+        along, diagonal = np.abs(path.steps).sum(axis=0) + rim, np.linalg.norm(path.steps, axis=1).sum(axis=0) + rim
+        longest = np.maximum(longest, np.minimum(2.0 * along, diagonal).max(axis=1, initial=0.0))
     return float(longest[0]), float(longest[1])
 
 
@@ -377,24 +376,24 @@ def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Arra
     axis; each counts for the object in front.
     """
     size = scene.camera.frame_size[1 - axis]
-    one, other = (np.take(nearest, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
-    depth, behind = (np.take(w, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
-    front = np.where(depth >= behind, one, other)
-    crossed = one != other
-    found = np.zeros(len(contrasts))
-    np.add.at(found, front[crossed], contrasts[one[crossed], other[crossed]])
-    return found / crossed.shape[1 - axis] / size
+    first, second = (np.take(nearest, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
+    w_first, w_second = (np.take(w, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
+    front = np.where(w_first >= w_second, first, second)
+    crossed = first != second
+    lengths = np.zeros(len(contrasts))
+    np.add.at(lengths, front[crossed], contrasts[first[crossed], second[crossed]])
+    return lengths / crossed.shape[1 - axis] / size
 
 
 def _contrasts(textures: tuple[Texture, ...], shaded: bool) -> Array:
     """Mean squared difference between the radiances of two objects, or of an object and an empty pixel, the last entry;
     shaded: either may be dark.
     """
-    some = [texture.radiance[::EACH, ::EACH] for texture in textures]
-    mean = np.array([*(float(image.mean()) for image in some), 0.0])
-    square = np.array([*(float(np.square(image).mean()) for image in some), 0.0])
-    found = square[:, None] + square - 2.0 * mean[:, None] * mean
-    return np.asarray(np.maximum(found, np.maximum(square[:, None], square)) if shaded else found)
+    images = [texture.radiance[::STRIDE, ::STRIDE] for texture in textures]
+    mean = np.array([*(float(image.mean()) for image in images), 0.0])
+    square = np.array([*(float(np.square(image).mean()) for image in images), 0.0])
+    contrasts = square[:, None] + square - 2.0 * mean[:, None] * mean
+    return np.asarray(np.maximum(contrasts, np.maximum(square[:, None], square)) if shaded else contrasts)
 
 
 def _power(texture: Texture) -> tuple[Array, Array]:
@@ -416,10 +415,10 @@ def _along(image: NDArray[np.float32]) -> Array:
     rows, columns, _ = image.shape
     side, lines = min(SIDE, columns), min(LINES, rows)
     starts, firsts = (np.linspace(0, end, lines).astype(np.intp).tolist() for end in (columns - side, rows - 1))
-    taken = np.stack([image[row, at : at + side] for row, at in zip(firsts, starts, strict=True)])
+    segments = np.stack([image[row, at : at + side] for row, at in zip(firsts, starts, strict=True)])
     window = np.sin(np.pi * (np.arange(side) + 0.5) / side) ** 2
-    spectrum = np.fft.rfft((taken - taken.mean(axis=1, keepdims=True)) * window[:, None], axis=1)
+    spectrum = np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * window[:, None], axis=1)
     power = 2.0 * np.mean(np.abs(spectrum) ** 2, axis=(0, 2))[1:] / side / (window**2).sum()
-    found = np.zeros(FREQUENCIES.size)
-    np.add.at(found, np.minimum((np.arange(1, power.size + 1) * SIDE // side), SIDE // 2) - 1, power)
-    return found
+    binned = np.zeros(FREQUENCIES.size)
+    np.add.at(binned, np.minimum((np.arange(1, power.size + 1) * SIDE // side), SIDE // 2) - 1, power)
+    return binned

@@ -47,40 +47,40 @@ from clsco.scene.model import Scene
 
 Sizes = dict[str, int]
 TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
-BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
-SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
-PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
+BANDS_PER_CORE = 4  # bands that `gather` processes at a time, if each needs its own memory
+SUMS_BEYOND = 64  # sums of `convolve` beyond the last row, which its vectors read and discard
+PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB; least distance of a row's length from a multiple of it
 ITEM_BYTES, CHORD_BYTES = 32, 8  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
 STATISTICS = STATISTIC_OUTSIDE + 1  # ints, of a frame
-# Buffers that passes share; the others are owned by what works with them.
+# Buffers that passes share; each of the others belongs to one pass.
 SHARED = (
     "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
     "sub_depth", "share", "sharper",
 )  # fmt: skip
-# Outputs that are 0 where nothing moves and there is one view.
-OF_MOTION = ("flow", "hidden")
-# Outputs that a rolling shutter has from those that rays give.
-OF_LINES = ("flow", "disparity", "occluded", "flow_backward", "flow_occluded")
+# Outputs that are 0 if nothing moves and there is one view.
+MOTION_OUTPUTS = ("flow", "hidden")
+# Outputs that the host computes from depth and objects for a rolling shutter.
+LINE_OUTPUTS = ("flow", "disparity", "occluded", "flow_backward", "flow_occluded")
 
 
-def ray_truth(scene: Scene, wanted: Collection[str], is_forward: bool) -> tuple[str, ...]:
-    """Outputs that rays must compute so that the host can derive the `wanted` ones.
+def ray_truth(scene: Scene, names: Collection[str], is_forward: bool) -> tuple[str, ...]:
+    """Outputs that rays must compute so that the host can derive `names`.
 
     is_forward: True if a forward warp makes the focused image.
     """
-    asked = {*wanted}
-    if asked and any(item.is_background for item in scene.objects):
-        asked.add("object_id")
+    outputs = {*names}
+    if outputs and any(item.is_background for item in scene.objects):
+        outputs.add("object_id")
     if is_forward:
-        asked.discard("sharp")
+        outputs.discard("sharp")
     if not (scene.moves or scene.stereo):
-        asked -= {*OF_MOTION}
-    if scene.rolls and asked & {*OF_LINES}:
-        asked = (asked - {*OF_LINES}) | {"depth", "object_id"}
-    return tuple(name for name in RAY_OUTPUTS if name in asked)
+        outputs -= {*MOTION_OUTPUTS}
+    if scene.rolls and outputs & {*LINE_OUTPUTS}:
+        outputs = (outputs - {*LINE_OUTPUTS}) | {"depth", "object_id"}
+    return tuple(name for name in RAY_OUTPUTS if name in outputs)
 
 
 def bands_at_a_time(rows: int, cores: int) -> int:
@@ -368,7 +368,7 @@ def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Siz
 
 
 def bend_buffers(scene: Scene, pixels: int) -> Sizes:
-    """Planes of the lens's effect on rays (kernels/trace/bend.cl), for all pixels of frame and apron."""
+    """Planes of the lens's effect on rays (kernels/trace/bend.cl), for all pixels of frame and guard band."""
     curved = curvature_of(scene)
     distorts = bool(curved & CURVED_IMAGE)
     floats = 2 * bool(curved & (CURVED_FIELD | CURVED_SPHERE)) + 6 * distorts
@@ -389,8 +389,8 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> 
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
     """The textures of a scene with a resolution, without duplicates; alpha: the background's texture has coverage 0."""
     columns, rows = scene.camera.resolution or (0, 0)
-    seen = [item for item in scene.objects if item.mapped is None]
-    count = len({(item.inputs()["texture"], alpha and item.is_background) for item in seen})
+    unmapped = [item for item in scene.objects if item.mapped is None]
+    count = len({(item.inputs()["texture"], alpha and item.is_background) for item in unmapped})
     size = 4 * channels * count * rows * columns
     mapped = dict.fromkeys(item.textures() for item in scene.objects if item.mapped is not None)
     size += sum(4 * mipmap_floats(*mapped_size(names), channels, len(names)) for names in mapped)
@@ -419,5 +419,5 @@ def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:
     """Ground truth of one strip by rays, including the mask; allocated only while it is computed."""
-    pixels, made = grid.rows * grid.columns, (OUTPUTS[name] for name in ("mask", *names))
-    return {each.name: np.dtype(each.dtype).itemsize * (each.components or grid.channels) * pixels for each in made}
+    pixels, outputs = grid.rows * grid.columns, (OUTPUTS[name] for name in ("mask", *names))
+    return {out.name: np.dtype(out.dtype).itemsize * (out.components or grid.channels) * pixels for out in outputs}

@@ -13,12 +13,12 @@ COLORS = ("red", "green", "blue")
 JOINED: Parameters = (("colors", "each blurred by itself"),)
 
 
-def color_passes(each: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
+def color_passes(passes: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
     """The passes that blur each color separately, and copy it to its channel of the joined plane.
 
     Parameters
     ----------
-    each : sequence of iterable of Pass
+    passes : sequence of iterable of Pass
         Passes of red, green and blue light, each up to the blurred plane.
     grid : Grid
         With the channels of the joined plane.
@@ -28,9 +28,9 @@ def color_passes(each: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
     Pass
     """
     sizes = {"colors": 4 * grid.channels * grid.rows * grid.columns}
-    for color, (name, steps) in enumerate(zip(COLORS, each, strict=True)):
+    for color, (name, steps) in enumerate(zip(COLORS, passes, strict=True)):
         for step in steps:
-            own = {of if of in SHARED else f"{name} {of}": size for of, size in step.buffers.items()}
-            yield replace(step, buffers=own, color=color)
-        taken, last = ("plane", "colors") if color else ("plane",), name == COLORS[-1]
-        yield Pass("join colors", JOINED, sizes, taken, ("plane" if last else "colors",), color=color)
+            buffers = {key if key in SHARED else f"{name} {key}": size for key, size in step.buffers.items()}
+            yield replace(step, buffers=buffers, color=color)
+        inputs, last = ("plane", "colors") if color else ("plane",), name == COLORS[-1]
+        yield Pass("join colors", JOINED, sizes, inputs, ("plane" if last else "colors",), color=color)

@@ -23,16 +23,16 @@ from clsco.plan.predict import (
     Maps,
     Prediction,
     constant_blur,
-    displaced,
     fills_view,
     is_forward,
     is_static_map,
+    shifts_view,
 )
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
-UNEVEN = 0.25  # of the way of an object: how far it may be beyond the poses that were predicted
-MOST_NAMED = 3  # objects, with the time samples that they need
+UNEVEN = 0.25  # share of its path by which an object may leave the sampled poses
+MOST_NAMED = 3  # objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
@@ -127,44 +127,44 @@ class Choices:
 
 def choose(
     scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, device: DeviceFacts,
-    seen: Prediction,
+    prediction: Prediction,
 ) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
     """All decisions for a view of a scene, its occlusion groups, and the predicted extents that these are valid for.
     Raises SceneError for an unusable method.
     """
     warp = choose_warp(scene, eye)
     rays = choose_rays(scene, warp.value)
-    silhouettes = choose_silhouettes(scene, psf, rays.value, seen)
-    sharp, constant = psf.is_sharp(seen.largest) and silhouettes.left_out, constant_blur(scene)
-    occlusion, groups, extents = choose_occlusion(scene, psf, rays.value, seen)
-    alike = constant and silhouettes.left_out and can_convolve(psf, scene.psf.border)
+    silhouettes = choose_silhouettes(scene, psf, rays.value, prediction)
+    sharp, one_radius = psf.is_sharp(prediction.largest) and silhouettes.left_out, constant_blur(scene)
+    occlusion, groups, extents = choose_occlusion(scene, psf, rays.value, prediction)
+    one_stencil = one_radius and silhouettes.left_out and can_convolve(psf, scene.psf.border)
     occluded = occlusion.value == "visibility" or bool(psf.rims) or psf.stretched > 0.0
-    few_taps = has_few_taps(device, seen.largest, channels)
-    blur = choose_blur(request.method, sharp, alike, device.kind == "gpu", occluded, few_taps)
+    few_taps = has_few_taps(device, prediction.largest, channels)
+    blur = choose_blur(request.method, sharp, one_stencil, device.kind == "gpu", occluded, few_taps)
     if blur.left_out:
-        aperture = OPENING_KEYS if seen.largest <= 0.5 else ()  # where any keeps all light in its pixel
-        why = f"in focus: R up to {seen.largest:.3g} px stays within its pixel"
+        aperture = OPENING_KEYS if prediction.largest <= 0.5 else ()  # any aperture keeps all light in its pixel
+        why = f"in focus: R up to {prediction.largest:.3g} px stays within its pixel"
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(scene)
-    truth, others = choose_truth(scene, request.truth, request.color)
+    truth, other_outputs = choose_truth(scene, request.truth, request.color)
     spread = rays.value and occlusion.value != "layered" and blur.value in MANY_RADII
     choices = Choices(
         image=choose_image(request.color),
-        motion=choose_samples(scene, psf, rays.value, maps, seen.guard),
+        motion=choose_samples(scene, psf, rays.value, maps, prediction.guard),
         trace=rays,
         texture_sampling=choose_texture_sampling(scene, eye, warp.value),
         reproject=warp,
         fill=choose_fill(scene, warp.value),
         silhouettes=silhouettes,
-        tilt=choose_tilt(scene, constant, blur.value),
+        tilt=choose_tilt(scene, one_radius, blur.value),
         blur=blur,
         renormalize=renormalize,
         guard_band=guard_band,
         color=Choice(True) if channels > 1 else Choice(False, "gray texture: one channel"),
         occlusion=occlusion,
         ground_truth=truth,
-        still_sources=choose_still_sources(scene, spread, request.truth, seen, groups),
-        other_outputs=others,
+        still_sources=choose_still_sources(scene, spread, request.truth, prediction, groups),
+        other_outputs=other_outputs,
     )
     return choices, groups, extents
 
@@ -181,22 +181,22 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
     from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
 
     if scene.sequence.samples == "auto":
-        # Without visibility tests what is behind is hidden by outlines as sharp as that is; and radii are of one lens.
+        # Without visibility tests, outlines are as sharp as the surface behind them; radii are those of one lens.
         soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
-        evened = rays and soft and not scene.lens_moves
-        needs = motion_needs(scene, psf, maps, guard, evened)
-        named = [f"{scene.objects[need.number].name} {need}" for need in needs[:MOST_NAMED]]
-        left = [f"{len(needs) - MOST_NAMED} more"] if len(needs) > MOST_NAMED else []
+        gradual = rays and soft and not scene.lens_moves
+        needs = motion_needs(scene, psf, maps, guard, gradual)
+        object_words = [f"{scene.objects[need.number].name} {need}" for need in needs[:MOST_NAMED]]
+        omitted = [f"{len(needs) - MOST_NAMED} more"] if len(needs) > MOST_NAMED else []
         lens = lens_samples(scene, maps)
-        words = ([f"the lens {lens}"] if lens > 1 else []) + named + left
+        words = ([f"the lens {lens}"] if lens > 1 else []) + object_words + omitted
         why = f"from the motion: {', '.join(words) or 'none is seen'}"
-        found = Choice(max(motion_samples(scene, needs), lens), why)
+        choice = Choice(max(motion_samples(scene, needs), lens), why)
     else:
-        found = Choice(scene.sequence.samples)
-    if (count := subframes_of(scene, found.value)) > MOST_SUBFRAMES:
-        about = "fewer samples, a shorter readout or a longer shutter need fewer"
-        raise SceneError(f"sequence.readout: must give at most {MOST_SUBFRAMES} sub-frames; got {count} ({about})")
-    return found if scene.rolls else replace(found, unused=("sequence.scan",))
+        choice = Choice(scene.sequence.samples)
+    if (count := subframes_of(scene, choice.value)) > MOST_SUBFRAMES:
+        hint = "fewer samples, a shorter readout or a longer shutter need fewer"
+        raise SceneError(f"sequence.readout: must give at most {MOST_SUBFRAMES} sub-frames; got {count} ({hint})")
+    return choice if scene.rolls else replace(choice, unused=("sequence.scan",))
 
 
 def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:
@@ -220,7 +220,7 @@ def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[boo
     key = ("motion.texture_filter",)
     if forward:
         return Choice(False, WHOLE_PIXELS, key)
-    if scene.is_displaced or displaced(scene, eye) or scene.has_mapped_textures or scene.shifts_colors:
+    if scene.is_displaced or shifts_view(scene, eye) or scene.has_mapped_textures or scene.shifts_colors:
         return Choice(True)
     return Choice(False, "nothing moves: every pixel shows its own texel", key if scene.stereo is None else ())
 
@@ -237,7 +237,7 @@ def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
     return Choice(True)
 
 
-def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, seen: Prediction) -> Choice[int]:
+def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, prediction: Prediction) -> Choice[int]:
     """Number of sub-pixel sources per axis; 0 if every source is a pixel."""
     samples, key = scene.psf.silhouette_samples, ("psf.silhouette_samples",)
     if samples == 1:
@@ -246,32 +246,32 @@ def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, seen: Predict
         return Choice(0, "a depth map has whole pixels" if is_static_map(scene) else WHOLE_PIXELS, key)
     if scene.psf.occlusion == "layered" and not hides_nothing(scene):
         return Choice(0, "depth layers have whole pixels", key)
-    if fills_view(scene, seen.nearest) and not needs_detail(scene, psf, seen.largest):
+    if fills_view(scene, prediction.nearest) and not needs_detail(scene, psf, prediction.largest):
         return Choice(0, "no silhouette in sight", key)
     return Choice(samples)
 
 
 def choose_occlusion(
-    scene: Scene, psf: PointSpread, rays: bool, seen: Prediction
+    scene: Scene, psf: PointSpread, rays: bool, prediction: Prediction
 ) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
     """Method of occlusion, the resulting occlusion groups, and the extents of objects that they are valid for, if
     any.
     """
-    together, key = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), ("psf.occlusion",)
-    wanted = scene.psf.occlusion
-    if wanted == "none":
-        return Choice("none", 'occlusion = "none"'), together, ()
+    one_group, key = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), ("psf.occlusion",)
+    method = scene.psf.occlusion
+    if method == "none":
+        return Choice("none", 'occlusion = "none"'), one_group, ()
     if hides_nothing(scene):
-        return Choice("none", "one object", key), together, ()
-    if wanted == "layered" or not rays:
-        return Choice("layered"), together, ()
-    each = zip(scene.objects, zip(*seen.poses, strict=True), seen.w, strict=True)
+        return Choice("none", "one object", key), one_group, ()
+    if method == "layered" or not rays:
+        return Choice("layered"), one_group, ()
+    hits = zip(scene.objects, zip(*prediction.poses, strict=True), prediction.w, strict=True)
     slack = 0.0 if scene.moves_evenly else UNEVEN
-    extents = tuple(extent(item, poses, w, slack) for item, poses, w in each)
-    found = occlusion_groups(scene.objects, extents, widest_camera(scene), psf)
-    if any(group.occluders for group in found):
-        return Choice("visibility"), found, extents
-    return Choice("none", "no object hides another within its blur", key), found, extents
+    extents = tuple(extent(item, poses, w, slack) for item, poses, w in hits)
+    groups = occlusion_groups(scene.objects, extents, widest_camera(scene), psf)
+    if any(group.occluders for group in groups):
+        return Choice("visibility"), groups, extents
+    return Choice("none", "no object hides another within its blur", key), groups, extents
 
 
 def hides_nothing(scene: Scene) -> bool:
@@ -281,13 +281,13 @@ def hides_nothing(scene: Scene) -> bool:
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
 
-def choose_tilt(scene: Scene, constant: bool, blur: Blur) -> Choice[bool]:
+def choose_tilt(scene: Scene, one_radius: bool, blur: Blur) -> Choice[bool]:
     """True if weights depend on the gradient of R."""
     if not scene.psf.tilt:
         return Choice(False, "tilt = false")
     if blur == "none":
         return Choice(False, "everything is in focus", ("psf.tilt",))
-    return Choice(False, "one radius for all pixels", ("psf.tilt",)) if constant else Choice(True)
+    return Choice(False, "one radius for all pixels", ("psf.tilt",)) if one_radius else Choice(True)
 
 
 def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
@@ -299,7 +299,7 @@ def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
 
 
 def choose_still_sources(
-    scene: Scene, spread: bool, asked: tuple[str, ...], seen: Prediction, groups: tuple[OcclusionGroup, ...]
+    scene: Scene, spread: bool, truth: tuple[str, ...], prediction: Prediction, groups: tuple[OcclusionGroup, ...]
 ) -> Choice[bool]:
     """True if sources shared by all time samples are blurred once; spread: True if traced sources have many radii."""
     if not scene.moves:
@@ -314,24 +314,25 @@ def choose_still_sources(
         return Choice(False, "what is near what moves is told by pixels that are evenly apart")
     if scene.lens_moves:
         return Choice(False, "the lens changes")
-    if "subframes" in asked:
+    if "subframes" in truth:
         return Choice(False, "each sub-frame needs all sources")
-    from clsco.optics.still import exposed
+    from clsco.optics.still import split_still
 
-    placed = [[place(item, pose) for item, pose in zip(scene.objects, poses, strict=True)] for poses in seen.poses]
-    found = exposed(scene.objects, placed)
-    return Choice(True) if any(map(found.spares, groups)) else Choice(False, "no source is sure to be still")
+    items = scene.objects
+    placed = [[place(item, pose) for item, pose in zip(items, poses, strict=True)] for poses in prediction.poses]
+    split = split_still(items, placed)
+    return Choice(True) if any(map(split.has_still, groups)) else Choice(False, "no source is sure to be still")
 
 
 def choose_truth(
-    scene: Scene, asked: tuple[str, ...], color: bool = True
+    scene: Scene, names: tuple[str, ...], color: bool = True
 ) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
     """Outputs besides color and alpha that the scene can have; and True if all possible ones, or none, are made."""
     reasons = {group: why for group, can, why in POSSIBLE if not can(scene)}
     impossible = {name: reasons[row.group] for name, row in OUTPUTS.items() if row.group in reasons}
     impossible |= {} if color else dict.fromkeys(SENSOR_NAMES, "no image is made")
-    taken = tuple(name for name in asked if name != "alpha" and name not in impossible)
-    others = [name for name in ALL_TRUTH if name not in taken and name not in impossible]
-    why = "; ".join(dict.fromkeys(impossible[name] for name in asked if name in impossible))
-    given = Choice(taken) if taken else Choice(taken, why or "nobody asked for it")
-    return given, Choice(False, f"nobody asked for {', '.join(others)}") if taken and others else Choice(True)
+    chosen = tuple(name for name in names if name != "alpha" and name not in impossible)
+    omitted = [name for name in ALL_TRUTH if name not in chosen and name not in impossible]
+    why = "; ".join(dict.fromkeys(impossible[name] for name in names if name in impossible))
+    choice = Choice(chosen) if chosen else Choice(chosen, why or "nobody asked for it")
+    return choice, Choice(False, f"nobody asked for {', '.join(omitted)}") if chosen and omitted else Choice(True)

@@ -26,7 +26,7 @@ FROM_R = ("R", "from the inverse depth of every pixel")
 SLOPE = ("gradient", "from differences of R")
 
 
-def named(owner: str, sizes: Sizes) -> Sizes:
+def prefix_names(owner: str, sizes: Sizes) -> Sizes:
     """Buffers of an owner, renamed to be unique in the plan."""
     return {f"{owner} {name}": size for name, size in sizes.items()}
 
@@ -42,10 +42,11 @@ def light_of(spec: BlurSpec) -> str:
 
 def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Parameters = ()) -> Iterator[Pass]:
     """The passes from the output named by `light_of` to the plane; parameters: of the blur, for reports."""
-    blur = named("blur", blur_buffers(spec, grid, device))
+    blur = prefix_names("blur", blur_buffers(spec, grid, device))
     if spec.layered:
-        sizes = named("depth layer", layered_buffers(spec, grid, device)) | blur
-        yield Pass("cluster", CLUSTERED, named("depth layer", cluster_buffers(spec, grid)), ("image",), ("layers",))
+        sizes = prefix_names("depth layer", layered_buffers(spec, grid, device)) | blur
+        clusters = prefix_names("depth layer", cluster_buffers(spec, grid))
+        yield Pass("cluster", CLUSTERED, clusters, ("image",), ("layers",))
         yield Pass("depth layers", parameters, sizes, ("layers",), ("plane", "depth_layers"))
         return
     if spec.method in MANY_RADII:
@@ -66,7 +67,7 @@ class ImagePlan:
     rows, columns, channels : int
         Size of the image, px.
     guard_px : int
-        Width of the apron around the image that contributes light.
+        Width of the guard band around the image that contributes light.
     strip_rows : int
         Rows processed at a time, 0 for all.
     """

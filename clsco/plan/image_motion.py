@@ -14,7 +14,7 @@ The smaller of the two numbers is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from math import ceil, isfinite, sqrt
@@ -29,23 +29,23 @@ from clsco.optics.motion import Pose, poses_at, rest_center
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import image_slopes, slopes_at
-from clsco.plan.predict import Maps, seen_depths, seen_slopes
+from clsco.plan.predict import Maps, grid_slopes, predict_depths
 from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
-PIXELS_PER_SAMPLE = 1.0  # of the fastest motion of what is in focus: 2 lose 5 to 9 dB, fewer gain little
+PIXELS_PER_SAMPLE = 1.0  # of the fastest motion of an object in focus: 2 lose 5 to 9 dB, fewer gain little
 EDGE_ERROR = 5e-4  # of white, where an edge of contrast 1 passes
 MOST_SAMPLES = 4095
-LENS_TIMES = 65  # of an exposure, at which changes of the lens are looked at
+LENS_TIMES = 65  # of an exposure, at which the lens is evaluated
 LINE_SAMPLES = 11  # while a line is exposed
 MOST_SUBFRAMES = 8192  # of a frame
-RAYS = 17  # along each axis of what is visible of an object
-LOOKS = 5  # times of an exposure at which rays look for an object
-FIRST_STEPS, MOST_STEPS = 32, 512  # of an exposure, at whose ends a path is known
+RAYS = 17  # along each axis of the visible part of an object
+LOOKS = 5  # times of an exposure at which rays are cast at an object
+FIRST_STEPS, MOST_STEPS = 32, 512  # of an exposure, at whose ends a path is evaluated
 SETTLED = 1.05, 0.25  # a path grows by this factor and px at most when it has twice as many steps
-UNEVEN = 0.5  # of a step: what turns or swings in step with even times would seem to rest
-NEAREST = 1e-3  # mm; what is nearer to the lens is not visible
-BETWEEN = 0.95  # of the smallest |R| of rays may be what is between them
+UNEVEN = 0.5  # of a step: an object that rotates or oscillates in phase with even times would seem to rest
+NEAREST = 1e-3  # mm: points nearer to the lens are not visible
+BETWEEN = 0.95  # of the smallest |R| at rays: a lower bound between them
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +58,18 @@ class ImagePath:
         From 0, when the shutter opens, to 1.
     places : ndarray of float64, (n, 3, points)
         x and y in px from the middle of the image, and inverse depth in 1/mm.
-    seen : ndarray of bool, (n - 1, points)
+    visible : ndarray of bool, (n - 1, points)
         True for steps that touch the frame or its guard band.
     """
 
     times: Array
     places: Array
-    seen: NDArray[np.bool_]
+    visible: NDArray[np.bool_]
 
     @cached_property
     def steps(self) -> Array:
         """Displacement in each step along x and y (n - 1, 2, points), px; 0 if not visible."""
-        return np.asarray(np.diff(self.places[:, :2], axis=0) * self.seen[:, None])
+        return np.asarray(np.diff(self.places[:, :2], axis=0) * self.visible[:, None])
 
     @property
     def longest(self) -> float:
@@ -95,14 +95,14 @@ class ImagePath:
         focus of a color.
         """
         ends = np.zeros((len(self.times), self.places.shape[2]), dtype=np.bool_)
-        ends[1:] |= self.seen
-        ends[:-1] |= self.seen
+        ends[1:] |= self.visible
+        ends[:-1] |= self.visible
         x, y, w = (self.places[:, k][ends] for k in range(3))
         slopes = slopes_at(reference_camera(scene), x, y)
         radii = [lens.image_radius(w, *slopes) for lens in lenses_at(scene, 0.0)]
-        if not w.size or any(found.min() * found.max() <= 0.0 for found in radii):
+        if not w.size or any(signed.min() * signed.max() <= 0.0 for signed in radii):
             return 0.0
-        return BETWEEN * min(float(np.abs(found).min()) for found in radii)
+        return BETWEEN * min(float(np.abs(signed).min()) for signed in radii)
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,12 @@ class Need:
     samples: float
 
     def __str__(self) -> str:
-        wide = self.samples < self.speed / PIXELS_PER_SAMPLE
-        return f"{ceil(self.samples)} ({self.speed:.3g} px{f', R from {self.radius:.3g} px' if wide else ''})"
+        by_radius = self.samples < self.speed / PIXELS_PER_SAMPLE
+        return f"{ceil(self.samples)} ({self.speed:.3g} px{f', R from {self.radius:.3g} px' if by_radius else ''})"
 
 
 def motion_needs(
-    scene: Scene, psf: PointSpread, maps: Maps | None = None, guard: int = 0, evened: bool = True
+    scene: Scene, psf: PointSpread, maps: Maps | None = None, guard: int = 0, gradual: bool = True
 ) -> list[Need]:
     """Time samples per exposure of a line that the motion of each object needs, most demanding first.
 
@@ -143,7 +143,7 @@ def motion_needs(
         As for `clsco.plan.plan.make_plan`.
     guard : int
         Width in px of the guard band.
-    evened : bool
+    gradual : bool
         True if an object's outline is blurred as the object: points that it hides then appear gradually.
 
     Returns
@@ -151,30 +151,30 @@ def motion_needs(
     list of Need
         Objects with visible motion.
     """
-    evened = evened and scene.sequence.sampling == "midpoint" and not scene.lens_moves
-    maps = None if maps is None or all(each is None for each in maps) else maps
-    return list(_kept_needs(scene, psf, guard, evened) if maps is None else _needs(scene, psf, maps, guard, evened))
+    gradual = gradual and scene.sequence.sampling == "midpoint" and not scene.lens_moves
+    maps = None if maps is None or all(depth is None for depth in maps) else maps
+    return list(_cached_needs(scene, psf, guard, gradual) if maps is None else _needs(scene, psf, maps, guard, gradual))
 
 
 @lru_cache(maxsize=32)
-def _kept_needs(scene: Scene, psf: PointSpread, guard: int, evened: bool) -> tuple[Need, ...]:
+def _cached_needs(scene: Scene, psf: PointSpread, guard: int, gradual: bool) -> tuple[Need, ...]:
     """`motion_needs` of a scene without depth maps, cached because frames are often requested one by one."""
-    return _needs(scene, psf, (None,) * len(scene.objects), guard, evened)
+    return _needs(scene, psf, (None,) * len(scene.objects), guard, gradual)
 
 
-def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, evened: bool) -> tuple[Need, ...]:
+def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool) -> tuple[Need, ...]:
     line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # part of all exposures
-    found = dict[int, Need]()
-    for frame in some_frames(scene):
+    needs = dict[int, Need]()
+    for frame in sampled_frames(scene):
         for number, path in enumerate(image_paths(scene, maps, frame, guard)):
             speed = line * path.speed
-            radius = path.radius(scene) if evened and maps[number] is None else 0.0
+            radius = path.radius(scene) if gradual and maps[number] is None else 0.0
             samples = speed / PIXELS_PER_SAMPLE
             if radius > 0.0:
                 samples = min(samples, sqrt(_chord(psf) * line * path.variation / (24.0 * radius * EDGE_ERROR)))
-            if samples > (found[number].samples if number in found else 0.0):
-                found[number] = Need(number, speed, radius, samples)
-    return tuple(sorted(found.values(), key=lambda need: -need.samples))
+            if samples > (needs[number].samples if number in needs else 0.0):
+                needs[number] = Need(number, speed, radius, samples)
+    return tuple(sorted(needs.values(), key=lambda need: -need.samples))
 
 
 @lru_cache(maxsize=16)
@@ -192,12 +192,12 @@ def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
     open for all of these intervals: with LINE_SAMPLES intervals, or with intervals of a tenth of a px of motion, the
     error is small.
     """
-    wanted = ceil(max((need.samples for need in needs), default=1.0))
+    samples = ceil(max((need.samples for need in needs), default=1.0))
     if scene.rolls and lines_overlap(scene):
-        own = max((need.speed for need in needs), default=0.0)
-        wanted = max(wanted, min(ceil(LINE_SAMPLES * own) + 1, LINE_SAMPLES))
+        speed = max((need.speed for need in needs), default=0.0)
+        samples = max(samples, min(ceil(LINE_SAMPLES * speed) + 1, LINE_SAMPLES))
     most = max(MOST_SUBFRAMES // subframes_of(scene, 1), 1)
-    return min(wanted | 1, MOST_SAMPLES, most - 1 | 1)
+    return min(samples | 1, MOST_SAMPLES, most - 1 | 1)
 
 
 def lens_samples(scene: Scene, maps: Maps) -> int:
@@ -206,19 +206,19 @@ def lens_samples(scene: Scene, maps: Maps) -> int:
     """
     if not scene.lens_moves:
         return 1
-    w, way = seen_depths(scene, maps), 0.0
-    x, y = (np.broadcast_to(slope, w.shape)[w > 0] for slope in seen_slopes(scene))
-    for frame in some_frames(scene):
+    w, change = predict_depths(scene, maps), 0.0
+    x, y = (np.broadcast_to(slope, w.shape)[w > 0] for slope in grid_slopes(scene))
+    for frame in sampled_frames(scene):
         times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
         radii = np.array([lens_at(scene, time).image_radius(w[w > 0], x, y) for time in times.tolist()])
         changes = np.abs(np.diff(radii, axis=0))
         changes[np.searchsorted(times, jump_times(scene, frame)) - 1] = 0.0  # jumps have time samples of their own
-        way = max(way, float(changes.sum(axis=0).max(initial=0.0)))
-    own = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)
-    return min(ceil(way * own / PIXELS_PER_SAMPLE) | 1, MOST_SAMPLES)
+        change = max(change, float(changes.sum(axis=0).max(initial=0.0)))
+    line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)
+    return min(ceil(change * line / PIXELS_PER_SAMPLE) | 1, MOST_SAMPLES)
 
 
-def some_frames(scene: Scene) -> list[int]:
+def sampled_frames(scene: Scene) -> list[int]:
     """Numbers of the first, the middle and the last frame."""
     return sorted({0, scene.sequence.frames // 2, scene.sequence.frames - 1})
 
@@ -252,29 +252,26 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
         times = [opens + share * (closes - opens) for share in _times(steps).tolist()]
         return [(camera_at(scene, time), poses_at(scene, time)) for time in times]
 
-    def path(number: int, item: Object) -> ImagePath:
+    def find_path(number: int, item: Object) -> ImagePath:
         first = [(camera, poses[number]) for camera, poses in views(FIRST_STEPS)]
-        looks = [first[k] for k in np.linspace(0, FIRST_STEPS, LOOKS).astype(np.intp).tolist()]
-        if not scene.zooms and all(map(_same(first[0][1]), [pose for _, pose in first[1:]])):
+        sampled = [first[k] for k in np.linspace(0, FIRST_STEPS, LOOKS).astype(np.intp).tolist()]
+        rest = first[0][1]
+        still = (np.array_equal(p.rotation, rest.rotation) and np.array_equal(p.shift, rest.shift) for _, p in first)
+        if not scene.zooms and all(still):
             body = np.empty((3, 0))
         else:
-            body = np.concatenate([_body_points(camera, item, pose, maps[number]) for camera, pose in looks], axis=1)
+            body = np.concatenate([_body_points(camera, item, pose, maps[number]) for camera, pose in sampled], axis=1)
         steps = FIRST_STEPS
         while True:
-            found = _followed(item, body, [(camera, poses[number]) for camera, poses in views(steps)], guard)
-            found.seen[np.searchsorted(found.times, jumps) - 1] = False  # no way, and no time sample is across a jump
-            longest = found.longest
-            coarse = ImagePath(found.times[::2], found.places[::2], found.seen[::2] | found.seen[1::2]).longest
+            path = _follow(item, body, [(camera, poses[number]) for camera, poses in views(steps)], guard)
+            path.visible[np.searchsorted(path.times, jumps) - 1] = False  # jumps are no motion: time samples end there
+            longest = path.longest
+            coarse = ImagePath(path.times[::2], path.places[::2], path.visible[::2] | path.visible[1::2]).longest
             if longest <= SETTLED[0] * coarse + SETTLED[1] or steps >= MOST_STEPS:
-                return found
+                return path
             steps *= 2
 
-    return [path(number, item) for number, item in enumerate(scene.objects)]
-
-
-def _same(pose: Pose) -> Callable[[Pose], bool]:
-    """Test whether another pose is identical."""
-    return lambda other: np.array_equal(pose.rotation, other.rotation) and np.array_equal(pose.shift, other.shift)
+    return [find_path(number, item) for number, item in enumerate(scene.objects)]
 
 
 def _times(steps: int) -> Array:
@@ -293,11 +290,11 @@ def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) 
     half = float(x.max()), float(y.max())
     if depth is not None:
         x, y = _slopes(((-half[0], half[0]), (-half[1], half[1])))
-        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # as if all of it were near
+        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # treats all of it as near
         middle = np.empty((3, 0))
     else:
         surface = place(item, pose)
-        ends = (surface.seen.x, surface.seen.y)
+        ends = (surface.extent.x, surface.extent.y)
         x, y = _slopes([(max(-size, low), min(size, high)) for size, (low, high) in zip(half, ends, strict=True)])
         w = predict_inverse_depth(item, surface, x, y)
         middle = surface.ball[:3, None] if isfinite(surface.ball[3]) else np.empty((3, 0))
@@ -308,15 +305,13 @@ def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) 
 
 
 def _slopes(ends: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """Slopes along x and y (RAYS, RAYS) of rays between two ends on each axis; empty if there is nothing between
-    them.
-    """
+    """Slopes along x and y (RAYS, RAYS) of rays between two ends on each axis; empty if the ends are reversed."""
     counts = [RAYS if low <= high else 0 for low, high in ends]
-    x, y = np.meshgrid(*(np.linspace(*both, count) for both, count in zip(ends, counts, strict=True)))
+    x, y = np.meshgrid(*(np.linspace(*bounds, count) for bounds, count in zip(ends, counts, strict=True)))
     return x, y
 
 
-def _followed(item: Object, body: Array, views: Sequence[tuple[Camera, Pose]], guard: int) -> ImagePath:
+def _follow(item: Object, body: Array, views: Sequence[tuple[Camera, Pose]], guard: int) -> ImagePath:
     """Path of points `body` (3, points) of an object through consecutive pairs of camera and pose."""
     turns, shifts = (np.stack([getattr(pose, name) for _, pose in views]) for name in ("rotation", "shift"))
     camera, steps = views[0][0], np.array([ray_step(camera) for camera, _ in views])[:, None, None]
@@ -325,6 +320,6 @@ def _followed(item: Object, body: Array, views: Sequence[tuple[Camera, Pose]], g
     xy = np.stack(image_slopes(camera, points[:, 0] / ahead[:, 0], points[:, 1] / ahead[:, 0]), axis=1) / steps
     size = 0.5 * (np.array(camera.frame_size)[:, None] - 1.0) + guard
     near, far = np.minimum(xy[1:], xy[:-1]), np.maximum(xy[1:], xy[:-1])
-    visible = points[:, 2] > NEAREST
-    seen = ((near <= size) & (far >= -size)).all(axis=1) & visible[1:] & visible[:-1]
-    return ImagePath(_times(len(views) - 1), np.concatenate([xy, 1.0 / ahead], axis=1), seen)
+    ahead_of_lens = points[:, 2] > NEAREST
+    visible = ((near <= size) & (far >= -size)).all(axis=1) & ahead_of_lens[1:] & ahead_of_lens[:-1]
+    return ImagePath(_times(len(views) - 1), np.concatenate([xy, 1.0 / ahead], axis=1), visible)

@@ -17,9 +17,9 @@ from clsco.constants import (
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.lens_path import widest_camera
-from clsco.optics.visibility import apart
+from clsco.optics.visibility import separate_groups
 from clsco.plan.choice import Choice
-from clsco.plan.memory import Limit, fitted
+from clsco.plan.memory import Limit, fit_strips
 from clsco.plan.methods import choose_blur
 from clsco.plan.plan import Plan
 from clsco.plan.predict import guard_band
@@ -28,7 +28,7 @@ SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differentl
 
 
 @dataclass(frozen=True)
-class Met:
+class SourceStatistics:
     """Statistics of a frame's sources, measured on the device.
 
     Attributes
@@ -48,24 +48,24 @@ class Met:
     outside: bool = False
 
     @classmethod
-    def of(cls, statistics: NDArray[np.int32]) -> Self:
+    def parse(cls, values: NDArray[np.int32]) -> Self:
         """Read the statistics of a frame, as kernels write them."""
-        radii = statistics.view(np.float32)
+        radii = values.view(np.float32)
         return cls(
             float(radii[STATISTIC_SMALLEST]),
             float(radii[STATISTIC_LARGEST]),
-            bool(statistics[STATISTIC_BEYOND]),
-            bool(statistics[STATISTIC_OUTSIDE]),
+            bool(values[STATISTIC_BEYOND]),
+            bool(values[STATISTIC_OUTSIDE]),
         )
 
 
-def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
+def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan | None:
     """A plan with room for the measured statistics; None if the present one is large enough.
 
     Parameters
     ----------
     plan : Plan
-    met : Met
+    statistics : SourceStatistics
     limit : Limit
         Limit for the larger plan.
 
@@ -78,16 +78,17 @@ def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
     SceneError
         The blur radius exceeds LARGEST_BLUR, or the memory limit is too small.
     """
-    fits = met.largest <= plan.largest_blur * SLACK + 1e-6 and met.smallest >= plan.smallest_blur / SLACK - 1e-6
-    if met.largest == 0.0 or (fits and not met.beyond and not met.outside):
+    smallest, largest = statistics.smallest, statistics.largest
+    fits = largest <= plan.largest_blur * SLACK + 1e-6 and smallest >= plan.smallest_blur / SLACK - 1e-6
+    if largest == 0.0 or (fits and not statistics.beyond and not statistics.outside):
         return None
-    if met.outside:
+    if statistics.outside:
         plan = replace(plan, choices=replace(plan.choices, still_sources=Choice(False, "a still source was not")))
-    wider = _for_any_place(plan) if met.beyond else plan
+    wider = _for_any_place(plan) if statistics.beyond else plan
     if fits:
-        return fitted(wider, limit) if met.beyond else wider
-    smallest, largest = min(met.smallest / SLACK, plan.smallest_blur), max(met.largest * SLACK, plan.largest_blur)
-    return fitted(widened(wider, smallest, largest), limit)
+        return fit_strips(wider, limit) if statistics.beyond else wider
+    smallest, largest = min(smallest / SLACK, plan.smallest_blur), max(largest * SLACK, plan.largest_blur)
+    return fit_strips(widen_plan(wider, smallest, largest), limit)
 
 
 def _for_any_place(plan: Plan) -> Plan:
@@ -95,13 +96,14 @@ def _for_any_place(plan: Plan) -> Plan:
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
     if plan.blur == "tiles":
         choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))
-    return replace(plan, groups=apart(scene.objects, widest_camera(scene), plan.psf), extents=(), choices=choices)
+    groups = separate_groups(scene.objects, widest_camera(scene), plan.psf)
+    return replace(plan, groups=groups, extents=(), choices=choices)
 
 
-def widened(plan: Plan, smallest: float, largest: float) -> Plan:
+def widen_plan(plan: Plan, smallest: float, largest: float) -> Plan:
     """The plan for a wider range of |R| in px than predicted. Raises SceneError beyond LARGEST_BLUR."""
     if largest > LARGEST_BLUR:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))
-    psf, spreads = plan.psf.of_side(0), tuple(each.of_side(0) for each in plan.spreads)
+    psf, spreads = plan.psf.of_side(0), tuple(spread.of_side(0) for spread in plan.spreads)
     return replace(plan, psf=psf, spreads=spreads, smallest_blur=smallest, largest_blur=largest, guard_px=guard)

@@ -25,13 +25,13 @@ _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
 class Limit:
     """Memory limit for a frame's buffers, in bytes.
 
-    total: of all buffers together; buffer: of each buffer; given: True if set by the user, so that exceeding it is an
-    error; views: number of views that share `total` on the device, 2 for a stereo pair.
+    total: of all buffers together; buffer: of each buffer; set_by_user: True if exceeding it is an error; views: number
+    of views that share `total` on the device, 2 for a stereo pair.
     """
 
     total: int
     buffer: int
-    given: bool
+    set_by_user: bool
     views: int = 1
 
 
@@ -39,11 +39,11 @@ def parse_size(size: str | int, name: str = "memory") -> int:
     """Bytes from a size like 1.5GiB, 800MB or 100000. Raises SceneError for anything else; name: for the message."""
     match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,15})?)\s*([a-z]{0,3})\s*", str(size).lower(), re.ASCII)
     bytes_of_unit = _UNITS.get(match[2]) if match else None
-    of_text = int(float(match[1]) * bytes_of_unit) if match and bytes_of_unit else 0
-    found = size if isinstance(size, int) else of_text
-    if found < 1:
+    parsed = int(float(match[1]) * bytes_of_unit) if match and bytes_of_unit else 0
+    count = size if isinstance(size, int) else parsed
+    if count < 1:
         raise SceneError(f"{name}: must be a size greater than 0, like 1.5GiB or 800MB; got {size}")
-    return found
+    return count
 
 
 def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Limit:
@@ -51,12 +51,12 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
 
     memory: as for `parse_size`, or None; device: by default the processor. Raises SceneError as `parse_size`.
     """
-    known = device or ThisMachine()
-    total = min(known.global_mem, machine_bytes(free=True)) if known.unified_memory else known.global_mem
+    facts = device or ThisMachine()
+    total = min(facts.global_mem, machine_bytes(free=True)) if facts.unified_memory else facts.global_mem
     total = total if total == UNKNOWN else total // 2
     if memory is not None:
         total = parse_size(memory)
-    return Limit(total, known.max_alloc, memory is not None)
+    return Limit(total, facts.max_alloc, memory is not None)
 
 
 def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
@@ -65,8 +65,8 @@ def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
     Buffers "truth ..." exist only while ground truth is computed.
     """
     sizes: Sizes = {}
-    for each in plan.passes:
-        sizes |= each.buffers
+    for step in plan.passes:
+        sizes |= step.buffers
     return sizes
 
 
@@ -93,38 +93,38 @@ def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
     return _sum(sizes, limit.views) <= limit.total and max(sizes.values(), default=0) <= limit.buffer
 
 
-def fitted(plan: P, limit: Limit) -> P:
+def fit_strips(plan: P, limit: Limit) -> P:
     """The plan with the fewest strips within the limit, ideally the whole frame. Raises as `rows_that_fit`."""
-    known = {plan.strip_rows: plan}  # a plan knows its passes, which take a while to lay out
+    plans = {plan.strip_rows: plan}  # passes are costly to list, and each plan caches its own
 
     def in_strips(rows: int) -> P:
-        if rows not in known:
-            known[rows] = replace(plan, strip_rows=rows)
-        return known[rows]
+        if rows not in plans:
+            plans[rows] = replace(plan, strip_rows=rows)
+        return plans[rows]
 
     return in_strips(rows_that_fit(plan.rows, limit, lambda rows: buffer_bytes(in_strips(rows)), plan.forward))
 
 
-def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], whole: bool = False) -> int:
+def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], one_strip: bool = False) -> int:
     """Rows of the tallest strips that fit within the limit: all rows, or a multiple of BAND.
 
-    rows: of the frame; sizes: returns the buffers for strips of a given height; whole: True for a forward warp, which
+    rows: of the frame; sizes: returns the buffers for strips of a height; one_strip: True for a forward warp, which
     needs the whole frame. If nothing fits, it raises SceneError for a limit set by the user; otherwise it returns the
     smallest strips, or the whole frame.
     """
 
     if fits(sizes(rows), limit):
         return rows
-    least = rows if whole else min(BAND, rows)
-    if not whole and fits(sizes(least), limit):
+    least = rows if one_strip else min(BAND, rows)
+    if not one_strip and fits(sizes(least), limit):
         few, many = 1, (rows - 1) // BAND
         while few < many:
             middle = (few + many + 1) // 2
             few, many = (middle, many) if fits(sizes(middle * BAND), limit) else (few, middle - 1)
         return few * BAND
     needed = _sum(sizes(least), limit.views)
-    if limit.given and needed > limit.total:
-        why = "as the forward warp needs the whole frame" if whole else f"in strips of {least} rows"
-        least_mib, got = ceil(needed / 2**20), f"{limit.total / 2**20:.4g} MiB"
-        raise SceneError(f"memory: must be at least {least_mib} MiB for this frame, {why}; got {got}")
+    if limit.set_by_user and needed > limit.total:
+        why = "as the forward warp needs the whole frame" if one_strip else f"in strips of {least} rows"
+        least_mib, limit_mib = ceil(needed / 2**20), f"{limit.total / 2**20:.4g} MiB"
+        raise SceneError(f"memory: must be at least {least_mib} MiB for this frame, {why}; got {limit_mib}")
     return least

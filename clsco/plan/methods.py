@@ -116,9 +116,9 @@ def occluder_room(occluders: int) -> int:
 
 def check_method(method: str) -> None:
     """Raise SceneError for an unknown blur method."""
-    known = ("auto", *MANY_RADII, "convolve")
-    if method not in known:
-        raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
+    names = ("auto", *MANY_RADII, "convolve")
+    if method not in names:
+        raise SceneError(f"method: must be one of {', '.join(names)}; got {method}")
 
 
 def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
@@ -129,7 +129,7 @@ def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
 
 
 def choose_blur(
-    method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool = False, few_taps: bool = False
+    method: str, sharp: bool, one_stencil: bool, gpu: bool, occluded: bool = False, few_taps: bool = False
 ) -> Choice[Blur]:
     """Method of computing a blur.
 
@@ -139,7 +139,7 @@ def choose_blur(
         "auto", one of MANY_RADII, or "convolve".
     sharp : bool
         True if all light stays in its pixel (`is_sharp`).
-    constant : bool
+    one_stencil : bool
         True if all pixels have one radius, and `can_convolve`.
     gpu : bool
         True if the device is a GPU.
@@ -160,18 +160,18 @@ def choose_blur(
     check_method(method)
     if method == "gather" and gpu:
         raise SceneError("method: gather needs a processor, as its kernels are made for one; got a graphics card")
-    if method == "convolve" and not constant:
+    if method == "convolve" and not one_stencil:
         raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
     if method == "tiles" and occluded:
         rule = "needs sources with nothing in their way"
         raise SceneError(f"method: tiles {rule}; got objects that hide each other, rims of the lens, or ellipses")
-    found: Blur = "convolve" if constant else "tiles" if gpu else "gather"
+    blur: Blur = "convolve" if one_stencil else "tiles" if gpu else "gather"
     if method in MANY_RADII:
-        found = method
+        blur = method
     elif sharp:
-        found = "none"
-    elif found == "tiles" and occluded:
+        blur = "none"
+    elif blur == "tiles" and occluded:
         return Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
-    elif found == "tiles" and few_taps:
+    elif blur == "tiles" and few_taps:
         return Choice("scatter", f"{HOW['scatter']}, as taps are few")
-    return Choice(found, HOW[found])
+    return Choice(blur, HOW[blur])

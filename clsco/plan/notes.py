@@ -20,10 +20,10 @@ from clsco.optics.rays import slopes_at
 from clsco.plan.plan import Plan
 from clsco.scene.model import Camera, Object, Rectangle, Scene
 
-CLOSE = 0.02  # share by which sizes may differ from those of textbooks without a word
-LOOKS = 65  # rays per axis of a look at the frame, or at the place of an object that these miss
-FEW_FRAMES, MOST_FRAMES = 5, 64  # that are looked at: of all scenes, and where something was not found in these
-RIM = np.exp(0.25j * np.pi * np.arange(8))  # places of the lens, from which something may be seen past what is near
+CLOSE = 0.02  # share by which sizes may differ from those of textbooks without a note
+RAYS = 65  # per axis of the frame, or of the image bounds of an object that these miss
+FEW_FRAMES, MOST_FRAMES = 5, 64  # examined: of all scenes; if these miss an object
+LENS_POINTS = np.exp(0.25j * np.pi * np.arange(8))  # they may see objects that others hide from the lens's middle
 MOST_NAMED = 3
 
 Array = NDArray[np.float64]
@@ -44,14 +44,14 @@ def close_focus_note(camera: Camera) -> str | None:
 class _Sight:
     """Visibility and width of a scene's bodies: objects, with each box as one."""
 
-    seen: dict[Hashable, bool] = field(default_factory=dict)
+    visible: dict[Hashable, bool] = field(default_factory=dict)
     widest: dict[Hashable, float] = field(default_factory=dict)  # of their images, px
     names: dict[Hashable, str] = field(default_factory=dict)
     lit: bool = False
 
     @property
     def missing(self) -> list[Hashable]:
-        return [body for body, seen in self.seen.items() if not seen]
+        return [body for body, visible in self.visible.items() if not visible]
 
 
 def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
@@ -81,32 +81,32 @@ def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
         for frame in np.unique(np.linspace(0, count - 1, most).round().astype(int)).tolist():
             if frame not in dark and (most == FEW_FRAMES or sight.missing):
                 times = np.linspace(*shutter_span(scene.sequence, frame), 3).tolist() if scene.moves else [0.0]
-                looks = [_look(sight, scene, plan, time) for plan in plans for time in times]
+                looks = [_examine(sight, scene, plan, time) for plan in plans for time in times]
                 dark[frame] = not any(looks)
     if sight.missing and scene.psf.occlusion == "visibility":
-        for frame, plan, place in product(dark, plans, 0.9 * RIM):
+        for frame, plan, place in product(dark, plans, 0.9 * LENS_POINTS):
             if sight.missing:
                 middle = sum(shutter_span(scene.sequence, frame)) / 2 if scene.moves else 0.0
-                dark[frame] &= not _look(sight, scene, plan, middle, (place.real, place.imag))
+                dark[frame] &= not _examine(sight, scene, plan, middle, (place.real, place.imag))
     notes = []
     looked = "" if len(dark) == count else f", of {len(dark)} frames that were looked at"
     if sight.missing:
-        names = _listed([sight.names[body] for body in sight.missing])
+        names = _join_first([sight.names[body] for body in sight.missing])
         notes.append(f"objects that are not in sight, beside or behind the picture or hidden: {names}{looked}")
     small = [f"{sight.names[body]} ({width:.2g} px)" for body, width in sight.widest.items() if 0.0 < width < 1.0]
     if small:
-        notes.append(f"objects whose image is less than a pixel wide: {_listed(small)}")
-    if scene.light is not None and scene.light.ambient == 0.0 and any(sight.seen.values()) and not sight.lit:
+        notes.append(f"objects whose image is less than a pixel wide: {_join_first(small)}")
+    if scene.light is not None and scene.light.ambient == 0.0 and any(sight.visible.values()) and not sight.lit:
         notes.append("light: falls on no side that is in sight, so that all of them are black without light.ambient")
     if black := sorted(frame for frame in dark if dark[frame]):
-        which = f"frame{'s' * (len(black) > 1)} {_listed(black)}" if any(sight.seen.values()) else "all frames"
+        which = f"frame{'s' * (len(black) > 1)} {_join_first(black)}" if any(sight.visible.values()) else "all frames"
         notes.append(f"nothing is in sight, and all is black, in {which}{looked}")
     return notes
 
 
-def _listed(words: list[str] | list[int]) -> str:
-    more = len(words) - MOST_NAMED
-    return ", ".join(map(str, words[:MOST_NAMED])) + (f" and {more} more" if more > 0 else "")
+def _join_first(words: list[str] | list[int]) -> str:
+    omitted = len(words) - MOST_NAMED
+    return ", ".join(map(str, words[:MOST_NAMED])) + (f" and {omitted} more" if omitted > 0 else "")
 
 
 def _body(index: int, item: Object) -> tuple[Hashable, str]:
@@ -117,7 +117,7 @@ def _body(index: int, item: Object) -> tuple[Hashable, str]:
     return index, item.name
 
 
-def _look(
+def _examine(
     sight: _Sight, scene: Scene, plan: Plan, time: float, place: tuple[float, float] = (0.0, 0.0)
 ) -> bool:  # fmt: skip
     """Examine a scene from a view, at a time, and from a point of the lens, in lens radii; True if any object is
@@ -126,35 +126,36 @@ def _look(
     camera, light = camera_at(scene, time), place_light(scene, time, plan.eye)
     eye, power = np.array([*place, 0.0]) * camera.aperture_diameter / 2, 1.0 / camera.focused_distance
     poses = (replace(pose, shift=pose.shift - eye) for pose in poses_at(scene, time, plan.eye))
-    surfaces = [surface_at(*each) for each in zip(scene.objects, poses, strict=True)]
+    surfaces = [surface_at(*values) for values in zip(scene.objects, poses, strict=True)]
     if light is not None and light.is_near:
         light = replace(light, place=light.place - eye)
     guard = 0 if any(place) else plan.guard_px  # which is for rays from the middle
-    x, y = slopes_at(camera, *np.meshgrid(*(_ends(size, guard) for size in camera.frame_size)))
+    x, y = slopes_at(camera, *np.meshgrid(*(_positions(size, guard) for size in camera.frame_size)))
     frame = x - eye[0] * power, y - eye[1] * power  # rays cross in the focal surface
     depths, any_seen = _depths(scene, surfaces, frame), False
     for k, (item, surface) in enumerate(zip(scene.objects, surfaces, strict=True)):
         body, name = _body(k, item)
         sight.names[body] = name
         rays, w = frame, depths
-        seen = (w[k] > 0) & (w[k] >= w.max(axis=0))
-        if not seen.any() and not sight.seen.get(body) and (near := _around(surface, frame)) is not None:
-            rays, w = near, _depths(scene, surfaces, near)
-            seen = (w[k] > 0) & (w[k] >= w.max(axis=0))
-        sight.seen[body] = sight.seen.get(body, False) or bool(seen.any())
-        if not seen.any():
+        visible = (w[k] > 0) & (w[k] >= w.max(axis=0))
+        missed = not visible.any() and not sight.visible.get(body)
+        if missed and (near_rays := _rays_around(surface, frame)) is not None:
+            rays, w = near_rays, _depths(scene, surfaces, near_rays)
+            visible = (w[k] > 0) & (w[k] >= w.max(axis=0))
+        sight.visible[body] = sight.visible.get(body, False) or bool(visible.any())
+        if not visible.any():
             continue
         any_seen = True
-        low, high = surface.seen.x
+        low, high = surface.extent.x
         sight.widest[body] = max(sight.widest.get(body, 0.0), (high - low) / ray_step(camera))
         if light is not None and not sight.lit and light.members >> k & 1:
-            sight.lit = _is_lit(surface, light, *(each[seen] for each in (*rays, w[k])))
+            sight.lit = _is_lit(surface, light, *(values[visible] for values in (*rays, w[k])))
     return any_seen
 
 
-def _ends(size: int, guard: int) -> Array:
-    """Positions (LOOKS,) in px across the frame and its guard band."""
-    return np.linspace(-0.5, 0.5, LOOKS) * (size - 1 + 2 * guard)
+def _positions(size: int, guard: int) -> Array:
+    """Positions (RAYS,) in px across the frame and its guard band."""
+    return np.linspace(-0.5, 0.5, RAYS) * (size - 1 + 2 * guard)
 
 
 def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Array]) -> Array:
@@ -163,14 +164,14 @@ def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Arra
     return np.stack([predict_inverse_depth(item, surface, *rays) for item, surface in pairs])
 
 
-def _around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, Array] | None:
+def _rays_around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, Array] | None:
     """Rays within the image bounds of an object; None if these are outside of the frame."""
     ends = []
-    for slopes, bounds in zip(frame, (surface.seen.x, surface.seen.y), strict=True):
+    for slopes, bounds in zip(frame, (surface.extent.x, surface.extent.y), strict=True):
         low, high = max(float(slopes.min()), bounds[0]), min(float(slopes.max()), bounds[1])
         if low > high:
             return None
-        ends.append(np.linspace(low, high, LOOKS))
+        ends.append(np.linspace(low, high, RAYS))
     x, y = np.meshgrid(*ends)
     return x, y
 

@@ -66,10 +66,10 @@ def run_passes(passes: Iterable[Pass], run: Callable[..., Iterable[Any]]) -> Map
     --------
     >>> from clsco.plan.passes import Pass, run_passes
     >>> passes = Pass("pinhole", (), {}, gives=("image",)), Pass("blur", (), {}, ("image",), ("plane",))
-    >>> run_passes(passes, lambda step, *given: [f"{step.kind} of {given}"])["plane"]
+    >>> run_passes(passes, lambda step, *inputs: [f"{step.kind} of {inputs}"])["plane"]
     "blur of (\'pinhole of ()\',)"
     """
-    found: dict[str, Any] = {}
+    outputs: dict[str, Any] = {}
     for step in passes:
-        found |= zip(step.gives, run(step, *(found[name] for name in step.takes)), strict=True)
-    return found
+        outputs |= zip(step.gives, run(step, *(outputs[name] for name in step.takes)), strict=True)
+    return outputs

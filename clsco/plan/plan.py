@@ -42,17 +42,17 @@ from clsco.plan.buffers import (
 )
 from clsco.plan.colors import color_passes
 from clsco.plan.decisions import Choices, choose
+from clsco.plan.descriptions import describe_blur, describe_frame, describe_pixels, describe_rays, shapes_of
 from clsco.plan.device import DeviceFacts, ThisMachine
 from clsco.plan.ellipses import elliptic_spread
 from clsco.plan.features import curvature_of, shape_features
-from clsco.plan.image import blur_passes, light_of, named, strips_of
+from clsco.plan.image import blur_passes, light_of, prefix_names, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
 from clsco.plan.passes import Kind, Parameters, Pass
-from clsco.plan.predict import Maps, Prediction, displaced, has_small_images, is_static_map, predict, slopes_where
+from clsco.plan.predict import Maps, Prediction, has_small_images, is_static_map, predict, shifts_view, slopes_where
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
-from clsco.plan.words import of_blur, of_frame, of_pixels, of_rays, shapes_of
 from clsco.scene.model import Scene
 
 Occlusion = Literal["visibility", "layered", "none"]
@@ -77,7 +77,7 @@ class Plan:
     channels, rows, columns : int
         Size of the frame: channels 1 or 3, and one more for `alpha`; px, px.
     guard_px : int
-        Width of the apron, whose surfaces contribute light to the frame.
+        Width of the guard band, whose surfaces contribute light to the frame.
     smallest_blur, largest_blur : float
         Predicted range of |R| in px over the whole sequence, with a margin.
     choices : Choices
@@ -87,7 +87,7 @@ class Plan:
     taps : float
         Predicted number of weights per frame.
     spreads : tuple of PointSpread
-        PSFs of red, green and blue, if each color is blurred separately (`apart`).
+        PSFs of red, green and blue, if each color is blurred separately (`color_plans`).
     only : int, optional
         The color that this plan is for, 0 to 2; by default all colors.
     alpha : bool
@@ -124,12 +124,12 @@ class Plan:
     small: bool = False
 
     @property
-    def divided(self) -> bool:
+    def splits_still(self) -> bool:
         """True if sources shared by all time samples are blurred once."""
         return self.moves and self.averages and self.choices.still_sources.value
 
     @cached_property
-    def apart(self) -> tuple[Plan, ...]:
+    def color_plans(self) -> tuple[Plan, ...]:
         """Plans for red, green and blue, if the lens blurs colors differently."""
         if not self.color:
             return ()
@@ -163,9 +163,9 @@ class Plan:
         """Time samples per frame, where samples rendered in only some rows count by that fraction."""
         if not self.narrows:
             return float(self.subframes)
-        (whole,) = strips_of(self.spec, self.rows, 0, self.guard_px, self.reach_px)
-        parts = [self.part(whole, weights) for weights in frame_exposure(self.scene, 0, self.samples).weights]
-        return sum(each.height for each in parts if each is not None) / self.height
+        (frame_strip,) = strips_of(self.spec, self.rows, 0, self.guard_px, self.reach_px)
+        parts = [self.part(frame_strip, weights) for weights in frame_exposure(self.scene, 0, self.samples).weights]
+        return sum(part.height for part in parts if part is not None) / self.height
 
     @property
     def forward(self) -> bool:
@@ -209,19 +209,19 @@ class Plan:
 
     @property
     def width(self) -> int:
-        """Columns of frame and apron."""
+        """Columns of frame and guard band."""
         return self.columns + 2 * self.guard_px
 
     @property
     def height(self) -> int:
-        """Rows of frame and apron."""
+        """Rows of frame and guard band."""
         return self.rows + 2 * self.guard_px
 
     @property
     def reach_px(self) -> int:
         """Distance in px within which a source may affect a pixel, including silhouette detection and merged blocks."""
-        each = (table_reach(self.psf, self.largest_blur, subpixel) for subpixel in (False, True))
-        return max(each) + 2 + (MERGED_SIDE - 1 if self.merged else 0)
+        reaches = (table_reach(self.psf, self.largest_blur, subpixel) for subpixel in (False, True))
+        return max(reaches) + 2 + (MERGED_SIDE - 1 if self.merged else 0)
 
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
@@ -281,7 +281,7 @@ class Plan:
     @property
     def eye_moved(self) -> bool:
         """True if the camera is not in the pose of the textures."""
-        return displaced(self.scene, self.eye)
+        return shifts_view(self.scene, self.eye)
 
     @cached_property
     def averages(self) -> bool:
@@ -323,7 +323,7 @@ class Plan:
             "FILTER": FILTERS[scene.motion.texture_filter] if self.choices.texture_sampling.value else 0,
             "TEXTURED": self.mapped,
             "LIT": 0 if scene.light is None else self.channels - self.alpha,
-            "DIVIDED": int(self.divided),
+            "DIVIDED": int(self.splits_still),
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SMALL": int(self.small),
@@ -377,32 +377,32 @@ def make_plan(
         The scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the method does not support the scene.
     """
     columns, rows = scene.camera.frame_size
-    wanted, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
+    request, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
     maps = maps or (None,) * len(scene.objects)
-    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _is_apart(scene, channels) else ()
-    psf = max(spreads, key=lambda each: each.pupil.margin, default=psf)
-    check_shape(psf, wanted.method)
-    seen = predict(scene, psf, eye, maps)
+    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _splits_colors(scene, channels) else ()
+    psf = max(spreads, key=lambda spread: spread.pupil.margin, default=psf)
+    check_shape(psf, request.method)
+    prediction = predict(scene, psf, eye, maps)
     if psf.diffracted:
         from clsco.optics.waves import check_waves
 
-        check_waves(psf, seen.largest)
-        psf, spreads = psf.of_side(seen.side), tuple(each.of_side(seen.side) for each in spreads)
-    choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device, seen)
-    blur, alpha = choices.blur.value, "alpha" in wanted.truth
-    guard = seen.guard + (2 * TAP_LANES if blur == "convolve" else 0)
+        check_waves(psf, prediction.largest)
+        psf, spreads = psf.of_side(prediction.side), tuple(spread.of_side(prediction.side) for spread in spreads)
+    choices, groups, extents = choose(scene, psf, request, eye, maps, channels, device, prediction)
+    blur, alpha = choices.blur.value, "alpha" in request.truth
+    guard = prediction.guard + (2 * TAP_LANES if blur == "convolve" else 0)
     if blur in MANY_RADII:
         occluded = any(group.occluders for group in groups)
-        check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value, occluded)
+        check_tables(psf, prediction.smallest, prediction.largest, choices.silhouettes.value, occluded)
     plan = Plan(
-        scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
-        taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
-        small=choices.silhouettes.value > 0 and has_small_images(scene, seen),
+        scene, psf, device, eye, channels + alpha, rows, columns, guard, prediction.smallest, prediction.largest,
+        choices, groups, taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
+        small=choices.silhouettes.value > 0 and has_small_images(scene, prediction),
     )  # fmt: skip
-    return replace(plan, taps=_predicted_taps(plan, seen)) if blur != "none" and plan.color else plan
+    return replace(plan, taps=_predicted_taps(plan, prediction)) if blur != "none" and plan.color else plan
 
 
-def _is_apart(scene: Scene, channels: int) -> bool:
+def _splits_colors(scene: Scene, channels: int) -> bool:
     """True if colors are blurred separately: by different lenses, or by waves in a color image."""
     return scene.separates_colors or (channels > 1 and scene.psf.is_colored)
 
@@ -411,58 +411,59 @@ def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
     """Weights per frame, from inverse depths at some of its pixels."""
     w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
     hit = w > 0
-    seen = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, predicted.slopes)))
-    if not seen.size:
+    radii = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, predicted.slopes)))
+    if not radii.size:
         return 0.0
-    lit = plan.psf.blended * np.pi * (seen * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
+    lit = plan.psf.blended * np.pi * (radii * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
     return float(hit.mean() * plan.width * plan.height * plan.repeats * lit.mean())
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
     """Value of `Plan.passes`."""
-    found: list[Pass] = []
-    if plan.apart:
-        found += color_passes([(*_moving_passes(one), *_image_passes(one)) for one in plan.apart], plan.grid)
+    passes: list[Pass] = []
+    if plan.color_plans:
+        passes += color_passes([(*_moving_passes(p), *_image_passes(p)) for p in plan.color_plans], plan.grid)
     else:
-        found += _moving_passes(plan) if plan.color or "missing" in plan.truth else ()
-        found += _image_passes(plan) if plan.color else ()
+        passes += _moving_passes(plan) if plan.color or "missing" in plan.truth else ()
+        passes += _image_passes(plan) if plan.color else ()
     if plan.color and plan.scene.darkens:
-        found.append(vignetting_pass(plan.scene, plan.rows, plan.columns))
+        passes.append(vignetting_pass(plan.scene, plan.rows, plan.columns))
     if plan.color and plan.averages:
         added: Parameters = (("time samples", "blurred planes, added up with a weight for each row"),)
-        added += (("still sources", "blurred once, the others for each time sample"),) if plan.divided else ()
-        found.append(Pass("accumulate", added, named("frame", sum_buffers(plan.grid)), ("plane",), ("frame",)))
+        added += (("still sources", "blurred once, the others for each time sample"),) if plan.splits_still else ()
+        passes.append(Pass("accumulate", added, prefix_names("frame", sum_buffers(plan.grid)), ("plane",), ("frame",)))
     if plan.sensor_model is not None:
-        found.append(sensor_pass(plan.sensor_model, plan.grid, "frame" if plan.averages else "plane"))
+        passes.append(sensor_pass(plan.sensor_model, plan.grid, "frame" if plan.averages else "plane"))
     if not set(plan.truth) <= {*SENSOR_NAMES}:
-        found.append(_truth_pass(plan))
-    return tuple(found)
+        passes.append(_truth_pass(plan))
+    return tuple(passes)
 
 
 def _moving_passes(plan: Plan) -> Iterator[Pass]:
     """The passes of a forward warp, if there is one; its filling counts the missing pixels of each time sample."""
-    scene, grid, shown = plan.scene, plan.grid, of_frame(plan.choices, plan.colors, plan.alpha)
+    scene, grid, frame_parameters = plan.scene, plan.grid, describe_frame(plan.choices, plan.colors, plan.alpha)
     if not plan.forward:
         return
     moved = f"every pixel of the {shapes_of(scene)} to its nearest pixel, with a depth test"
-    sizes = named("warp", warp_buffers(scene, grid, plan.device))
-    yield Pass("reproject", (("pixels", moved), *shown), sizes | _of_scene(plan), gives=("moved",))
+    sizes = prefix_names("warp", warp_buffers(scene, grid, plan.device))
+    yield Pass("reproject", (("pixels", moved), *frame_parameters), sizes | _scene_buffers(plan), gives=("moved",))
     kind: Kind = "fill" if plan.choices.fill.value else "count missing"
     rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
     gives = (light_of(plan.spec), "counts", *(("missing",) if "missing" in plan.truth else ()))
-    yield Pass(kind, (("missing", rule),), named("fill", fill_sizes(scene, grid)), ("moved",), gives)
+    yield Pass(kind, (("missing", rule),), prefix_names("fill", fill_sizes(scene, grid)), ("moved",), gives)
 
 
 def _image_passes(plan: Plan) -> Iterator[Pass]:
     """The passes of the image of a time sample up to its blurred plane, after a forward warp."""
     spec, grid, light, choices = plan.spec, plan.grid, light_of(plan.spec), plan.choices
-    about = plan.scene, choices, plan.colors, plan.alpha
+    context = plan.scene, choices, plan.colors, plan.alpha
     if plan.static_map:
-        yield Pass("static image", of_pixels(*about), map_buffers(grid), gives=(light, "counts"))
+        yield Pass("static image", describe_pixels(*context), map_buffers(grid), gives=(light, "counts"))
     elif not plan.forward and spec.layered:
-        yield Pass("pinhole", of_rays(*about), map_buffers(grid, plan.scene) | _of_scene(plan), gives=(light,))
+        sizes = map_buffers(grid, plan.scene) | _scene_buffers(plan)
+        yield Pass("pinhole", describe_rays(*context), sizes, gives=(light,))
     if plan.forward or plan.static_map or spec.layered:
-        yield from blur_passes(spec, grid, plan.device, of_blur(spec, choices, len(plan.groups)))
+        yield from blur_passes(spec, grid, plan.device, describe_blur(spec, choices, len(plan.groups)))
     else:
         for number, group in enumerate(plan.groups):
             yield from _group_passes(plan, group, number == 0)
@@ -471,29 +472,30 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
 def _truth_pass(plan: Plan) -> Pass:
     sizes: Sizes = {}
     if plan.scene.is_analytic:
-        sizes = named("truth", truth_buffers(plan.device_truth, plan.grid)) | _of_scene(plan)
+        sizes = prefix_names("truth", truth_buffers(plan.device_truth, plan.grid)) | _scene_buffers(plan)
     if plan.forward:
-        sizes |= named("warp", warp_buffers(plan.scene, plan.grid, plan.device))
-        sizes |= named("fill", fill_sizes(plan.scene, plan.grid))
+        sizes |= prefix_names("warp", warp_buffers(plan.scene, plan.grid, plan.device))
+        sizes |= prefix_names("fill", fill_sizes(plan.scene, plan.grid))
     outputs = ", ".join(name for name in plan.truth if name not in SENSOR_NAMES)
     return Pass("ground truth", (("outputs", outputs),), sizes)
 
 
 def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pass]:
     """The passes of one occlusion group; first: True if it begins the plane, to which other groups add."""
-    spec, grid, rays = plan.spec, plan.grid, of_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
+    spec, grid, rays = plan.spec, plan.grid, describe_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
     light = ("plane",) if plan.blur == "none" else ("sources",)
-    sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | _of_scene(plan)
+    sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | _scene_buffers(plan)
     yield Pass("trace", rays, sizes, gives=light, group=group)
     if plan.silhouettes:
-        what = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
-        what += ", and where textures are finer than the blur" if plan.mapped else ""
+        text = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
+        text += ", and where textures are finer than the blur" if plan.mapped else ""
         sizes = silhouette_buffers(spec, grid, plan.slots, plan.mapped > 0)
-        yield Pass("silhouettes", (("sub-pixel sources", what),), sizes, light, light, group)
+        yield Pass("silhouettes", (("sub-pixel sources", text),), sizes, light, light, group)
     if plan.blur != "none":
-        sizes, taken = named("blur", blur_buffers(spec, grid, plan.device)), light if first else (*light, "plane")
-        yield Pass("blur", of_blur(spec, plan.choices, len(plan.groups)), sizes, taken, ("plane",), group)
+        sizes = prefix_names("blur", blur_buffers(spec, grid, plan.device))
+        inputs, blur = light if first else (*light, "plane"), describe_blur(spec, plan.choices, len(plan.groups))
+        yield Pass("blur", blur, sizes, inputs, ("plane",), group)
 
 
-def _of_scene(plan: Plan) -> Sizes:
+def _scene_buffers(plan: Plan) -> Sizes:
     return texture_buffers(plan.scene, plan.channels, plan.alpha) | {"statistics": 4 * STATISTICS}

@@ -30,7 +30,7 @@ Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
 LEAST_DISTANCE = 0.1  # of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
-# Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
+# Keys of the camera that change the blur of a hit, but not the rays.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 _DEPTHS = Cache(32 << 20)  # bytes
 
@@ -70,20 +70,20 @@ def _grid(camera: Camera, guard: int) -> Slopes:
     columns, rows = camera.frame_size
     x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
     y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
-    found = slopes_at(camera, *np.meshgrid(x, y))
-    for each in found:
-        each.flags.writeable = False
-    return found
+    slopes = slopes_at(camera, *np.meshgrid(x, y))
+    for slope in slopes:
+        slope.flags.writeable = False
+    return slopes
 
 
 def _slopes(cameras: Sequence[Camera], guard: int) -> list[Slopes]:
     """Slopes (GRID, GRID) of the rays of each camera."""
-    alike = {ray_step(camera): camera for camera in cameras}  # in all that rays depend on
-    found = {step: _grid(camera, guard) for step, camera in alike.items()}
-    return [found[ray_step(camera)] for camera in cameras]
+    cameras_by_step = {ray_step(camera): camera for camera in cameras}  # in all that rays depend on
+    grids = {step: _grid(camera, guard) for step, camera in cameras_by_step.items()}
+    return [grids[ray_step(camera)] for camera in cameras]
 
 
-def displaced(scene: Scene, eye: Eye) -> bool:
+def shifts_view(scene: Scene, eye: Eye) -> bool:
     """True if a view of a stereo pair is not at the viewpoint of the textures."""
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
@@ -100,22 +100,23 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
     """
     if not scene.is_analytic:
         return not is_static_map(scene)
-    return scene.motion.warp == "forward" and (scene.is_displaced or displaced(scene, eye))
+    return scene.motion.warp == "forward" and (scene.is_displaced or shifts_view(scene, eye))
 
 
 def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: int) -> Array:
     """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 without a hit."""
-    found, rays = np.empty((len(scene.objects), len(samples), GRID, GRID)), _slopes([one for one, _ in samples], guard)
+    depths = np.empty((len(scene.objects), len(samples), GRID, GRID))
+    rays = _slopes([camera for camera, _ in samples], guard)
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
         for time, (_, poses) in enumerate(samples):
             if depth is None:
                 surface = place(item, poses[k])
-                found[k, time] = predict_inverse_depth(item, surface, *rays[time])
-                if not found[k, time].any():
-                    found[k, time] = _between_rays(surface, *rays[time])
+                depths[k, time] = predict_inverse_depth(item, surface, *rays[time])
+                if not depths[k, time].any():
+                    depths[k, time] = _between_rays(surface, *rays[time])
             else:
-                found[k, time] = _moved_map(scene, item, depth, poses[k])
-    return found
+                depths[k, time] = _moved_map(scene, item, depth, poses[k])
+    return depths
 
 
 def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
@@ -135,16 +136,16 @@ def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
     return inverse
 
 
-def _kept_depths(scene: Scene, eye: Eye, guard: int) -> Array:
+def _cached_depths(scene: Scene, eye: Eye, guard: int) -> Array:
     """`_inverse_depths` of a scene without a lens, with only analytic objects and fixed rays; cached."""
 
     def cast() -> Array:
         samples = [(reference_camera(scene), poses_at(scene, t, eye)) for t in sequence_times(scene)]
-        found = _inverse_depths(scene, samples, (None,) * len(scene.objects), guard)
-        found.flags.writeable = False
-        return found
+        depths = _inverse_depths(scene, samples, (None,) * len(scene.objects), guard)
+        depths.flags.writeable = False
+        return depths
 
-    return _DEPTHS.get((scene, eye, guard), cast, lambda found: found.nbytes)
+    return _DEPTHS.get((scene, eye, guard), cast, lambda depths: depths.nbytes)
 
 
 def without_lens(scene: Scene) -> Scene:
@@ -157,9 +158,9 @@ def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
     """Inverse depths (GRID, GRID) of sampled points of a depth map after a move, including its nearest and farthest."""
     rows, columns = (np.linspace(0, n - 1, GRID).round().astype(np.intp) for n in depth.shape)
     i, j = (n.copy() for n in np.meshgrid(rows, columns, indexing="ij"))
-    seen = np.where(depth > 0, depth, np.inf)
-    for place_at, extreme in enumerate((seen.argmin(), depth.argmax())):
-        i[0, place_at], j[0, place_at] = np.unravel_index(extreme, depth.shape)
+    depths = np.where(depth > 0, depth, np.inf)
+    for column, extreme in enumerate((depths.argmin(), depth.argmax())):
+        i[0, column], j[0, column] = np.unravel_index(extreme, depth.shape)
     w, center = depth[i, j], rest_center(item)
     middle = (np.array(depth.shape) - 1) / 2
     rays = np.stack([*slopes_at(reference_camera(scene), j - middle[1], middle[0] - i), np.ones(i.shape)], axis=-1)
@@ -173,7 +174,7 @@ def middle_of(scene: Scene) -> float:
     return middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
 
 
-def seen_depths(scene: Scene, maps: Maps, time: float | None = None) -> Array:
+def predict_depths(scene: Scene, maps: Maps, time: float | None = None) -> Array:
     """Predicted inverse depths (objects, GRID, GRID) in 1/mm at a time, 0 without a hit.
 
     By default in the middle of the sequence.
@@ -182,8 +183,8 @@ def seen_depths(scene: Scene, maps: Maps, time: float | None = None) -> Array:
     return np.asarray(_inverse_depths(scene, [(camera_at(scene, time), poses_at(scene, time))], maps, 0)[:, 0])
 
 
-def seen_slopes(scene: Scene, time: float | None = None) -> Slopes:
-    """Slopes (GRID, GRID) of the rays of `seen_depths`."""
+def grid_slopes(scene: Scene, time: float | None = None) -> Slopes:
+    """Slopes (GRID, GRID) of the rays of `predict_depths`."""
     return _grid(camera_at(scene, middle_of(scene) if time is None else time), 0)
 
 
@@ -250,15 +251,15 @@ class Prediction:
         return np.asarray(self.w.max(axis=0))
 
 
-def has_small_images(scene: Scene, seen: Prediction) -> bool:
+def has_small_images(scene: Scene, prediction: Prediction) -> bool:
     """True if an object may at some time be so narrow in the image that rays through pixels can miss it."""
-    for time, poses in zip(seen.times, seen.poses, strict=True):
+    for time, poses in zip(prediction.times, prediction.poses, strict=True):
         most = NARROW_IMAGE * ray_step(camera_at(scene, time))
         for item, pose in zip(scene.objects, poses, strict=True):
             surface = place(item, pose)
             width = surface.width
             if width < 0.0:
-                half = outline_lines(surface, *seen.slopes)[1]
+                half = outline_lines(surface, *prediction.slopes)[1]
                 if not np.isfinite(half).all():
                     continue
                 change = max(float(np.abs(np.diff(half, axis=axis)).max()) for axis in (0, 1))
@@ -285,8 +286,8 @@ def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
         return
     step, corner = max(map(ray_step, cameras)), float(np.hypot(*(0.5 * np.array(cameras[0].frame_size) + guard)))
     if not corner * step < distortion.image_reach:
-        given = {"lens.distortion": any(lens.distortion), "lens.tangential": any(lens.tangential)}
-        key = next((key for key, some in given.items() if some), "psf.seidel.W311")
+        terms = {"lens.distortion": any(lens.distortion), "lens.tangential": any(lens.tangential)}
+        key = next((key for key, is_set in terms.items() if is_set), "psf.seidel.W311")
         rule = f"frame and guard band must end where the image folds back, {distortion.image_reach / step:.4g} px off"
         raise SceneError(f"{key}: {rule} the axis; got a corner {corner:.4g} px off")
 
@@ -313,13 +314,13 @@ def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays:
         ends = np.array([w[w > 0].min(initial=np.inf), w.max(initial=0.0)])
         w = np.broadcast_to(ends[np.isfinite(ends), None, None, None], (*ends.shape, 1, GRID, GRID))
     times = [slice(k, k + 1) for k in range(w.shape[1])] if scene.lens_moves else [slice(None)]
-    found = [np.empty(0)]
-    for time, of_colors, slopes in zip(times, lenses, rays, strict=False):
-        _check_curvature(scene, of_colors[0], slopes)
+    radii = [np.empty(0)]
+    for time, color_lenses, slopes in zip(times, lenses, rays, strict=False):
+        _check_curvature(scene, color_lenses[0], slopes)
         hit = w[:, time] > 0
-        seen = slopes_where(hit, scene, slopes)
-        found += [lens.image_radius(w[:, time][hit], *seen) for lens in of_colors]
-    return np.concatenate(found)
+        hit_slopes = slopes_where(hit, scene, slopes)
+        radii += [lens.image_radius(w[:, time][hit], *hit_slopes) for lens in color_lenses]
+    return np.concatenate(radii)
 
 
 def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
@@ -334,13 +335,13 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     poses, cameras = [poses_at(scene, t, eye) for t in times], [_widest(scene, t) for t in times]
     samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
     constant = constant_blur(scene)
-    keeps = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
-    seen = without_lens(scene) if keeps else None
+    cacheable = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
+    ray_scene = without_lens(scene) if cacheable else None
 
     def cast(guard: int) -> tuple[float, Prediction]:
         """Largest |R| within a guard band, and the prediction for that band."""
         _check_fold(scene, cameras, guard)
-        w = _inverse_depths(scene, samples, maps, guard) if seen is None else _kept_depths(seen, eye, guard)
+        w = _inverse_depths(scene, samples, maps, guard) if ray_scene is None else _cached_depths(ray_scene, eye, guard)
         rays = _slopes(cameras, guard)
         signed = _radii(scene, lenses, w, rays)
         radii, side = np.abs(signed), int(np.sign(signed[0])) if signed.size else 0
@@ -351,21 +352,21 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
             if abs(float(lenses[0][0].blur_radius(1.0 / nearest))) <= LARGEST_BLUR:
                 why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
-        met = largest
+        largest_hit = largest
         if not constant:  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         band = guard_band(psf, scene.psf.border, largest)
         side = side if (signed * side > 0.0).all() else 0
-        return met, Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, band, side)
+        return largest_hit, Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, band, side)
 
     guard = cast(0)[1].guard
-    found = cast(guard)[1]
-    while found.guard > guard:
-        guard = found.guard
-        met, wider = cast(guard)
-        if met <= found.largest:
+    prediction = cast(guard)[1]
+    while prediction.guard > guard:
+        guard = prediction.guard
+        largest_hit, wider = cast(guard)
+        if largest_hit <= prediction.largest:
             break
-        # Without the margin, or a band in which |R| grows about as fast as the band would have no end.
-        found = replace(wider, guard=max(guard, guard_band(psf, scene.psf.border, met)))
-    _check_fold(scene, cameras, found.guard)
-    return found
+        # Without the margin: otherwise a band in which |R| grows about as fast as the band would grow forever.
+        prediction = replace(wider, guard=max(guard, guard_band(psf, scene.psf.border, largest_hit)))
+    _check_fold(scene, cameras, prediction.guard)
+    return prediction

@@ -21,7 +21,7 @@ from clsco.inputs.channels import to_color
 from clsco.inputs.files import InputFiles, Maps, shared_files
 from clsco.inputs.textures import Texture, add_coverage, image_files, is_gray, mapped_size, texture_size
 from clsco.plan.device import DeviceFacts
-from clsco.plan.memory import fitted, limit_of
+from clsco.plan.memory import fit_strips, limit_of
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import without_lens
 from clsco.plan.request import Request
@@ -60,14 +60,14 @@ class Prepared:
     @cached_property
     def textures(self) -> tuple[Texture, ...]:
         """Textures of all objects; with an additional channel for `alpha`."""
-        found = self.files.textures(self.scene)
+        textures = self.files.textures(self.scene)
         if self.plan.spreads:
-            found = tuple(map(cache(to_color), found))
+            textures = tuple(map(cache(to_color), textures))
         if not self.plan.alpha:
-            return found
+            return textures
         covers = [not item.is_background for item in self.scene.objects]
         wider = cache(lambda texture, covering: add_coverage(texture, self.plan.channels - 1, covering))
-        return tuple(wider(*pair) for pair in zip(found, covers, strict=True))
+        return tuple(wider(*pair) for pair in zip(textures, covers, strict=True))
 
     @cached_property
     def maps(self) -> Maps:
@@ -79,8 +79,8 @@ class Prepared:
         """Color space of the frames: that of all image files if they share one with the right number of channels, else
         sRGB.
         """
-        found = set(self.colors.values())
-        color = found.pop() if len(found) == 1 else SRGB
+        spaces = set(self.colors.values())
+        color = spaces.pop() if len(spaces) == 1 else SRGB
         colored = self.plan.channels - self.plan.alpha == 3
         return SRGB if color.channels not in (0, 3 if colored else 1) else color
 
@@ -122,8 +122,8 @@ def prepare(
     SceneError
         Faults of all textures and depth maps together, and as `clsco.plan.plan.make_plan`.
     """
-    (found,) = prepare_sweep(Sweep(("",), (scene,)), request, device, files)
-    return found
+    (prepared,) = prepare_sweep(Sweep(("",), (scene,)), request, device, files)
+    return prepared
 
 
 def prepare_sweep(
@@ -134,43 +134,43 @@ def prepare_sweep(
     With a tolerance, scenes that differ only in the lens or the sensor use the samples of the most demanding one,
     because they share rays.
     """
-    wanted, known = request or Request(), files or shared_files()
-    found, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
+    request, files = request or Request(), files or shared_files()
+    prepared, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
 
     def channels_of(scene: Scene) -> int:
         names = scene.separates_colors, *(tuple(item.inputs().items()) for item in scene.objects)
         if names not in channels:  # all scenes of a sweep have the same files and arrays
-            channels[names] = _channels(scene, known)
+            channels[names] = _channels(scene, files)
         return channels[names]
 
     for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
         count = channels_of(scene)
         try:
-            found.append(_planned(scene, count, wanted, device, known))
+            prepared.append(_prepare_scene(scene, count, request, device, files))
         except SceneError as error:
             faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
     if faults:
         raise SceneError(list(faults))
-    chosen = wanted.tolerance is not None and wanted.color
-    for group in lens_groups([each.scene for each in found]) if chosen else ():
-        counts = [each.taken for each in (found[k].approximation for k in group) if each is not None]
+    reduces = request.tolerance is not None and request.color
+    for group in lens_groups([entry.scene for entry in prepared]) if reduces else ():
+        counts = [report.counts for report in (prepared[k].approximation for k in group) if report is not None]
         most = max(samples for samples, _ in counts), max(silhouettes for _, silhouettes in counts)
-        for k, taken in zip(group, counts, strict=True):
-            if taken != most:
-                scene = found[k].scene
-                found[k] = _planned(scene, channels_of(scene), wanted, device, known, most)
-    return tuple(found)
+        for k, samples_used in zip(group, counts, strict=True):
+            if samples_used != most:
+                scene = prepared[k].scene
+                prepared[k] = _prepare_scene(scene, channels_of(scene), request, device, files, most)
+    return tuple(prepared)
 
 
 def lens_groups(scenes: Sequence[Scene]) -> list[list[int]]:
     """Groups of consecutive scenes, by number, that differ only in the lens or the sensor."""
-    found: list[list[int]] = []
+    groups: list[list[int]] = []
     for k, scene in enumerate(scenes):
         if k and without_lens(scenes[k - 1]) == without_lens(scene):
-            found[-1].append(k)
+            groups[-1].append(k)
         else:
-            found.append([k])
-    return found
+            groups.append([k])
+    return groups
 
 
 def prepare_files(
@@ -180,19 +180,19 @@ def prepare_files(
     """`prepare_sweep` for files from `clsco.scene.sweep.load_sweeps`. Raises SceneError with the faults of all
     files.
     """
-    found: list[PreparedFile] = []
+    prepared: list[PreparedFile] = []
     messages: list[str] = []
     for path, sweep in loaded:
         if isinstance(sweep, SceneError):
             messages.extend(sweep.messages)
             continue
         try:
-            found.append((path, sweep.labels, prepare_sweep(sweep, request, device)))
+            prepared.append((path, sweep.labels, prepare_sweep(sweep, request, device)))
         except SceneError as error:
             messages.extend(at_most(str(path), error.messages))
     if messages:
         raise SceneError(messages)
-    return found
+    return prepared
 
 
 def with_resolution(scene: Scene) -> Scene:
@@ -203,7 +203,7 @@ def with_resolution(scene: Scene) -> Scene:
     return scene.model_copy(update={"camera": camera})
 
 
-def _planned(
+def _prepare_scene(
     scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles,
     least: Samples = (1, 1),
 ) -> Prepared:  # fmt: skip
@@ -223,7 +223,7 @@ def _planned(
         plans = plans if fewer is sized else plans_of(fewer)
         plans = [replace(plan, merged=report.merged) for plan in plans] if report.merged else plans
     limit = replace(limit_of(request.memory, device), views=len(plans))
-    return Prepared(sized, tuple(fitted(plan, limit) for plan in plans), request, files, report)
+    return Prepared(sized, tuple(fit_strips(plan, limit) for plan in plans), request, files, report)
 
 
 def _channels(scene: Scene, files: InputFiles) -> int:
@@ -234,14 +234,14 @@ def _channels(scene: Scene, files: InputFiles) -> int:
         for key, texture in sources.items():
             if key == "depth":
                 continue
-            with _collected(faults, f"object[{index}].{key}"):
+            with _collect_faults(faults, f"object[{index}].{key}"):
                 texture_size(texture)
                 gray = gray and (is_gray(str(texture)) if is_drawn(texture) else files.about(texture).is_gray)
         if item.mapped == "cube":
-            with _collected(faults, f"object[{index}].texture"):
+            with _collect_faults(faults, f"object[{index}].texture"):
                 mapped_size(item.textures())
         if "depth" in sources:
-            with _collected(faults, f"object[{index}].depth"):
+            with _collect_faults(faults, f"object[{index}].depth"):
                 files.depth(sources["depth"])
     messages = [f"{where}: {fault}" for fault, where in faults.items()]
     try:
@@ -257,17 +257,17 @@ def _maps(scene: Scene, files: InputFiles) -> Maps:
     """Inverse depth of the objects that are depth maps; raises an error for maps that do not fit the frame or the
     camera.
     """
-    faults, found = dict[str, str](), list[NDArray[np.float64] | None]()
+    faults, maps = dict[str, str](), list[NDArray[np.float64] | None]()
     for index, item in enumerate(scene.objects):
-        with _collected(faults, f"object[{index}].depth"):
-            found.append(files.map(scene, item) if isinstance(item, DepthMap) else None)
+        with _collect_faults(faults, f"object[{index}].depth"):
+            maps.append(files.map(scene, item) if isinstance(item, DepthMap) else None)
     if faults:
         raise SceneError([f"{where}: {fault}" for fault, where in faults.items()])
-    return tuple(found)
+    return tuple(maps)
 
 
 @contextmanager
-def _collected(faults: dict[str, str], where: str) -> Iterator[None]:
+def _collect_faults(faults: dict[str, str], where: str) -> Iterator[None]:
     """Record the location of a file's fault by message: once, even if several objects or faces of a box use the
     file.
     """

@@ -5,19 +5,19 @@ from __future__ import annotations
 from clsco.frame.strips import Grid
 from clsco.optics.sensor import GRAY, LEAST_DARK_NOISE, SensorModel
 from clsco.plan.buffers import sensor_buffers
-from clsco.plan.image import named
+from clsco.plan.image import prefix_names
 from clsco.plan.passes import Parameters, Pass
 
 
-def sensor_pass(found: SensorModel, grid: Grid, takes: str) -> Pass:
+def sensor_pass(model: SensorModel, grid: Grid, takes: str) -> Pass:
     """The pass; takes: its input with the frame's irradiance, "frame" or "plane"."""
-    sensor = found.sensor
-    electrons = f"{found.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
-    codes = f"{found.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"
-    noise = f"{found.dark_noise:.3g} DN rms in the dark"
-    if found.dark_noise < LEAST_DARK_NOISE:
+    sensor = model.sensor
+    electrons = f"{model.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
+    codes = f"{model.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"
+    noise = f"{model.dark_noise:.3g} DN rms in the dark"
+    if model.dark_noise < LEAST_DARK_NOISE:
         noise += f": posterized, as below {LEAST_DARK_NOISE} DN means of many frames follow the steps of the codes"
-    about: Parameters = (("electrons", electrons), ("codes", codes), ("noise", noise))
+    parameters: Parameters = (("electrons", electrons), ("codes", codes), ("noise", noise))
     if sensor.mosaic != "none":
-        about += (("mosaic", f"{sensor.mosaic}, demosaic {sensor.demosaic}"),)
-    return Pass("sensor", about, named("sensor", sensor_buffers(found, grid)), (takes,), ("codes",))
+        parameters += (("mosaic", f"{sensor.mosaic}, demosaic {sensor.demosaic}"),)
+    return Pass("sensor", parameters, prefix_names("sensor", sensor_buffers(model, grid)), (takes,), ("codes",))

@@ -36,27 +36,27 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import places_of, slopes_at
 from clsco.optics.texture_mapping import TextureMap, cut_parts, detail_least, texture_map, texture_spread
-from clsco.plan.predict import GRID, Maps, seen_depths, seen_slopes
+from clsco.plan.predict import GRID, Maps, grid_slopes, predict_depths
 from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
 
 SIDE, PATCHES = 64, 9  # texels of a square whose spectrum is taken, and how many along each axis
-LOOKS = 8  # rays at a texture whose power in the frame is wanted
+LOOKS = 8  # rays at a texture, for its power in the frame
 HELD = 0.4  # cycles per texel that a coarser level of the mipmap holds
 STEEP = {1: 0.08, 2: 0.16, 3: 0.1, 4: 0.06, 8: 0.03}  # by sources along an axis
 NARROW = 0.75  # px, of discs
-EACH = 7  # texels, of which one counts in means
+STRIDE = 7  # texels between those that enter means
 BETWEEN = 5  # places between two rays of a grid
-FINEST = 6.0  # cycles per px, beyond which patterns are even in all means
+FINEST = 6.0  # cycles per px, beyond which all means are constant
 STEPS = 64  # per cycle per px
 FREQUENCIES = np.arange(int(FINEST * STEPS) + 1) / STEPS
 RADII = 0.0105 * 2.0 ** (np.arange(40) / 4.0)  # px: of discs, up to 9
-REACHING = 2.0  # how fast the exchange begins, as in detail.clh
+REACHING = 2.0  # slope of the beginning of the exchange, as in detail.clh
 ALONG = ((2, 1), (0, 2), (0, 1))  # the two other components of each axis
 
 
-def lost_squares(
+def squared_errors(
     scene: Scene, psf: PointSpread, textures: Sequence[Texture], maps: Maps, exact: int, counts: Sequence[int]
 ) -> dict[int, float]:
     """Estimate the squared errors of a frame with fewer sources of fine textures.
@@ -81,40 +81,40 @@ def lost_squares(
         For each of `counts`, white^2: the largest value over the examined times.
     """
     spectra: dict[int, tuple[Spectrum, float]] = {}
-    alike = [next(j for j, one in enumerate(textures) if one.radiance is each.radiance) for each in textures]
+    firsts = [next(j for j, other in enumerate(textures) if other.radiance is texture.radiance) for texture in textures]
     cells = [(size - 1) / (GRID - 1) for size in scene.camera.frame_size[::-1]]  # px
-    found, times = dict.fromkeys(counts, 0.0), sequence_times(scene)
+    largest, times = dict.fromkeys(counts, 0.0), sequence_times(scene)
     for time in times[:: max(len(times) // 2, 1)]:
-        w, slopes, here = seen_depths(scene, maps, time), seen_slopes(scene, time), dict.fromkeys(counts, 0.0)
+        w, slopes, errors = predict_depths(scene, maps, time), grid_slopes(scene, time), dict.fromkeys(counts, 0.0)
         camera, poses, lenses = camera_at(scene, time), poses_at(scene, time), lenses_at(scene, time)
         nearest = np.where(w.max(axis=0) > 0.0, w.argmax(axis=0), -1)
         for k, item in enumerate(scene.objects):
-            seen = nearest == k
-            if item.mapped is None or not seen.any():
+            visible = nearest == k
+            if item.mapped is None or not visible.any():
                 continue
             image = textures[k].radiance
             mapped = texture_map(item, image.shape[1], image.shape[0])
-            across = footprints(item, poses[k], mapped, camera, slopes[0][seen], slopes[1][seen])
+            across = footprints(item, poses[k], mapped, camera, slopes[0][visible], slopes[1][visible])
             for lens in lenses:
                 radius = texture_spread(psf) * np.where(w[k] > 0.0, lens.image_radius(w[k], *slopes), np.nan)
                 change = [np.nan_to_num(np.gradient(radius, axis=axis)) for axis in (0, 1)]
-                spread = _between(radius, np.abs(change).max(axis=0))[:, seen]
+                spread = _between(radius, np.abs(change).max(axis=0))[:, visible]
                 texels = np.nan_to_num((across**2).sum(axis=1).max(axis=0))
                 fine = cut_parts(np.broadcast_to(texels, spread.shape), spread, exact, detail_least(psf)) > 0
                 if not fine.any():
                     continue
-                if alike[k] not in spectra:
-                    spectra[alike[k]] = spectrum_of(image), float(np.square(image[::EACH, ::EACH]).mean())
-                spectrum, light = spectra[alike[k]]
-                steep = sum((step[seen] / cell) ** 2 for step, cell in zip(change, cells, strict=True))
+                if firsts[k] not in spectra:
+                    spectra[firsts[k]] = spectrum_of(image), float(np.square(image[::STRIDE, ::STRIDE]).mean())
+                spectrum, light = spectra[firsts[k]]
+                steep = sum((step[visible] / cell) ** 2 for step, cell in zip(change, cells, strict=True))
                 lights = light * float((fine & (spread < NARROW)).mean(axis=0) @ steep) / fine.shape[1]
                 for count in counts:
-                    here[count] += (lights * STEEP[count] ** 2) * float(seen.mean()) / len(lenses)
+                    errors[count] += (lights * STEEP[count] ** 2) * float(visible.mean()) / len(lenses)
                 for kind, share in _kinds(across, spread, fine):
-                    for count, square in _lost(kind, spectrum, exact, counts).items():
-                        here[count] += share * square * float(seen.mean()) / len(lenses)
-        found = {count: max(square, here[count]) for count, square in found.items()}
-    return found
+                    for count, square in _kind_errors(kind, spectrum, exact, counts).items():
+                        errors[count] += share * square * float(visible.mean()) / len(lenses)
+        largest = {count: max(square, errors[count]) for count, square in largest.items()}
+    return largest
 
 
 def _between(radius: Array, change: Array) -> Array:
@@ -168,7 +168,7 @@ def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> 
 Kind = tuple[Array, int]
 """Footprint (right or down, 2) and number of RADII of pixels that are alike."""
 Spectrum = tuple[Array, Array, Array]
-"""Power of a texture, white^2, and its cycles per texel along columns and rows, of one shape."""
+"""Power of a texture, white^2, and its cycles per texel along columns and rows, all of one shape."""
 
 
 def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[Kind, float]]:
@@ -176,12 +176,12 @@ def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[
     (BETWEEN, n).
     """
     discs = np.abs(np.log(RADII[:, None] / np.maximum(spread[fine], RADII[0]))).argmin(axis=0)
-    ray, found = np.nonzero(fine)[1], []
+    fine_rays, kinds = np.nonzero(fine)[1], []
     for disc in np.flatnonzero(np.bincount(discs)).tolist():
-        own = ray[discs == disc]
-        for one in own[[own.size // 4, own.size * 3 // 4]].tolist():
-            found.append(((across[:, :, one], disc), 0.5 * own.size / spread.size))
-    return found
+        rays = fine_rays[discs == disc]
+        for ray in rays[[rays.size // 4, rays.size * 3 // 4]].tolist():
+            kinds.append(((across[:, :, ray], disc), 0.5 * rays.size / spread.size))
+    return kinds
 
 
 def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Array, Array]:
@@ -191,37 +191,37 @@ def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Ar
     across: footprints (right or down, 2, n).
     """
     powers, columns, rows = spectrum
-    found = np.zeros((2, cycles.size))
+    binned = np.zeros((2, cycles.size))
     rays = np.flatnonzero(np.isfinite(across).all(axis=(0, 1)))
     rays = rays[np.linspace(0, rays.size - 1, min(rays.size, LOOKS)).astype(np.intp)] if rays.size else rays
-    for one in rays.tolist():
-        along = [np.abs(column * columns + row * rows) for column, row in across[:, :, one]]
+    for ray in rays.tolist():
+        along = [np.abs(column * columns + row * rows) for column, row in across[:, :, ray]]
         passed = powers * (np.sinc(along[0]) * np.sinc(along[1])) ** 2 / rays.size
         for axis in range(2):
             at = np.rint(along[axis] / cycles[0]).astype(np.intp)
             inside = (at > 0) & (at <= cycles.size)
-            np.add.at(found[axis], at[inside] - 1, passed[inside])
-    return found[0], found[1]
+            np.add.at(binned[axis], at[inside] - 1, passed[inside])
+    return binned[0], binned[1]
 
 
-def _lost(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int]) -> dict[int, float]:
+def _kind_errors(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int]) -> dict[int, float]:
     """Squared error of one kind of pixels, by number of sources."""
     (changes, disc), (powers, columns, rows) = kind, power
     texels = (changes**2).sum(axis=1).max(keepdims=True)
 
-    def passed(count: int) -> Array:
+    def transfer(count: int) -> Array:
         parts = int(cut_parts(texels, RADII[[disc]], count)[0]) if count > 1 else 1
         along = _transfer(count, max(parts, 1))[disc]
         level = _level(changes / max(parts, 1))
-        held = np.maximum(np.abs(columns), np.abs(rows)) <= HELD / 2.0**level if level else 1.0
-        return np.asarray(along[at[0]] * along[at[1]] * held)
+        resolved = np.maximum(np.abs(columns), np.abs(rows)) <= HELD / 2.0**level if level else 1.0
+        return np.asarray(along[index[0]] * along[index[1]] * resolved)
 
-    at = [
+    index = [
         np.minimum(np.rint(STEPS * np.abs(column * columns + row * rows)), FREQUENCIES.size - 1).astype(np.intp)
         for column, row in changes
     ]
-    known = passed(exact)
-    return {count: float((powers * (known - passed(count)) ** 2).sum()) for count in counts}
+    exact_transfer = transfer(exact)
+    return {count: float((powers * (exact_transfer - transfer(count)) ** 2).sum()) for count in counts}
 
 
 def _level(changes: Array) -> int:
@@ -242,8 +242,8 @@ def _transfer(count: int, parts: int) -> Array:
     exchanged = size * (16.0 / (3.0 * pi) - size) / 8.0
     if count > 1:
         exchanged *= np.clip(REACHING * (2.0 * count * radius - 1.0), 0.0, 1.0)
-    each = np.cos(2.0 * pi * np.multiply.outer(middle, FREQUENCIES)) * np.sinc(FREQUENCIES / parts)
-    return np.asarray(shares / count @ each * (1.0 + 4.0 * exchanged * np.sin(pi * FREQUENCIES / parts) ** 2))
+    means = np.cos(2.0 * pi * np.multiply.outer(middle, FREQUENCIES)) * np.sinc(FREQUENCIES / parts)
+    return np.asarray(shares / count @ means * (1.0 + 4.0 * exchanged * np.sin(pi * FREQUENCIES / parts) ** 2))
 
 
 def _left_of(place: Array) -> Array:
@@ -262,10 +262,10 @@ def spectrum_of(image: NDArray[np.float32]) -> Spectrum:
     )
     corners = enumerate(product(*starts))
     window = np.multiply.outer(*(np.sin(pi * (np.arange(side) + 0.5) / side) ** 2 for side in sides))
-    taken = np.stack(
+    patches = np.stack(
         [channels[i : i + sides[0], j : j + sides[1], k % channels.shape[2]] for k, (i, j) in corners], dtype=np.float64
     )
-    spectrum = np.fft.rfft2((taken - taken.mean(axis=(1, 2), keepdims=True)) * window)
+    spectrum = np.fft.rfft2((patches - patches.mean(axis=(1, 2), keepdims=True)) * window)
     power = np.mean(np.abs(spectrum) ** 2, axis=0) / (window.size * float((window**2).sum()))
     power[:, 1 : (sides[1] + 1) // 2] *= 2.0  # and their negatives
     columns, rows = np.meshgrid(np.fft.rfftfreq(sides[1]), np.fft.fftfreq(sides[0]))

@@ -9,5 +9,5 @@ from clsco.scene.model import Scene
 def vignetting_pass(scene: Scene, rows: int, columns: int) -> Pass:
     """The vignetting pass for a frame of this size."""
     kind = "none" if scene.lens is None else scene.lens.vignetting
-    shown = "cos^4 of the angle from the axis" if kind == "natural" else f"a1, a2, a3 = {kind}"
-    return Pass("vignetting", (("share", shown),), {"vignetting": 4 * rows * columns}, ("plane",), ("plane",))
+    text = "cos^4 of the angle from the axis" if kind == "natural" else f"a1, a2, a3 = {kind}"
+    return Pass("vignetting", (("share", text),), {"vignetting": 4 * rows * columns}, ("plane",), ("plane",))

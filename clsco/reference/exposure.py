@@ -25,8 +25,8 @@ from clsco.scene.model import Camera, Object, Scene
 from clsco.scene.sequence import CURVES
 
 CLOSED = 1e-6  # of an exposure: shares that end so near to its end cover it
-STEPS = 64  # of an exposure, in which ways over the image are measured
-LOOKS = (0, STEPS // 2, STEPS)  # steps at whose times rays find what is seen to move
+STEPS = 64  # of an exposure, for paths in the image
+LOOKS = (0, STEPS // 2, STEPS)  # steps at whose times rays sample the objects
 EDGE_ERROR, CHORD = 5e-4, 0.5  # of white, where an edge passes; least share of a lens that it passes in one radius
 MEASURED = 0.8  # of the samples that points on a grid of rays need may be enough
 NEAREST = 1e-3  # mm, px
@@ -84,7 +84,7 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
         return 1.0 if sequence.samples == "auto" else float(sequence.samples)
     begin, length = index * sequence.interval + sequence.shutter_start, sequence.shutter + sequence.readout
     times = (begin + length * np.linspace(0.0, 1.0, STEPS + 1)).tolist()
-    jumps = np.searchsorted(times, jump_times(scene, index)) - 1  # steps that are no ways
+    jumps = np.searchsorted(times, jump_times(scene, index)) - 1  # steps that are no motion
     cameras, poses = [camera_at(scene, t) for t in times], [poses_at(scene, t, eye) for t in times]
     lenses, line, needed = [lenses_at(scene, t) for t in times], sequence.shutter / length, 0.0
     for k, item in enumerate(scene.objects):
@@ -103,13 +103,13 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
             inside = np.all((places >= -guard - 0.5) & (places <= rows_columns + guard - 0.5), axis=-1)
             steps = np.linalg.norm(np.diff(places, axis=0), axis=-1) * np.logical_and(inside[1:], inside[:-1])
             steps[jumps] = 0.0
-            way = line * steps.sum(axis=0)
+            travel = line * steps.sum(axis=0)
             if sequence.sampling == "midpoint":
                 blur = np.maximum(radii.min(axis=0), NEAREST)
-                way = np.minimum(way, np.sqrt(CHORD * way / (24.0 * blur * EDGE_ERROR)))
-            needed = max(needed, float(way.max(initial=0.0)))
+                travel = np.minimum(travel, np.sqrt(CHORD * travel / (24.0 * blur * EDGE_ERROR)))
+            needed = max(needed, float(travel.max(initial=0.0)))
             if scene.lens_moves:
-                changes = np.abs(np.diff([_radii(each, rays, w) for each in lenses], axis=0))
+                changes = np.abs(np.diff([_radii(lens, rays, w) for lens in lenses], axis=0))
                 changes[jumps] = 0.0
                 needed = max(needed, line * float(changes.sum(axis=0).max(initial=0.0)))
     return min(max(MEASURED * needed, 1.0), MOST)

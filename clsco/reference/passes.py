@@ -49,9 +49,10 @@ def run(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Mapp
     """
     outputs: dict[str, Any] = {}
     planes: list[Array] = []
-    for one in plan.apart:
-        shown = tuple(_of_color(texture, one.only) for texture in textures)
-        outputs |= {"plane": _plane_of_rays(one, shown, time)} if one.by_rays else _plane_of_image(one, shown, time)
+    for color_plan in plan.color_plans:
+        color_textures = tuple(_of_color(texture, color_plan.only) for texture in textures)
+        args = color_plan, color_textures, time
+        outputs |= {"plane": _plane_of_rays(*args)} if color_plan.by_rays else _plane_of_image(*args)
         planes.append(outputs["plane"])
     lens, lit = plan.scene.lens, np.concatenate(planes, axis=-1)
     darkened = throughput(camera_at(plan.scene, time), lens.vignetting if lens else "none")
@@ -73,9 +74,9 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
         sources, finer = spread_sources(cast) if psf.tilt and not plan.psf.diffracted else cast, None
         if psf.silhouette_samples > 1:
             bounds, grid = [cutting_bounds(item) for item in view.scene.objects], padded_grid(view.scene.camera, guard)
-            known = view.scene.camera, view.surfaces, bounds, group, *grid
+            args = view.scene.camera, view.surfaces, bounds, group, *grid
             w = np.where(cast.label > 0, cast.inverse_depth, 0.0)
-            small = small_members(*known).any(axis=0) | hidden_by_small(*known, w)
+            small = small_members(*args).any(axis=0) | hidden_by_small(*args, w)
             marked = silhouettes_of(view, group, guard, cast.label) | small
             several = marked if cast.parts is None else marked | (cast.parts > 0)
             finer = trace_subpixels(view, group, guard, marked, cast) if several.any() else None
@@ -100,31 +101,31 @@ def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: fl
         needed = plan.psf.reach(largest) if plan.scene.psf.border == "lose" else 0
     if plan.occlusion != "layered":
         image = replace(image, gradient=prepare_sources(image.radius, image.lit))
-        image = _behind_rims(plan, time, guard, image) if plan.psf.rims else image
+        image = _cut_by_rims(plan, time, guard, image) if plan.psf.rims else image
         return outputs | {"plane": scatter(plan.spec, image, None, plan.shape, guard)}
     spec = replace(plan.spec, largest=max(plan.spec.largest, float(np.abs(image.radius).max())))
     labels, deep = cluster(spec, image.radius, image.lit)
-    rims = (partial(_behind_rims, plan, time, guard), _open_share(plan, time)) if plan.psf.rims else None
+    rims = (partial(_cut_by_rims, plan, time, guard), _open_share(plan, time)) if plan.psf.rims else None
     pixels = image.radiance, image.radius, labels, plan.shape, guard, deep
     plane, count = spread_depth_layers(spec, *pixels, rims)
     return outputs | {"plane": plane, "depth_layers": count}
 
 
-def _behind_rims(plan: ReferencePlan, time: float, guard: int, known: Sources) -> Sources:
+def _cut_by_rims(plan: ReferencePlan, time: float, guard: int, sources: Sources) -> Sources:
     """Sources of an image with their light cut by rims."""
-    scene, lit = plan.scene, known.lit.copy()
+    scene, lit = plan.scene, sources.lit.copy()
     camera = colored(camera_at(scene, time), scene.lens, plan.only)
     rays = pixel_ray(camera, *padded_grid(scene.camera, guard))[lit]
-    here = np.zeros(len(rays))
-    lens, radius = lens_at(scene, time, plan.only), known.radius[lit]
-    own = along_rays(lens, rays)
-    w = (blur_radius(lens, rays, here) - radius) / own.blur_scale  # of what depth layers hide as well
-    points = Points(rays, w, radius, here, here, 1.0, np.zeros((len(rays), 2)))
-    state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
+    zeros = np.zeros(len(rays))
+    lens, radius = lens_at(scene, time, plan.only), sources.radius[lit]
+    local_lens = along_rays(lens, rays)
+    w = (blur_radius(lens, rays, zeros) - radius) / local_lens.blur_scale  # of what depth layers hide as well
+    points = Points(rays, w, radius, zeros, zeros, 1.0, np.zeros((len(rays), 2)))
+    state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
     number = np.full(lit.size, -1)
-    number[np.flatnonzero(lit)] = seen.row
+    number[np.flatnonzero(lit)] = visibility.row
     lit[lit] = state != HIDDEN
-    return replace(known, lit=lit, visibility=replace(seen, row=number))
+    return replace(sources, lit=lit, visibility=replace(visibility, row=number))
 
 
 def _open_share(plan: ReferencePlan, time: float) -> Array:
@@ -135,18 +136,18 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
     none = np.zeros(len(rays))
     w = blur_radius(lens, rays, none) / along_rays(lens, rays).blur_scale
     points = Points(rays, w, none, none, none, 0.0, np.zeros((len(rays), 2)))  # by cells of the lens, as points are
-    state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
+    state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
     share, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
-    if seen.pupil is not None:
-        zero, one = np.zeros(1), np.ones(1)
-        size, borders = LEAST_OPENING * one, seen.pupil.borders
-        whole = chord_weights(zero, zero, size, rims=((zero, zero, one),), borders=borders) / seen.pupil.light
-        share[partly] = cut_weights(seen, none[partly] + 1.0, 0.0, 0.0, False) / whole
+    if visibility.pupil is not None:
+        zero, ones = np.zeros(1), np.ones(1)
+        size, borders = LEAST_OPENING * ones, visibility.pupil.borders
+        full = chord_weights(zero, zero, size, rims=((zero, zero, ones),), borders=borders) / visibility.pupil.light
+        share[partly] = cut_weights(visibility, none[partly] + 1.0, 0.0, 0.0, False) / full
     else:
         at_cells = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
         share[partly] = (
             sum(
-                cells[i, j] * rim_share(seen, none[partly] + x, none[partly] + y)
+                cells[i, j] * rim_share(visibility, none[partly] + x, none[partly] + y)
                 for i, y in enumerate(at_cells)
                 for j, x in enumerate(at_cells)
             )

@@ -30,8 +30,8 @@ from clsco.reference.trace.view import View
 from clsco.scene.model import Object, Plane, Rectangle, Scene
 
 Maps = Sequence[Array | None]  # inverse depths in 1/mm, None of analytic objects
-ROUND, BEYOND = 0.01, 1.1  # part of R by which an ellipse differs from a disc at least; and what is room for it
-CASTS = 4  # rays per pixel, along each axis, that look for what no ray through a middle hits
+ROUND, BEYOND = 0.01, 1.1  # least part of R by which an ellipse differs from a disc; margin for it
+CASTS = 4  # rays per pixel along each axis, which may hit objects that rays through pixel centers miss
 WIDEST_BAND = 1024  # px
 
 
@@ -65,12 +65,12 @@ class ReferencePlan:
             rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
             off = float(distortion.ellipticity(rays[..., 0], rays[..., 1]).max())
             psf = replace(psf, stretched=BEYOND * off) if off > ROUND else psf
-        apart = scene.separates_colors or (channels > 1 and scene.psf.is_colored)
-        spreads = spreads_of_colors(psf, scene.psf, scene.camera) if apart else ()
-        return replace(plan, psf=max(spreads, key=lambda each: each.pupil.margin, default=psf), spreads=spreads)
+        separate = scene.separates_colors or (channels > 1 and scene.psf.is_colored)
+        spreads = spreads_of_colors(psf, scene.psf, scene.camera) if separate else ()
+        return replace(plan, psf=max(spreads, key=lambda spread: spread.pupil.margin, default=psf), spreads=spreads)
 
     @cached_property
-    def apart(self) -> tuple[ReferencePlan, ...]:
+    def color_plans(self) -> tuple[ReferencePlan, ...]:
         """Plans for separately blurred light: one per color, or one for all."""
         colors = (replace(self, channels=1, psf=psf, spreads=(), only=k) for k, psf in enumerate(self.spreads))
         return tuple(colors) or (self,)
@@ -120,13 +120,13 @@ class ReferencePlan:
         items = self.scene.objects
         if self.occlusion != "visibility":
             return (everything(self.scene),)
-        others = [(1 << len(items)) - 1 - (1 << k) for k in range(len(items))]
+        occluders = [(1 << len(items)) - 1 - (1 << k) for k in range(len(items))]
         groups = []
         for k, item in enumerate(items):
             if _hollow(item):
-                groups += [OcclusionGroup(1 << k, others[k] | 1 << k, k, root) for root in (1, 2)]
+                groups += [OcclusionGroup(1 << k, occluders[k] | 1 << k, k, root) for root in (1, 2)]
             else:
-                groups.append(OcclusionGroup(1 << k, others[k]))
+                groups.append(OcclusionGroup(1 << k, occluders[k]))
         return tuple(groups)
 
     @property
@@ -155,9 +155,8 @@ def band_of(plan: ReferencePlan, view: View) -> int:
         for group in plan.groups:
             w, label, _ = nearest_surface(view.surfaces, bounds, group, rays)
             largest = np.maximum(largest, np.where(label > 0, np.abs(blur_radius(view.lens, rays, w)), 0.0))
-        away = np.maximum(
-            *(np.maximum(-each, each - size + 1) for each, size in zip((row, column), plan.shape, strict=True))
-        )
+        pairs = zip((row, column), plan.shape, strict=True)
+        away = np.maximum(*(np.maximum(-position, position - size + 1) for position, size in pairs))
         reach = plan.psf.reaches(largest.ravel(), subpixel=True).reshape(largest.shape) + SILHOUETTE_RANGE
         needed = max(needed, int(np.where(reach >= away, np.maximum(away, reach if guard == 0 else 0), 0).max()))
         if guard >= 2 * needed:
@@ -173,15 +172,15 @@ def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray
     row, column = padded_grid(view.scene.camera, guard)
     bounds, center = [cutting_bounds(item) for item in view.scene.objects], label & 127
     missed = np.zeros(label.shape, dtype=bool)
-    shown = [item for k, item in enumerate(view.scene.objects) if group.members >> k & 1]
-    if len(shown) == 1 and isinstance(shown[0], Plane) and shown[0].bounds is None:  # half of the view at least
+    members = [item for k, item in enumerate(view.scene.objects) if group.members >> k & 1]
+    if len(members) == 1 and isinstance(members[0], Plane) and members[0].bounds is None:  # half of the view at least
         return mark_silhouettes(label)
     places = (np.arange(CASTS) + 0.5) / CASTS - 0.5
     for below, right in ((y, x) for y in places for x in places):
         rays = pixel_ray(view.scene.camera, row + below, column + right)
-        _, seen, _ = nearest_surface(view.surfaces, bounds, group, rays)
-        for one in np.unique(seen[seen != center]).tolist():
-            missed |= (seen == one) & ~_near(center == one)
+        _, labels, _ = nearest_surface(view.surfaces, bounds, group, rays)
+        for neighbor in np.unique(labels[labels != center]).tolist():
+            missed |= (labels == neighbor) & ~_near(center == neighbor)
     return mark_silhouettes(label) | _near(missed)
 
 

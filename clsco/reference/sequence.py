@@ -134,8 +134,8 @@ def _frame(plan: ReferencePlan, textures: tuple[Texture, ...], index: int, subfr
         model = sensor_model(scene, plan.channels)
         arrays |= sensor_outputs(model, color, camera_word(index, plan.eye), SENSOR_NAMES)
     eye = plan.eye if scene.stereo else ""
-    about = {"intermediate": samples, "f_number": camera_at(scene, middle_time(scene.sequence, index)).opening}
-    return Frame(index=index, sharp=sharp, metadata=about, eye=eye, **arrays)
+    metadata = {"intermediate": samples, "f_number": camera_at(scene, middle_time(scene.sequence, index)).opening}
+    return Frame(index=index, sharp=sharp, metadata=metadata, eye=eye, **arrays)
 
 
 def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> dict[str, Any]:
@@ -143,10 +143,10 @@ def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> di
     scene = plan.scene
     if not scene.is_analytic:
         return {}
-    made = line_truth if scene.rolls else ground_truth
-    arrays = vars(made(scene, textures, index, plan.eye))
-    others = (*(() if scene.moves else MOTION_NAMES), *(() if scene.has_mapped_textures else MAPPING_NAMES))
-    return {name: array for name, array in arrays.items() if name not in others}
+    compute = line_truth if scene.rolls else ground_truth
+    arrays = vars(compute(scene, textures, index, plan.eye))
+    absent = (*(() if scene.moves else MOTION_NAMES), *(() if scene.has_mapped_textures else MAPPING_NAMES))
+    return {name: array for name, array in arrays.items() if name not in absent}
 
 
 def _depth(sources: Sources) -> Array:
@@ -163,33 +163,33 @@ def _map_truth(plan: ReferencePlan, textures: tuple[Texture, ...], middle: Warpe
     rays = pixel_ray(camera_at(scene, middle_of_exposure), *padded_grid(scene.camera, 0))
     lenses = lenses_at(scene, middle_of_exposure)
     radii = [np.where(valid, blur_radius(lens, rays, w), 0.0) for lens in lenses]
-    seen = crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
-    known = [k for k, item in enumerate(scene.objects) if item.is_background]
-    surface = valid & ~np.isin(seen, known)  # the background has radiance and blur, and is no surface
-    number = np.where(surface, seen, -1).astype(np.int32)
+    numbers = crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
+    backgrounds = [k for k, item in enumerate(scene.objects) if item.is_background]
+    surface = valid & ~np.isin(numbers, backgrounds)  # the background has radiance and blur, and is no surface
+    number = np.where(surface, numbers, -1).astype(np.int32)
     depth = np.where(surface, 1.0 / np.where(surface, w, 1.0), np.inf)
     times = [middle_time(scene.sequence, k) if scene.moves else 0.0 for k in (index, index + 1, index - 1)]
     now, then, before = ((camera_at(scene, time), poses_at(scene, time, plan.eye)) for time in times)
-    shown = MapPoints(scene.objects, depth, number, *now)
+    points = MapPoints(scene.objects, depth, number, *now)
     stereo: dict[str, Any] = {}
     moving: dict[str, Any] = {}
     if scene.moves:
         following = _depth(warped_image(scene, textures, maps, guard, times[1], plan.eye).sources)
-        moving["flow_backward"] = map_flow(shown, *before)
-        moving["flow_occluded"] = map_occluded(shown, *then, crop(following, guard))
+        moving["flow_backward"] = map_flow(points, *before)
+        moving["flow_occluded"] = map_occluded(points, *then, crop(following, guard))
     if scene.stereo is not None:
         opposite: Eye = "left" if plan.eye == "right" else "right"
-        there = poses_at(scene, times[0], opposite)
-        other = warped_image(scene, textures, maps, guard, times[0], opposite).sources
-        found_there = map_stereo(shown, there, crop(_depth(other), guard), plan.eye)
-        stereo = dict(zip(("disparity", "occluded"), found_there, strict=True))
-    found = {
+        poses = poses_at(scene, times[0], opposite)
+        opposite_sources = warped_image(scene, textures, maps, guard, times[0], opposite).sources
+        stereo_arrays = map_stereo(points, poses, crop(_depth(opposite_sources), guard), plan.eye)
+        stereo = dict(zip(("disparity", "occluded"), stereo_arrays, strict=True))
+    arrays = {
         "depth": depth,
         "blur_radius": radii[0] if len(radii) == 1 else np.stack(radii, axis=-1),
         "mask": surface,
         "object_id": number,
         "normal": map_normal(now[0], depth),
-        "flow": map_flow(shown, *then),
+        "flow": map_flow(points, *then),
         "hidden": (crop(middle.status, guard) > 0) & (surface | ~valid),
     }
-    return found | stereo | moving
+    return arrays | stereo | moving

@@ -136,9 +136,9 @@ def psf_of(
             raise SceneError("psf: wavelengths need lens.axial and lens.lateral that are the same for all colors")
         if not wavelengths:
             raise SceneError("psf: wavelengths must be one or more, in nm; got none")
-        spreads = tuple(spread_of_wavelength(spreads[0], scene.camera, each) for each in wavelengths)
+        spreads = tuple(spread_of_wavelength(spreads[0], scene.camera, wavelength) for wavelength in wavelengths)
     count = max(len(lenses), len(spreads))  # of colors that are blurred apart, or 1
-    inverse = _inverse_depths(lens_at(scene, time), plan.largest_blur) if depths is None else _given(depths)
+    inverse = _inverse_depths(lens_at(scene, time), plan.largest_blur) if depths is None else _inverse(depths)
     places = _field(camera) if at is None else _places(camera, at)
     rays = np.stack(ray_slopes(camera, places[:, 1], places[:, 0]), axis=-1)
     radius = np.empty((count, len(places), len(inverse)))
@@ -153,7 +153,7 @@ def psf_of(
         depth = 1.0 / inverse
     names: tuple[str, ...] = ("red", "green", "blue") if count > 1 else ("all",)
     if wavelengths is not None:
-        names = tuple(f"{each:g} nm" for each in wavelengths)
+        names = tuple(f"{wavelength:g} nm" for wavelength in wavelengths)
     spreads *= count // len(spreads)
     weights = _stacked(spreads, radius, places)
     if cuts:
@@ -182,9 +182,9 @@ def behind_rims(
     if (partly := state == PARTLY).any():
         cells = cell_visibility(visibility)
         for row, column in np.ndindex(size, size):
-            dx, dy, own = column - reach, row - reach, passed[partly, row, column]
-            own = cut_weights(visibility, own, dx, dy, spread.edge == "area")
-            passed[partly, row, column] = own * tap_share(visibility, cells, dx, dy)
+            dx, dy, weight = column - reach, row - reach, passed[partly, row, column]
+            weight = cut_weights(visibility, weight, dx, dy, spread.edge == "area")
+            passed[partly, row, column] = weight * tap_share(visibility, cells, dx, dy)
     return passed.reshape(*radius.shape, size, size).astype(np.float32)
 
 
@@ -200,19 +200,19 @@ def _field(camera: Camera) -> Array:
 
 def _places(camera: Camera, at: Sequence[tuple[float, float]]) -> Array:
     columns, rows = camera.frame_size
-    found = np.array(at, dtype=np.float64).reshape(-1, 2)
-    for x, y in found.tolist():
+    positions = np.array(at, dtype=np.float64).reshape(-1, 2)
+    for x, y in positions.tolist():
         if not (0.0 <= x <= columns - 1 and 0.0 <= y <= rows - 1):
             rule = f"must be in the frame, columns 0 to {columns - 1} and rows 0 to {rows - 1}"
             raise SceneError(f"psf: at: {rule}; got {shown([x, y])}")
-    return found
+    return positions
 
 
-def _given(depths: Sequence[float]) -> Array:
-    found = np.array(sorted(depths), dtype=np.float64)
-    if not found.size or not (found > 0.0).all():
+def _inverse(depths: Sequence[float]) -> Array:
+    sorted_depths = np.array(sorted(depths), dtype=np.float64)
+    if not sorted_depths.size or not (sorted_depths > 0.0).all():
         raise SceneError(f"psf: depths must be one or more distances in mm, above 0; got {shown(list(depths))}")
-    return 1.0 / found
+    return 1.0 / sorted_depths
 
 
 def _inverse_depths(lens: Lens, largest: float) -> Array:
@@ -226,24 +226,24 @@ def _inverse_depths(lens: Lens, largest: float) -> Array:
 
 def _stacked(spreads: Sequence[PointSpread], radius: Array, places: Array) -> NDArray[np.float32]:
     """Weights (channels, places, depths, n, n) at blur radii (channels, places, depths), by the PSF of each channel."""
-    wanted = [
+    keys = [
         (spread, r, (x, y) if spread.varying else None)
-        for spread, of_places in zip(spreads, radius, strict=True)
-        for (x, y), radii in zip(places.tolist(), of_places.tolist(), strict=True)
+        for spread, channel_radii in zip(spreads, radius, strict=True)
+        for (x, y), radii in zip(places.tolist(), channel_radii.tolist(), strict=True)
         for r in radii
     ]
-    known = {each: spread_weights(*each) for each in dict.fromkeys(wanted)}
-    reach = max(each.shape[0] // 2 for each in known.values())
+    weights_by_key = {key: spread_weights(*key) for key in dict.fromkeys(keys)}
+    reach = max(key.shape[0] // 2 for key in weights_by_key.values())
     size = 4 * radius.size * (2 * reach + 1) ** 2
     if size > LARGEST_STACK:
         raise SceneError(
             f"psf: must take at most {LARGEST_STACK >> 20} MiB; got {size >> 20} MiB: ask for fewer depths"
         )
-    found = np.zeros((radius.size, 2 * reach + 1, 2 * reach + 1), np.float32)
-    for square, each in zip(found, wanted, strict=True):
-        far = known[each].shape[0] // 2
-        square[reach - far : reach + far + 1, reach - far : reach + far + 1] = known[each]
-    return found.reshape(*radius.shape, *found.shape[1:])
+    stack = np.zeros((radius.size, 2 * reach + 1, 2 * reach + 1), np.float32)
+    for square, key in zip(stack, keys, strict=True):
+        far = weights_by_key[key].shape[0] // 2
+        square[reach - far : reach + far + 1, reach - far : reach + far + 1] = weights_by_key[key]
+    return stack.reshape(*radius.shape, *stack.shape[1:])
 
 
 def spread_weights(
@@ -256,10 +256,10 @@ def spread_weights(
         table = psf_table(spread, abs(radius), abs(radius), blocks=_block)
         return table_weights(table, spread, radius)
     numbers, shares = spread.varying.blend(*place)
-    each = [
+    parts = [
         np.float32(share) * spread_weights(spread.places[n], radius) for n, share in zip(numbers, shares, strict=True)
     ]
-    return np.asarray(sum(each), np.float32)
+    return np.asarray(sum(parts), np.float32)
 
 
 @lru_cache(maxsize=64)

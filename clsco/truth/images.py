@@ -31,7 +31,7 @@ def lies(item: Any) -> bool:
 def mapping_of(item: Any, shape: tuple[int, int], first: int, texture_filter: str = "bicubic") -> Array:
     """Mapping numbers (SIZE,) of an object whose image has this shape and begins at texel `first`."""
     rows, columns = shape
-    found = np.zeros(SIZE)
+    numbers = np.zeros(SIZE)
     right, up, towards = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
     extra, extent = 0.0, None
     kind = FLAT
@@ -75,12 +75,12 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int, texture_filter: st
         alone = item.shape in ("rectangle", "disc") and item.texture_size is None and item.texture_repeats is None
         wrap = "clamp" if alone else "repeat"
     turn, (shift_x, shift_y) = math.radians(item.texture_angle or 0.0), item.texture_offset or (0.0, 0.0)
-    found[:NUMBERS] = (
+    numbers[:NUMBERS] = (
         kind, first, rows, columns, WRAPS.index(wrap), width, height, math.cos(turn), math.sin(turn), shift_x, shift_y,
         extra,
     )  # fmt: skip
-    found[NUMBERS:] = *right, *up, *towards, FILTERS.index(texture_filter)
-    return found
+    numbers[NUMBERS:] = *right, *up, *towards, FILTERS.index(texture_filter)
+    return numbers
 
 
 @njit(cache=True, inline="always")

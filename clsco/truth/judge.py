@@ -96,8 +96,8 @@ class Judgement:
     def dim(self) -> tuple[Light, ...]:
         """Small objects whose light is off by more than 2 % of their own, 0.01 px of white and 5 standard errors."""
         return tuple(
-            each for each in self.lights
-            if abs(each.got - each.right) > max(0.02 * abs(each.own), ALLOWED, ALLOWED_ERRORS * each.error)
+            light for light in self.lights
+            if abs(light.got - light.right) > max(0.02 * abs(light.own), ALLOWED, ALLOWED_ERRORS * light.error)
         )  # fmt: skip
 
     @property
@@ -137,12 +137,12 @@ class Judgement:
         pixels, kinds = self.pixels, [CLASSES[k] for k in self.pixels.kind]
         numbers = (pixels.column, pixels.row, self.right, self.got, self.error)
         names = ("class", "column", "row", "right", "got", "error")
-        table = zip(kinds, *(each.tolist() for each in numbers), strict=True)
+        table = zip(kinds, *(values.tolist() for values in numbers), strict=True)
         return {
             "classes": [asdict(row) | {"psnr": row.decibels} for row in self.classes],
             "objects": [asdict(row) | {"psnr": row.decibels} for row in self.objects],
             "lights": [asdict(light) for light in self.lights],
-            "pixels": [dict(zip(names, each, strict=True)) for each in table],
+            "pixels": [dict(zip(names, values, strict=True)) for values in table],
             "deviations": int(self.deviations.sum()), "rays": self.rays, "seconds": round(self.seconds, 3),
         }  # fmt: skip
 
@@ -219,8 +219,8 @@ def _judgement(
     by_class = [(name, pixels.kind == k) for k, name in enumerate(CLASSES)]
     by_object = [(name, pixels.item == n) for n, name in enumerate(names)] + [("nothing", pixels.item < 0)]
     classes, objects = (
-        tuple(_row(name, of, pixels, mean, got, error) for name, of in each if of.any())
-        for each in (by_class, by_object)
+        tuple(_row(name, of, pixels, mean, got, error) for name, of in masks if of.any())
+        for masks in (by_class, by_object)
     )
     return Judgement(classes, objects, lights, pixels, mean, got, error, cast, time.perf_counter() - began)
 
@@ -229,7 +229,7 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
     """Radiance (rows, columns[, channels]) of all pixels by rays, and its standard error; the error's RMS is below
     `noise`, if `rays` rays per pixel are enough.
     """
-    row, column = (each.ravel() for each in np.indices(problem.size))
+    row, column = (indices.ravel() for indices in np.indices(problem.size))
     places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
 
     def go_on(error: Array) -> NDArray[np.bool_]:  # pixels beside others with an error may have missed what is there
@@ -276,8 +276,8 @@ def trace(
         while len(going):
             begin, points = len(points), np.concatenate([points, sampler.random(last - len(points))])
 
-            def add(part: NDArray[np.int64], span: tuple[int, int] = (begin, last), known: Array = points) -> None:
-                accumulate(sums, jobs, places, part, known, span, key, *arrays)
+            def add(part: NDArray[np.int64], span: tuple[int, int] = (begin, last), samples: Array = points) -> None:
+                accumulate(sums, jobs, places, part, samples, span, key, *arrays)
 
             list(pool.map(add, np.array_split(going, min(len(going), 4 * processors()))))
             counts[going] = last

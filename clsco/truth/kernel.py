@@ -104,9 +104,9 @@ def lambert(light, normal, m, lens_x, lens_y, x, y, z):  # type: ignore[no-untyp
     else:
         to_x, to_y, to_z = rotated(m, light[0], light[1], light[2])
     eye_x, eye_y, eye_z = rotated(m, lens_x - m[9], lens_y - m[10], -m[11])
-    seen = (eye_x - x) * normal[0] + (eye_y - y) * normal[1] + (eye_z - z) * normal[2]
+    facing = (eye_x - x) * normal[0] + (eye_y - y) * normal[1] + (eye_z - z) * normal[2]
     along = to_x * normal[0] + to_y * normal[1] + to_z * normal[2]
-    cosine = math.copysign(1.0, seen) * along / math.sqrt(to_x * to_x + to_y * to_y + to_z * to_z)
+    cosine = math.copysign(1.0, facing) * along / math.sqrt(to_x * to_x + to_y * to_y + to_z * to_z)
     return light[4] + (1.0 - light[4]) * max(cosine, 0.0)
 
 
@@ -204,9 +204,9 @@ def _passes(rims, depth, rays, s, radius, detector):  # type: ignore[no-untyped-
             if d >= depth:
                 continue
         else:
-            way = radius * (1.0 + d * detector)
-            x = way * rays[s + POINT * BLOCK] + d * rays[s + SEEN * BLOCK]
-            y = way * rays[s + (POINT + 1) * BLOCK] + d * rays[s + (SEEN + 1) * BLOCK]
+            width = radius * (1.0 + d * detector)
+            x = width * rays[s + POINT * BLOCK] + d * rays[s + SEEN * BLOCK]
+            y = width * rays[s + (POINT + 1) * BLOCK] + d * rays[s + (SEEN + 1) * BLOCK]
         if x * x + y * y > size * size:
             return False
     return True
@@ -221,35 +221,35 @@ def _add_light(sums, sign, hits, rays, moment, count, posed, left_out, channel, 
     cameras, lenses, n, rims = moments.cameras, moments.lenses, optics.numbers, optics.rims
     total, normal, m = scratch[0, : len(sums)], scratch[1, :3], scratch[2]
     for s in range(count):
-        t, shown, share = moment[s], int(hits[s + BLOCK]), sign * rays[s + WEIGHT * BLOCK]
+        t, item, share = moment[s], int(hits[s + BLOCK]), sign * rays[s + WEIGHT * BLOCK]
         x, y, z = hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
         if len(rims) > 0 and not _passes(rims, hits[s], rays, s, lenses[t, 1], lenses[t, 3]):
             continue
-        if shown < 0:
+        if item < 0:
             if background < 0 or left_out == background:
                 continue
-            shown, camera = background, cameras[t]
+            item, camera = background, cameras[t]
             x, y, z = rotated(camera, rays[s + SLOPE * BLOCK], rays[s + (SLOPE + 1) * BLOCK], 1.0)
         else:
-            lies = mappings[shown, 0] > 0.0
+            lies = mappings[item, 0] > 0.0
             if lies or len(light) > 0:
-                normal_at(normal, x, y, z, shapes[0, shown])
+                normal_at(normal, x, y, z, shapes[0, item])
             if len(light) > 0:
                 at = (cameras[t, 9], cameras[t, 10], cameras[t, 11], light[3], light[4])
                 for k in range(12):
-                    m[k] = posed[shown, s + k * BLOCK]
+                    m[k] = posed[item, s + k * BLOCK]
                 share *= lambert(at, normal, m, rays[s], rays[s + BLOCK], x, y, z)
             if lies:
-                shade(total, x, y, z, normal, mappings[shown], images)
+                shade(total, x, y, z, normal, mappings[item], images)
                 for c in range(len(sums)):
                     if channel < 0 or channel == c:
                         sums[c] += share * total[c]
                 continue
-            rest = shapes[2, shown]
+            rest = shapes[2, item]
             x, y, z = rotated(rest, x, y, z)
             x, y, z = x + rest[9], y + rest[10], z + rest[11]
         if z > 0.0:
-            texel = _texel(x, y, z, n, mappings[shown])
+            texel = _texel(x, y, z, n, mappings[item])
             for c in range(len(sums)):
                 if channel < 0 or channel == c:
                     sums[c] += share * images[texel, c]
@@ -263,8 +263,8 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
     n, lenses, (across, up, field) = optics.numbers, moments.lenses, optics.wavefront
     for k in range(int(n[17])):
         for s in range(count):
-            t, seen = moment[s], (rays[s + SEEN * BLOCK], rays[s + (SEEN + 1) * BLOCK])
-            step, radius, at_x, at_y = lenses[t, 0] / band[0], lenses[t, 1], seen[0], seen[1]
+            t, slopes = moment[s], (rays[s + SEEN * BLOCK], rays[s + (SEEN + 1) * BLOCK])
+            step, radius, at_x, at_y = lenses[t, 0] / band[0], lenses[t, 1], slopes[0], slopes[1]
             l_x, l_y = rays[s + POINT * BLOCK], rays[s + (POINT + 1) * BLOCK]
             power, bent_x, bent_y = lenses[t, 2] + band[1], 0.0, 0.0
             if k > 0:
@@ -277,13 +277,13 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
             if n[18] > 0.0:
                 corner = 0.5 * math.hypot(n[0] - 1.0, n[1] - 1.0)
                 wide, high = 0.5 * (n[0] - 1.0) / corner, 0.5 * (n[1] - 1.0) / corner
-                seen_x, seen_y, _, _, _ = distorted(at_x, at_y, n)
-                right, above = seen_x / (step * corner), seen_y / (step * corner)
+                slope_x, slope_y, _, _, _ = distorted(at_x, at_y, n)
+                right, above = slope_x / (step * corner), slope_y / (step * corner)
                 right, above = max(min(right, wide), -wide), max(min(above, high), -high)
                 bent_x, bent_y = bend(l_x, l_y, right, above, across, up, field)
             rays[s], rays[s + BLOCK] = radius * l_x, radius * l_y
-            rays[s + SLOPE * BLOCK] = seen[0] - bent_x / radius - radius * power * l_x
-            rays[s + (SLOPE + 1) * BLOCK] = seen[1] - bent_y / radius - radius * power * l_y
+            rays[s + SLOPE * BLOCK] = slopes[0] - bent_x / radius - radius * power * l_x
+            rays[s + (SLOPE + 1) * BLOCK] = slopes[1] - bent_y / radius - radius * power * l_y
         _meet_all(hits, rays, count, left_out, posed, shapes)
 
 

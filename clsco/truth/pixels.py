@@ -58,42 +58,43 @@ def choose_pixels(problem: Problem, seed: int) -> Pixels:
     draw, middle = np.random.default_rng(seed), len(problem.moments.poses) // 2
     moments = sorted({0, middle, len(problem.moments.poses) - 1})
     (rows, columns), background = problem.size, problem.surfaces.background
-    seen = [labels_at(problem, moment) for moment in moments]
+    depth_labels = [labels_at(problem, moment) for moment in moments]
     radii = [
-        np.where((each < 0) & (background < 0), 0.0, radius_of(problem, depth, moment))
-        for (depth, each), moment in zip(seen, moments, strict=True)
+        np.where((labels < 0) & (background < 0), 0.0, radius_of(problem, depth, moment))
+        for (depth, labels), moment in zip(depth_labels, moments, strict=True)
     ]
-    label = seen[moments.index(middle)][1]
+    label = depth_labels[moments.index(middle)][1]
     label = np.where(label < 0, background, label)
-    found: list[_Places] = []  # rows, columns, class, object or -1 for the one that is seen
+    candidates: list[_Places] = []  # rows, columns, class, object or -1 for the visible one
 
-    edges = [_outlines(each, radius) for (_, each), radius in zip(seen, radii, strict=True)]
+    edges = [_outlines(labels, radius) for (_, labels), radius in zip(depth_labels, radii, strict=True)]
     edge_row, edge_column, reach = (np.concatenate(part) for part in zip(*edges, strict=True))
     if len(edge_row):
         at = draw.integers(0, len(edge_row), 4 * COUNTS[OUTLINE])
         near = reach[at] + AROUND_PX
         row = np.rint(edge_row[at] + near * draw.uniform(-1, 1, len(at)))
         column = np.rint(edge_column[at] + near * draw.uniform(-1, 1, len(at)))
-        found.append((row, column, OUTLINE, -1))
+        candidates.append((row, column, OUTLINE, -1))
     row, column = np.nonzero((np.abs(radii[moments.index(middle)]) < FOCUS_PX) & (label >= 0))
     at = draw.integers(0, max(len(row), 1), COUNTS[FOCUS] if len(row) else 0)
-    found.append((row[at], column[at], FOCUS, -1))
-    found.append((draw.integers(0, rows, COUNTS[RANDOM]), draw.integers(0, columns, COUNTS[RANDOM]), RANDOM, -1))
+    candidates.append((row[at], column[at], FOCUS, -1))
+    candidates.append((draw.integers(0, rows, COUNTS[RANDOM]), draw.integers(0, columns, COUNTS[RANDOM]), RANDOM, -1))
     small = [n for n in range(len(problem.scene.objects)) if is_small(problem, n)]
     for n in small:
         count = max(OF_EACH, COUNTS[SMALL] // len(small))
-        found.append((*_around(problem, n, middle, count, draw), SMALL, n))
-    chosen = _inside(found, label, rows, columns)
+        candidates.append((*_around(problem, n, middle, count, draw), SMALL, n))
+    chosen = _inside(candidates, label, rows, columns)
     counts = np.bincount(chosen.item[chosen.item >= 0], minlength=len(problem.scene.objects))
-    found = [(chosen.row, chosen.column, -1, -1)]
+    candidates = [(chosen.row, chosen.column, -1, -1)]
     for n in np.nonzero(counts < OF_EACH)[0].tolist():
         row, column = np.nonzero(label == n)
         at = draw.integers(0, max(len(row), 1), OF_EACH if len(row) else 0)
-        found.append((row[at], column[at], RANDOM, n))
+        candidates.append((row[at], column[at], RANDOM, n))
         if not len(row):
-            found.append((*_around(problem, n, middle, OF_EACH, draw), SMALL, n))
-    more = _inside(found[1:], label, rows, columns)
-    joined = (np.concatenate([getattr(each, name) for each in (chosen, more)]) for name in Pixels.__dataclass_fields__)
+            candidates.append((*_around(problem, n, middle, OF_EACH, draw), SMALL, n))
+    additional = _inside(candidates[1:], label, rows, columns)
+    pair, names = (chosen, additional), Pixels.__dataclass_fields__
+    joined = (np.concatenate([getattr(pixels, name) for pixels in pair]) for name in names)
     return Pixels(*joined)
 
 
@@ -107,9 +108,9 @@ def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ..
     """Rows and columns (n,) of pixels beside another object, and the larger |R| of the two."""
     parts = []
     for axis in (0, 1):
-        one, other = (np.take(label, range(k, label.shape[axis] - 1 + k), axis) for k in (0, 1))
+        first, second = (np.take(label, range(k, label.shape[axis] - 1 + k), axis) for k in (0, 1))
         size = [np.abs(np.take(radius, range(k, label.shape[axis] - 1 + k), axis)) for k in (0, 1)]
-        row, column = np.nonzero(one != other)
+        row, column = np.nonzero(first != second)
         parts.append((row, column, np.maximum(*size)[row, column]))
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
@@ -176,11 +177,11 @@ def _around(problem: Problem, number: int, moment: int, count: int, draw: np.ran
     return np.rint(row[at] + far * np.sin(angle)), np.rint(column[at] + far * np.cos(angle))
 
 
-def _inside(found: list[_Places], label: NDArray[np.int64], rows: int, columns: int) -> Pixels:
+def _inside(candidates: list[_Places], label: NDArray[np.int64], rows: int, columns: int) -> Pixels:
     """Pixels of the frame among positions, without duplicates in a class, up to the class's largest number."""
     parts = [
         np.stack([row, column, np.full(len(row), kind), np.full(len(row), item)], axis=-1).astype(np.int64)
-        for row, column, kind, item in found
+        for row, column, kind, item in candidates
     ]
     table = np.concatenate(parts) if parts else np.zeros((0, 4), np.int64)
     table = table[(table[:, 0] >= 0) & (table[:, 0] < rows) & (table[:, 1] >= 0) & (table[:, 1] < columns)]
@@ -188,5 +189,5 @@ def _inside(found: list[_Places], label: NDArray[np.int64], rows: int, columns: 
     table = table[np.sort(first)]
     outlines = np.cumsum(table[:, 2] == OUTLINE)
     table = table[(table[:, 2] != OUTLINE) | (outlines <= COUNTS[OUTLINE])]
-    seen = label[table[:, 0], table[:, 1]]
-    return Pixels(table[:, 0], table[:, 1], table[:, 2], np.where(table[:, 3] >= 0, table[:, 3], seen))
+    visible = label[table[:, 0], table[:, 1]]
+    return Pixels(table[:, 0], table[:, 1], table[:, 2], np.where(table[:, 3] >= 0, table[:, 3], visible))

@@ -37,17 +37,17 @@ def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
     return TOWARDS @ np.moveaxis(matrix, (0, 1), (-2, -1)) @ TOWARDS
 
 
-def static_rotation(given: Any) -> Array:
+def static_rotation(rotation: Any) -> Array:
     """Matrix (3, 3) from Euler angles or an axis with an angle, both in deg, or a quaternion w x y z."""
-    if given is None:
+    if rotation is None:
         return np.eye(3)
-    if hasattr(given, "quaternion"):
-        w, x, y, z = given.quaternion
+    if hasattr(rotation, "quaternion"):
+        w, x, y, z = rotation.quaternion
         return TOWARDS @ Rotation.from_quat([x, y, z, w]).inv().as_matrix() @ TOWARDS
-    if hasattr(given, "axis"):
-        axis = np.asarray(given.axis, float)
-        return rotation_matrix(math.radians(given.angle) * axis / np.linalg.norm(axis), True)
-    return rotation_matrix(np.radians(given), False)
+    if hasattr(rotation, "axis"):
+        axis = np.asarray(rotation.axis, float)
+        return rotation_matrix(math.radians(rotation.angle) * axis / np.linalg.norm(axis), True)
+    return rotation_matrix(np.radians(rotation), False)
 
 
 def shake_sines(shake: Any) -> Array:
@@ -67,8 +67,8 @@ def shake_sines(shake: Any) -> Array:
 def shake_at(sines: Array, times: Array) -> tuple[Array, Array]:
     """Rotations (times, 3, 3) and shifts (times, 3) of a shaking camera."""
     size, frequency, phase = np.moveaxis(sines, -1, 0)
-    found = (size * np.sin(2 * np.pi * (frequency * times[:, None, None] + phase))).sum(axis=-1)
-    return rotation_matrix(found[:, :3], True), found[:, 3:]
+    components = (size * np.sin(2 * np.pi * (frequency * times[:, None, None] + phase))).sum(axis=-1)
+    return rotation_matrix(components[:, :3], True), components[:, 3:]
 
 
 def path_at(keys: Sequence[float], values: Array, interpolation: str, outside: str, times: Array) -> Array:
@@ -86,21 +86,21 @@ def path_at(keys: Sequence[float], values: Array, interpolation: str, outside: s
         step, ends = knots[1] - knots[0], np.stack([2 * values[0] - values[1], 2 * values[-1] - values[-2]])
         wider = np.concatenate([ends[:1], values, ends[1:]])
         curve = BSpline(knots[0] + step * np.arange(-3.0, len(knots) + 3.0), wider, 3)
-    found = curve(at)
+    path = curve(at)
     if outside != "hold":
-        found = found + (times - at)[:, None] * curve(at, 1)
-    return np.asarray(found)
+        path = path + (times - at)[:, None] * curve(at, 1)
+    return np.asarray(path)
 
 
 def motion_at(motion: Any, times: Array, axis_rotation: bool) -> tuple[Array, Array]:
     """Rotations (times, 3, 3) and shifts (times, 3) of a motion."""
     keys = getattr(motion, "keyframe", None)
     if keys is None:
-        found = []
+        parts = []
         for speed, gain in (("velocity", "acceleration"), ("angular_velocity", "angular_acceleration")):
             change = np.asarray(getattr(motion, gain, None) or (0.0, 0.0, 0.0), float)
-            found.append(np.outer(times, getattr(motion, speed)) + np.outer(times * times / 2, change))
-        return rotation_matrix(np.radians(found[1]), axis_rotation), found[0]
+            parts.append(np.outer(times, getattr(motion, speed)) + np.outer(times * times / 2, change))
+        return rotation_matrix(np.radians(parts[1]), axis_rotation), parts[0]
     moments, how = [key.time for key in keys], (motion.interpolation, motion.outside)
     angles = np.radians([key.rotation for key in keys])
     shifts = path_at(moments, np.array([key.position for key in keys], float), *how, times)
@@ -135,19 +135,19 @@ def poses_at(scene: Any, centers: Array, rotations: Array, camera: tuple[Array, 
     back, shift = np.swapaxes(camera[0], -1, -2), camera[1]
     axis = scene.motion.rotation == "axis"
     groups = {group.name: (group, *motion_at(group.motion, times, axis)) for group in scene.groups}
-    found = np.empty((len(times), len(centers), 12))
+    poses = np.empty((len(times), len(centers), 12))
     first: dict[str, Array] = {}
     for n, (item, center) in enumerate(zip(scene.objects, centers, strict=True)):
         turn, place = motion_at(item.motion, times, axis)
         turn, place = turn @ rotations[n], center + place
         if item.group is not None:
-            group, carried, moved = groups[item.group]
+            group, group_turn, group_shift = groups[item.group]
             origin = np.asarray(first.setdefault(item.group, center) if group.origin is None else group.origin)
-            place = origin + moved + np.einsum("tij,tj->ti", carried, place - origin)
-            turn = carried @ turn
-        found[:, n, :9] = np.swapaxes(back @ turn, -1, -2).reshape(-1, 9)
-        found[:, n, 9:] = np.einsum("tij,tj->ti", back, place - shift)
-    return found
+            place = origin + group_shift + np.einsum("tij,tj->ti", group_turn, place - origin)
+            turn = group_turn @ turn
+        poses[:, n, :9] = np.swapaxes(back @ turn, -1, -2).reshape(-1, 9)
+        poses[:, n, 9:] = np.einsum("tij,tj->ti", back, place - shift)
+    return poses
 
 
 def lens_at(scene: Any, times: Array) -> Array:
@@ -156,14 +156,14 @@ def lens_at(scene: Any, times: Array) -> Array:
     f0, s0 = camera.focal_length, camera.normalization_distance
     keys = () if lens is None else lens.keyframe or ()
 
-    def of(name: str, power: int, usual: float) -> Array:
-        given = [(key.time, getattr(key, name) ** power) for key in keys if getattr(key, name) is not None]
-        if not given:
+    def values_of(name: str, power: int, usual: float) -> Array:
+        keyed = [(key.time, getattr(key, name) ** power) for key in keys if getattr(key, name) is not None]
+        if not keyed:
             return np.full(len(times), usual)
-        values = np.array([[value] for _, value in given])
-        return path_at([time for time, _ in given], values, lens.interpolation, lens.outside, times)[:, 0]
+        values = np.array([[value] for _, value in keyed])
+        return path_at([time for time, _ in keyed], values, lens.interpolation, lens.outside, times)[:, 0]
 
-    f = of("focal_length", 1, f0)
-    power = of("focus_distance", -1, 1 / f0 - 1 / camera.sensor_distance)
-    half = 0.5 * f * of("f_number", -1, camera.aperture_diameter / f0)
+    f = values_of("focal_length", 1, f0)
+    power = values_of("focus_distance", -1, 1 / f0 - 1 / camera.sensor_distance)
+    half = 0.5 * f * values_of("f_number", -1, camera.aperture_diameter / f0)
     return np.stack([camera.pixel_pitch / s0 * f0 / f, half, power, 1 / f - power], axis=-1)

@@ -117,14 +117,14 @@ def _surfaces(scene: Scene, textures: Any) -> Surfaces:
         if lies(item):
             mappings[n] = mapping_of(item, (rows, columns), begin, scene.motion.texture_filter)
             assert len(images) == 1 or mappings[n, 0] == CUBE
-    known = [surface_of(item) for item in scene.objects]
+    surfaces = [surface_of(item) for item in scene.objects]
     background = next((n for n, item in enumerate(scene.objects) if item.is_background), -1)
     light = np.zeros(0)
     if scene.light is not None:
         place = scene.light.position or np.multiply(scene.light.direction or (), [1.0, 1.0, -1.0])
         light = np.array([*place, float(scene.light.position is not None), scene.light.ambient])
-    shapes = np.zeros((3, len(known), 12))
-    for n, (item, (coefficients, center, span)) in enumerate(zip(scene.objects, known, strict=True)):
+    shapes = np.zeros((3, len(surfaces), 12))
+    for n, (item, (coefficients, center, span)) in enumerate(zip(scene.objects, surfaces, strict=True)):
         shapes[0, n, :10], shapes[1, n, :7] = coefficients, bounds_of(item, span)
         shapes[2, n, :9], shapes[2, n, 9:] = static_rotation(item.rotation).ravel(), center
     return Surfaces(

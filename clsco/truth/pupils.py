@@ -36,28 +36,28 @@ class Pupil(NamedTuple):
 
 def pupil_of(scene: Any) -> Pupil:
     """The aperture of a scene's lens."""
-    given, psf, none = scene.aperture, scene.psf, np.zeros(1)
-    squeeze, turn = given.squeeze, math.radians(given.rotation)
+    aperture, psf, none = scene.aperture, scene.psf, np.zeros(1)
+    squeeze, turn = aperture.squeeze, math.radians(aperture.rotation)
     if psf.model == "gaussian":
         cut = 1.0 - math.exp(-(psf.truncation**2) / 2)
         return Pupil(np.array([GAUSSIAN, squeeze, psf.sigma_ratio, cut]), none, none[None], 1.0)
-    if given.shape == "image":
+    if aperture.shape == "image":
         cells = _cells(scene)
         light = float(cells.mean() * 4 / (math.pi * squeeze))
         rows = np.concatenate([[0.0], np.cumsum(cells.sum(axis=1))])
         columns = np.concatenate([np.zeros((len(cells), 1)), np.cumsum(cells, axis=1)], axis=1)
         return Pupil(np.array([CELLS, squeeze, turn, len(cells)]), rows, columns, light)
-    if given.shape == "polygon":
-        half = math.pi / given.blades
+    if aperture.shape == "polygon":
+        half = math.pi / aperture.blades
         middle = math.cos(half)
-        rise = given.blade_curvature * (1 - middle)
+        rise = aperture.blade_curvature * (1 - middle)
         radius = math.inf if rise == 0 else (math.sin(half) ** 2 + rise**2) / (2 * abs(rise))
         center = middle + rise - math.copysign(radius, rise) if rise else 0.0
         numbers = np.array([BLADES, squeeze, turn, half, middle, center, radius, math.copysign(1.0, rise), 1.0])
         nodes, weights = np.polynomial.legendre.leggauss(64)
         numbers[8] = float(weights @ np.array([_rim(half * node, numbers) ** 2 for node in nodes])) / 2
         return Pupil(numbers, none, none[None], numbers[8] / squeeze)
-    inner = given.obstruction**2 if given.shape == "ring" else 0.0
+    inner = aperture.obstruction**2 if aperture.shape == "ring" else 0.0
     return Pupil(np.array([ROUND, squeeze, inner]), none, none[None], (1 - inner) / squeeze)
 
 
@@ -91,12 +91,12 @@ def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
     """
     weight, kind, angle = 1.0, int(p[0]), 2.0 * math.pi * v
     if kind == CELLS:
-        count, wanted = len(columns), u * rows[-1]
-        i = min(np.searchsorted(rows, wanted, side="right") - 1, count - 1)
-        down = (wanted - rows[i]) / (rows[i + 1] - rows[i])
-        wanted = v * columns[i, -1]
-        j = min(np.searchsorted(columns[i], wanted, side="right") - 1, count - 1)
-        x = 2.0 * (j + (wanted - columns[i, j]) / (columns[i, j + 1] - columns[i, j])) / count - 1.0
+        count, target = len(columns), u * rows[-1]
+        i = min(np.searchsorted(rows, target, side="right") - 1, count - 1)
+        down = (target - rows[i]) / (rows[i + 1] - rows[i])
+        target = v * columns[i, -1]
+        j = min(np.searchsorted(columns[i], target, side="right") - 1, count - 1)
+        x = 2.0 * (j + (target - columns[i, j]) / (columns[i, j + 1] - columns[i, j])) / count - 1.0
         y = 1.0 - 2.0 * (i + down) / count
         x, y = math.cos(p[2]) * x - math.sin(p[2]) * y, math.sin(p[2]) * x + math.cos(p[2]) * y
         return x / p[1], y, weight

@@ -72,13 +72,13 @@ def cells_of(problem: Problem) -> Cells:
     places[:, 0], places[:, 1], places[:, 4] = column / parts - window // 2, row / parts - window // 2, 0.0
     lenses, numbers = problem.moments.lenses.copy(), problem.optics.numbers.copy()
     lenses[:, 1], numbers[18] = 1e-9, 0.0
-    seen = problem._replace(
+    cell_problem = problem._replace(
         moments=problem.moments._replace(lenses=lenses), optics=problem.optics._replace(numbers=numbers)
     )
     filled = np.where(shines, radius, 0.0)
     inner = minimum_filter(shines, 3)  # differences across an outline to nothing say nothing of the surface
     tilted = (np.hypot(*np.gradient(filled)) * parts > TILTED) & inner
-    return Cells(parts, window, radius, shines, ((first < last) | tilted) & shines, seen, places)
+    return Cells(parts, window, radius, shines, ((first < last) | tilted) & shines, cell_problem, places)
 
 
 def spread_light(problem: Problem, cells: Cells, light: Array, error: Array) -> tuple[Array, Array, Array]:
@@ -86,18 +86,18 @@ def spread_light(problem: Problem, cells: Cells, light: Array, error: Array) -> 
     pixel's light from hidden or tilted surfaces; light, error (n, channels): of the cells with light.
     """
     psf, parts, channels = problem.scene.psf, cells.parts, light.shape[1]
-    radii, count = cells.radius[cells.shines], [next_fast_len(each) for each in cells.radius.shape]
+    radii, count = cells.radius[cells.shines], [next_fast_len(size) for size in cells.radius.shape]
     middles = psf.wavelengths if channels == 3 else psf.wavelengths[1:2]
     finest = unit_of(problem, min(psf.wavelengths) - 0.5 * psf.bandwidth)
     nodes, gap = np.linspace(
         radii.min(), radii.max(), 1 + math.ceil(np.ptp(radii) * RADII_PER_UNIT / finest), retstep=True
     )
     sums = np.zeros((channels, 3, count[0], count[1] // 2 + 1), complex)
-    at, of_band = np.polynomial.legendre.leggauss(3 if psf.bandwidth else 1)
+    at, band_weights = np.polynomial.legendre.leggauss(3 if psf.bandwidth else 1)
     for radius in nodes:
         part = np.clip(1.0 - np.abs(radii - radius) / gap, 0.0, 1.0) if gap > 0.0 else np.ones(len(radii))
         for channel in range(channels if part.any() else 0):
-            bands = zip(middles[channel] + 0.5 * psf.bandwidth * at, 0.5 * of_band, strict=True)
+            bands = zip(middles[channel] + 0.5 * psf.bandwidth * at, 0.5 * band_weights, strict=True)
             spread = sum(share * _spread(problem, cells, wavelength, float(radius)) for wavelength, share in bands)
             values = light[:, channel], cells.hidden[cells.shines].astype(float), part * error[:, channel] ** 2
             for k, value in enumerate(values):
@@ -138,21 +138,21 @@ def _spread(problem: Problem, cells: Cells, wavelength: float, radius: float) ->
     light += (1.0 - light.sum()) / count**2
     f = np.fft.fftfreq(count, 1.0 / fine)
     response = np.sinc(f) * np.sinc(f / cells.parts) * np.exp(-1j * np.pi * f / cells.parts)
-    found = np.fft.ifft2(np.fft.fft2(light) * response * response[:, None]).real
+    weights = np.fft.ifft2(np.fft.fft2(light) * response * response[:, None]).real
     step = fine // cells.parts
-    return np.asarray(found[::step, ::step] * step**2)
+    return np.asarray(weights[::step, ::step] * step**2)
 
 
 @njit(cache=True)
 def _amplitude(index, pitch, p, columns):  # type: ignore[no-untyped-def]
     """Amplitude (y, x) in cells of the aperture, the first row on top, and the total light of the cells."""
-    found, passed = np.zeros((len(index), len(index))), 0.0
+    amplitude, passed = np.zeros((len(index), len(index))), 0.0
     for i in range(len(index)):
         for j in range(len(index)):
             for k in range(FINE * FINE):
                 x = (index[j] + (k % FINE + 0.5) / FINE - 0.5) * pitch
                 y = -(index[i] + (k // FINE + 0.5) / FINE - 0.5) * pitch
                 part = is_open(x, y, p, columns)
-                found[i, j] += math.sqrt(part) / FINE**2
+                amplitude[i, j] += math.sqrt(part) / FINE**2
                 passed += part / FINE**2
-    return found, passed
+    return amplitude, passed

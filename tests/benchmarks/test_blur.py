@@ -140,7 +140,7 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     blur = one.blur
     assert isinstance(blur, Gather)
     margins = 4 * 16 * blur.pitch
-    held = [buffer for table in (*blur.tables, blur.alike) for buffer in table]
+    held = [buffer for table in (*blur.tables, blur.tap_tables) for buffer in table]
     tables = sum(buffer.size for buffer in held if buffer is not None)
     scratch = column_bytes(blur.spec.psf, psf.tilt, 1, 0) + blur.position.size
     assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + scratch

@@ -219,7 +219,7 @@ def test_textures_on_a_device_depend_on_each_of_them_and_on_their_channels(sessi
 
 
 def test_programs_depend_on_each_part_of_a_request(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(program, "_built", lambda *_: {})
+    monkeypatch.setattr(program, "_compile_for_device", lambda *_: {})
     point = np.dtype([("x", "f4"), ("y", "f4")], align=True)
     base: tuple[Any, ...] = (("blur/accumulate.cl",), {"CHANNELS": 1}, {"point_t": point}, "float")
     others: dict[int, list[Any]] = {

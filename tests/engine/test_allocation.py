@@ -16,7 +16,7 @@ from clsco.engine.renderer import Renderer, expose
 from clsco.opencl.session import Session
 from clsco.passes.tables import shared_tables
 from clsco.passes.trace import LatestHits
-from clsco.plan.memory import buffer_bytes, device_bytes, fitted, lens_bytes, limit_of
+from clsco.plan.memory import buffer_bytes, device_bytes, fit_strips, lens_bytes, limit_of
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
@@ -80,7 +80,7 @@ def test_the_plan_is_what_is_allocated(session: Session, allocated: list[weakref
     expected = {name: size for name, size in buffer_bytes(plan).items() if not name.startswith("truth")}
     gc.collect()
     allocated.clear()
-    renderer = Renderer(session, fitted(plan, limit), prepared, limit)
+    renderer = Renderer(session, fit_strips(plan, limit), prepared, limit)
     (film,) = expose([renderer], 0)
     renderer.finish(film)
     gc.collect()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from clsco.engine.renderer import _finished, _keep_pace
+from clsco.engine.renderer import _finished_share, _keep_pace
 from clsco.opencl.session import Progress, Session
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
@@ -28,7 +28,7 @@ STILL = [True, False, False, False, False]
     ],
 )
 def test_each_kind_of_step_counts_by_its_time(still: Sequence[bool], ends: Sequence[float], share: float) -> None:
-    assert _finished(still[: len(ends) - 1], still, ends) == pytest.approx(share)
+    assert _finished_share(still[: len(ends) - 1], still, ends) == pytest.approx(share)
 
 
 def test_what_stands_still_is_no_time_sample() -> None:
@@ -48,7 +48,7 @@ def test_a_divided_frame_has_a_step_of_what_stands_still_and_its_time_samples(se
     wall = {"shape": "rectangle", "center": [0, 0, 300], "size": [40.0, 40.0]}
     given = {"camera": {"resolution": [64, 48]}, "sequence": {"samples": 3}, "object": [ball, wall]}
     prepared = prepare(parse_scene(given), Request())
-    assert prepared.plan.divided
+    assert prepared.plan.splits_still
     session.progress = progress = Progress()
     try:
         renderer = Renderer(session, prepared.plan, prepared, limit_of(None, session.device))

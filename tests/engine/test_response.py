@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.engine.response import only_lit
+from clsco.engine.response import isolate_source
 from clsco.optics.point_spread import point_spread
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
@@ -61,7 +61,7 @@ def test_a_frame_is_the_sum_of_its_sources(name: str) -> None:
 def test_the_reference_has_the_same_response(name: str) -> None:
     scene = SCENES[name]
     for x, y, item in ((7, 5, 0), (1, 2, len(scene.objects) - 1)):
-        lit = only_lit(scene, x, y, item=item)
+        lit = isolate_source(scene, x, y, item=item)
         exact = lit.inside(next(clsco.reference.render(lit.scene)))
         np.testing.assert_allclose(clsco.response(scene, x, y, item=item), exact, atol=2e-6)
 
@@ -114,7 +114,7 @@ FALLING = EVEN | {"depth": np.linspace(260.0, 320.0, 154).reshape(11, 14)}  # ne
 def test_a_source_is_on_the_object_that_is_seen(objects: Any, pixel: tuple[int, int], number: int) -> None:
     scene = scene_from(TABLES, *objects, sequence={"frames": 2, "interval": 1.0, "shutter": 0.2})
     for index in (0, 1):
-        lit = only_lit(scene, *pixel, index).scene.objects
+        lit = isolate_source(scene, *pixel, index).scene.objects
         assert [not isinstance(item.texture, str) for item in lit] == [k == number for k in range(len(lit))]
 
 

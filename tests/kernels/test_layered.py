@@ -100,7 +100,7 @@ class Device:
         for _ in range(moments):
             cl.enqueue_copy(self.session.queue, image.value, light)  # "renormalize" writes to it
             self.clusters.find(self.job, image)
-            layers = self.clusters.divide(self.job, image, self.clusters.found())
+            layers = self.clusters.divide(self.job, image, self.clusters.read_bounds())
             self.layers.add(self.job, layers)
         plane = self.blur.plane(self.job.events).read(self.session)
         return plane.reshape(*self.view.shape, -1), layers.count

@@ -137,7 +137,7 @@ def some_points(rng: np.random.Generator, surfaces: list[tuple[Object, Pose]], e
     w = 1 / depth
     radius = rng.choice([-1.0, 1.0], points) * np.exp(rng.uniform(-2, 4, points))
     radius[::40], radius[1::40], radius[2::40] = 0.0, 4.0, -4.0
-    nearest = np.array([item.seen.w[1] for item in placed])[surface]
+    nearest = np.array([item.extent.w[1] for item in placed])[surface]
     w[3::40] = np.where(nearest < 1, nearest, w)[3::40]
     own = np.arange(points) % 5 == 4
     return {

@@ -68,13 +68,13 @@ WORKS: dict[str, Callable[[], Any]] = {
 def recorded(patch: pytest.MonkeyPatch) -> list[float]:
     """Gets the time of every piece, s."""
     found: list[float] = []
-    resized = pace.resized
+    resized = pace.next_size
 
     def noted(size: int, seconds: float) -> int:
         found.append(seconds)
         return resized(size, seconds)
 
-    patch.setattr(pace, "resized", noted)
+    patch.setattr(pace, "next_size", noted)
     return found
 
 

@@ -124,13 +124,13 @@ def test_a_kernel_may_call_what_is_not_declared(
     session: Session, kernels: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """PoCL's header is left out where all functions of a program are declared, and only there."""
-    options, compiled = list[list[str]](), program_module._compiled
+    options, compiled = list[list[str]](), program_module._compile
 
     def noted(*given: Any) -> Any:
         options.append(given[-1])
         return compiled(*given)
 
-    monkeypatch.setattr(program_module, "_compiled", noted)
+    monkeypatch.setattr(program_module, "_compile", noted)
     left_out = session.device.is_pocl and session.device.kind == "cpu"
     built(session, 21)
     assert [WITHOUT_HEADER in one for one in options] == [left_out]
@@ -362,7 +362,7 @@ def test_a_kept_program_that_pocl_cannot_read_is_built_anew(session: Session, mo
             return super().all_kernels() if len(builds) > 1 else []
 
     monkeypatch.setattr(cl, "Program", Unreadable)
-    found = program_module._compiled(session, "one.cl", "kernel void one(global int* a) { a[0] = 1; }", [])
+    found = program_module._compile(session, "one.cl", "kernel void one(global int* a) { a[0] = 1; }", [])
     assert list(found) == ["one"]
     assert builds[0] == []
     assert builds[1][-1].startswith("-DBUILT_ANEW=")
@@ -380,8 +380,8 @@ def test_another_driver_than_pocl_is_used_once_it_passes_arguments_rightly(
     session: Session, monkeypatch: pytest.MonkeyPatch, kernels: Path
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(kernels))
-    run, probe = Mock(wraps=self_test._ran), self_test._ARGUMENTS
-    monkeypatch.setattr(self_test, "_ran", run)
+    run, probe = Mock(wraps=self_test._run_probe), self_test._ARGUMENTS
+    monkeypatch.setattr(self_test, "_run_probe", run)
     wrong = replace(probe, body="out[i] = i == 3 ? -5 : 7 * i + 10;")
     other = replace(session.device, platform="Another", driver="1.5")
 

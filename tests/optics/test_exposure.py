@@ -61,9 +61,9 @@ def test_what_stays_is_one_image() -> None:
 
 
 def test_weights_of_all_rows_and_of_each() -> None:
-    assert Exposure(np.zeros(2), np.array([0.25, 0.75])).of_lines(3).tolist() == [[0.25] * 3, [0.75] * 3]
+    assert Exposure(np.zeros(2), np.array([0.25, 0.75])).line_weights(3).tolist() == [[0.25] * 3, [0.75] * 3]
     ramp = np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]])
-    assert (Exposure(np.zeros(2), ramp).of_lines(3) == ramp).all()
+    assert (Exposure(np.zeros(2), ramp).line_weights(3) == ramp).all()
 
 
 @pytest.mark.parametrize("frames", [1, 2, 9, 300])
@@ -265,7 +265,7 @@ def test_pieces_between_jumps_have_shares_by_their_lengths() -> None:
 def test_lines_have_the_light_of_their_own_times_before_a_jump(readout: float) -> None:
     wanted = jumping(0.31, shutter=0.6, interval=40.0, readout=readout)
     found, times = frame_exposure(wanted, 0, 3), line_times(wanted, 0)
-    weights = found.of_lines(12)
+    weights = found.line_weights(12)
     np.testing.assert_allclose(weights.sum(axis=0), 1.0, rtol=0, atol=1e-12)
     before = (weights * (found.times < 0.31)[:, None]).sum(axis=0)
     np.testing.assert_allclose(before, np.clip((0.31 - times + 0.3) / 0.6, 0.0, 1.0), rtol=0, atol=1e-12)

@@ -8,7 +8,7 @@ import pytest
 
 from clsco.optics.motion import poses_at
 from clsco.optics.quadrics import place
-from clsco.optics.still import WINDOW_MARGIN, Exposed, exposed
+from clsco.optics.still import WINDOW_MARGIN, StillSplit, split_still
 from clsco.optics.visibility import OcclusionGroup
 from clsco.scene.model import (
     Camera,
@@ -32,10 +32,10 @@ def turning(x: float, y: float, z: float) -> dict[str, Any]:
     return {"motion": ObjectMotion(angular_velocity=(x, y, z))}
 
 
-def found(*items: Object, times: tuple[float, ...] = (0.1, 0.4, 0.7)) -> Exposed:
+def found(*items: Object, times: tuple[float, ...] = (0.1, 0.4, 0.7)) -> StillSplit:
     scene = Scene(objects=items)
     posed = [zip(items, poses_at(scene, time), strict=True) for time in times]
-    return exposed(items, [[place(item, pose) for item, pose in each] for each in posed])
+    return split_still(items, [[place(item, pose) for item, pose in each] for each in posed])
 
 
 @pytest.mark.parametrize(
@@ -98,8 +98,8 @@ def test_what_has_no_bounds_may_be_anywhere() -> None:
     wall, ball = Plane(distance=300), Sphere(center=(0, 0, 250), radius=9)
     near = Plane(distance=200, motion=ObjectMotion(velocity=(0, 0, 5)))
     one = found(near, wall, ball)
-    assert one.spares(OcclusionGroup(0b110, 0))
-    assert not one.spares(OcclusionGroup(0b110, 0b001))
-    assert not one.spares(OcclusionGroup(0b001, 0))
+    assert one.has_still(OcclusionGroup(0b110, 0))
+    assert not one.has_still(OcclusionGroup(0b110, 0b001))
+    assert not one.has_still(OcclusionGroup(0b001, 0))
     camera = Camera(resolution=(20, 10))
     assert one.window(OcclusionGroup(0b110, 0b001), camera, 1.0, 8, -8, 26) == (0, 0, 36, 26)

@@ -76,7 +76,7 @@ def test_only_rows_that_are_open_are_rendered(monkeypatch: pytest.MonkeyPatch) -
     add = Film.add
 
     def noted(self: Film, session: Any, strip: Any, count: int, found: Any) -> None:
-        heights.append(self.parts_of[strip][count].rows)
+        heights.append(self.strip_parts[strip][count].rows)
         add(self, session, strip, count, found)
 
     monkeypatch.setattr(Film, "add", noted)

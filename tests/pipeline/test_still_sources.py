@@ -13,7 +13,7 @@ import clsco
 from clsco.constants import BAND
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
-from clsco.optics.still import Exposed
+from clsco.optics.still import StillSplit
 from clsco.plan import decisions
 from clsco.plan.choice import Choice
 from clsco.plan.memory import device_bytes
@@ -74,7 +74,7 @@ def scene(name: str, **sections: Any) -> Scene:
 
 
 def divided(wanted: Scene, **options: Any) -> bool:
-    return prepare(wanted, Request(**options)).plan.divided
+    return prepare(wanted, Request(**options)).plan.splits_still
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def test_alpha_and_ground_truth_are_those_of_the_plain_sum(plainly: Make) -> Non
 def test_strips_have_the_bits_of_the_whole_frame() -> None:
     wanted = scene("ball before a card, a tube and a photo", camera={"resolution": [40, 200], "pixel_pitch": 0.05})
     plan = prepare(wanted, Request(truth=()), choose()).plan
-    assert plan.divided
+    assert plan.splits_still
     little = device_bytes(replace(plan, strip_rows=BAND))
     (whole,), (found,) = (rendered(wanted, truth=(), **options) for options in ({}, {"memory": little}))
     assert whole.metadata["strips"] == 1 < found.metadata["strips"]
@@ -157,7 +157,7 @@ def test_a_frame_is_made_again_where_a_still_source_was_not(
 ) -> None:
     wanted = scene("ball that passes")
     exact = plainly(wanted)
-    monkeypatch.setattr(Exposed, "window", lambda *_: window)
+    monkeypatch.setattr(StillSplit, "window", lambda *_: window)
     (found,) = rendered(wanted, truth=())
     np.testing.assert_array_equal(found.color, exact[0].color)
 
@@ -182,7 +182,7 @@ def test_scenes_that_are_not_divided(reason: str) -> None:
     truth = ("subframes",) if "all sources" in reason else ()
     wanted = scene_from({"camera": CAMERA} | sections, *items)
     plan = prepare(wanted, Request(truth)).plan
-    assert not plan.divided
+    assert not plan.splits_still
     assert reason in dict(plan.choices.left_out)["still sources"]
 
 

@@ -139,7 +139,7 @@ def test_samples_follow_the_way_over_the_image() -> None:
 
 def test_nothing_is_still_under_a_zoom() -> None:
     plan = prepare(SCENES["moving"]).plan
-    assert not plan.divided
+    assert not plan.splits_still
     assert plan.choices.still_sources.reason == "the lens changes"
     assert plan.features()["MOVED"]
 

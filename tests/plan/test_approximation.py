@@ -74,8 +74,8 @@ def test_the_true_error_stays_below_the_estimate_and_the_tolerance(name: str, to
     report = ApproximationReport(**found.metadata["approximation"])
     error = np.sqrt(np.mean((found.color.astype(np.float64) - exact.color) ** 2))
     assert error <= max(report.rms_error, 1e-6) <= tolerance
-    assert found.metadata["samples"] == report.samples <= report.of_samples == exact.metadata["samples"]
-    fewer = report.samples < report.of_samples or report.silhouette_samples < report.of_silhouette_samples
+    assert found.metadata["samples"] == report.samples <= report.scene_samples == exact.metadata["samples"]
+    fewer = report.samples < report.scene_samples or report.silhouette_samples < report.scene_silhouette_samples
     assert fewer or report.merged > 0.0 or tolerance < 0.04
 
 
@@ -108,9 +108,9 @@ def test_stripes_that_move_by_their_own_width_are_not_taken_for_still_ones() -> 
     """Samples one period of a pattern apart would show it as if nothing moved."""
     report = prepared(SCENES["stripes"], 0.05).approximation
     assert report is not None
-    moved_px = report.of_samples - 1
+    moved_px = report.scene_samples - 1
     assert report.samples > moved_px / 8
-    assert report.samples < report.of_samples
+    assert report.samples < report.scene_samples
 
 
 @pytest.mark.parametrize(("bent", "alike"), [(0.0, True), (0.9, False)])
@@ -128,7 +128,7 @@ def test_errors_of_rows_with_weights_of_their_own_are_averaged(
     found = prepared(SCENES["turning"], 0.05).approximation
     assert plain is not None
     assert found is not None
-    assert plain.samples < plain.of_samples
+    assert plain.samples < plain.scene_samples
     assert (found.rms_error == pytest.approx(plain.rms_error)) == alike
 
 
@@ -191,8 +191,8 @@ def test_the_choice_is_reported_and_a_frame_of_another_tolerance_is_made_again(t
         written.append((tmp_path / "out" / "frame_0000.json").stat().st_mtime_ns)
         if len(written) == 1:
             report = ApproximationReport(**values)
-            assert report.samples < report.of_samples
-            assert f"{report.samples} of {report.of_samples} time samples and " in done.stderr
+            assert report.samples < report.scene_samples
+            assert f"{report.samples} of {report.scene_samples} time samples and " in done.stderr
             assert f"silhouette samples: estimated RMS error {report.rms_error:.2g} of white" in done.stderr
     assert written[0] == written[1] < written[2] < written[3]
 

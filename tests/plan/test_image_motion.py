@@ -90,7 +90,7 @@ def test_the_largest_way_of_a_sequence_is_in_its_first_or_last_frame(speed: floa
     item = Plane(distance=250.0, motion=ObjectMotion(velocity=(0.0, 0.0, speed)))
     given = scene_of(item, sequence=Sequence(frames=4, interval=0.5))
     corner = hypot(31.5, 23.5)
-    way = max(path_of(given, frame=frame, guard=9).longest for frame in image_motion.some_frames(given))
+    way = max(path_of(given, frame=frame, guard=9).longest for frame in image_motion.sampled_frames(given))
     near = min(opens, closes)
     assert way == pytest.approx(corner * 10.0 / near, rel=1e-9)  # of what comes into the frame, or leaves it
     (need,) = motion_needs(given, LENS, guard=9)

@@ -20,7 +20,7 @@ from clsco.plan import memory
 from clsco.plan.buffers import margin
 from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
-from clsco.plan.memory import Limit, device_bytes, fitted, limit_of, parse_size, rows_that_fit
+from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of, parse_size, rows_that_fit
 from clsco.resources import machine_bytes
 from tests.scenes import scene_file
 
@@ -48,10 +48,10 @@ def test_the_limit_is_given_or_half_of_what_is_free(monkeypatch: pytest.MonkeyPa
     assert machine_bytes() > machine_bytes(free=True) > 2**20
     monkeypatch.setattr(memory, "machine_bytes", lambda free: 1000)
     large, small = (ThisMachine(global_mem=size, max_alloc=700) for size in (3000, 600))
-    assert limit_of(None, large) == Limit(500, 700, given=False)
+    assert limit_of(None, large) == Limit(500, 700, set_by_user=False)
     assert limit_of(None, small).total == 300
     assert limit_of(None, replace(large, unified_memory=False)).total == 1500
-    assert limit_of("2kB", small) == Limit(2000, 700, given=True)
+    assert limit_of("2kB", small) == Limit(2000, 700, set_by_user=True)
 
 
 @pytest.mark.parametrize("guard", [0, 3, 24])
@@ -73,8 +73,8 @@ def test_the_tallest_strips_that_fit() -> None:
     def sizes(rows: int) -> dict[str, int]:
         return {"fixed": 1000, "strip": 10 * rows, "truth": 2 * rows}
 
-    def rows(total: int, buffer: int = 2**40, given: bool = True, views: int = 1, whole: bool = False) -> int:
-        return rows_that_fit(500, Limit(total, buffer, given, views), sizes, whole)
+    def rows(total: int, buffer: int = 2**40, set_by_user: bool = True, views: int = 1, whole: bool = False) -> int:
+        return rows_that_fit(500, Limit(total, buffer, set_by_user, views), sizes, whole)
 
     assert rows(7000) == 500
     assert rows(6999) == 7 * BAND
@@ -86,11 +86,11 @@ def test_the_tallest_strips_that_fit() -> None:
     assert rows(12_999, views=2) == 7 * BAND
     with pytest.raises(SceneError, match=r"must be at least 1 MiB for this frame, in strips of 64 rows; got"):
         rows(1000 + 12 * BAND - 1)
-    assert rows(999, given=False) == BAND
+    assert rows(999, set_by_user=False) == BAND
     assert rows(7000, whole=True) == 500
     with pytest.raises(SceneError, match=r"least 1 MiB for this frame, as the forward warp needs the whole frame; got"):
         rows(6999, whole=True)
-    assert rows(6999, given=False, whole=True) == 500
+    assert rows(6999, set_by_user=False, whole=True) == 500
 
 
 RNG = np.random.default_rng(5)
@@ -155,11 +155,11 @@ def assert_strips(
 
     def noted(plan: ImagePlan, limit: Limit) -> ImagePlan:
         needed[BAND] = device_bytes(replace(plan, strip_rows=BAND))
-        found = fitted(plan, limit)
+        found = fit_strips(plan, limit)
         used.append(len(found.strips))
         return found
 
-    monkeypatch.setattr(import_module("clsco.engine.defocus"), "fitted", noted)
+    monkeypatch.setattr(import_module("clsco.engine.defocus"), "fit_strips", noted)
     whole = clsco.defocus(image, coc, psf, method=method)
     assert used[-1] == 1
     with pytest.raises(SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows"):

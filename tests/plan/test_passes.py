@@ -14,7 +14,7 @@ from clsco.plan.buffers import STATISTICS
 from clsco.plan.choice import Choice
 from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
-from clsco.plan.larger import Met, larger_plan
+from clsco.plan.larger import SourceStatistics, larger_plan
 from clsco.plan.memory import limit_of
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Pass, run_passes
@@ -71,16 +71,16 @@ def test_a_pass_that_lacks_what_it_takes_is_refused() -> None:
         run_passes([Pass("pinhole", (), {})], lambda step: ["more than it names"])
 
 
-def met(plan: Plan, **changes: Any) -> Met:
-    """Met sources that a plan has just room for, with some changes."""
-    return replace(Met(plan.smallest_blur, plan.largest_blur, False), **changes)
+def met(plan: Plan, **changes: Any) -> SourceStatistics:
+    """Statistics of sources that a plan has just room for, with some changes."""
+    return replace(SourceStatistics(plan.smallest_blur, plan.largest_blur, False), **changes)
 
 
 def test_a_plan_grows_where_a_frame_has_met_more() -> None:
     plan, limit = plan_of(BALL, WALL), limit_of(None)
     assert plan.silhouettes > 0
     assert larger_plan(plan, met(plan), limit) is None
-    assert larger_plan(plan, Met(0.0, 0.0, True), limit) is None  # no source at all
+    assert larger_plan(plan, SourceStatistics(0.0, 0.0, True), limit) is None  # no source at all
     wider = larger_plan(plan, met(plan, largest=plan.largest_blur + 9.0), limit)
     assert wider is not None
     assert wider.largest_blur >= plan.largest_blur + 9.0
@@ -107,6 +107,6 @@ def test_a_plan_of_a_graphics_card_tests_what_is_in_the_way_where_a_frame_has_me
 def test_what_a_frame_has_met_is_read_from_its_statistics() -> None:
     found = np.zeros(STATISTICS, np.int32)
     found.view(np.float32)[[STATISTIC_SMALLEST, STATISTIC_LARGEST]] = 0.5, 7.25
-    assert Met.of(found) == Met(0.5, 7.25, False)
+    assert SourceStatistics.parse(found) == SourceStatistics(0.5, 7.25, False)
     found[STATISTIC_BEYOND] = 1
-    assert Met.of(found).beyond
+    assert SourceStatistics.parse(found).beyond

@@ -15,7 +15,7 @@ from clsco.frame.outputs import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.point_spread import point_spread
 from clsco.plan.device import ThisMachine
-from clsco.plan.larger import widened
+from clsco.plan.larger import widen_plan
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII
 from clsco.plan.plan import Plan, make_plan
@@ -276,13 +276,13 @@ def test_guard_band_holds_every_source_that_lights_the_frame() -> None:
 
 def test_widened() -> None:
     given = plan_of(BALL, size=(640, 480))
-    wider = widened(given, 0.25, given.largest_blur + 7.0)
+    wider = widen_plan(given, 0.25, given.largest_blur + 7.0)
     assert wider.smallest_blur == 0.25
     assert wider.largest_blur == given.largest_blur + 7.0
     assert wider.guard_px == guard_band(point_spread(Psf()), Psf().border, wider.largest_blur) > given.guard_px
-    assert widened(given, 0.0, 0.1).guard_px == given.guard_px
+    assert widen_plan(given, 0.0, 0.1).guard_px == given.guard_px
     with pytest.raises(SceneError, match=r"^camera: the blur radius must be at most 512 px; got 600 px$"):
-        widened(given, 0.0, 600.0)
+        widen_plan(given, 0.0, 600.0)
 
 
 def test_too_large_a_blur_is_refused_with_its_number() -> None:
@@ -327,7 +327,7 @@ def test_waves_have_tables_for_one_side_of_the_focus_where_there_is_one(
     camera = {"f_number": 8.0, "pixel_pitch": 0.01}
     plan = plan_of(Plane(distance=distance, slope_x=slope), size=(256, 256), camera=camera, psf=psf)
     assert plan.psf.side == side
-    assert widened(plan, 0.0, 1.1 * plan.largest_blur).psf.side == 0
+    assert widen_plan(plan, 0.0, 1.1 * plan.largest_blur).psf.side == 0
 
 
 def test_a_plan_needs_a_resolution() -> None:

@@ -16,7 +16,7 @@ from clsco.optics.lens import Lens
 from clsco.optics.point_spread import point_spread
 from clsco.plan.device import ThisMachine
 from clsco.plan.plan import make_plan
-from clsco.plan.predict import displaced, guard_band, is_forward
+from clsco.plan.predict import guard_band, is_forward, shifts_view
 from clsco.scene.model import (
     Camera,
     CameraMotion,
@@ -70,9 +70,9 @@ def test_a_map_among_others_is_moved_pixel_by_pixel() -> None:
 def test_which_eye_sees_the_scene_from_elsewhere() -> None:
     """The left one is the scene's camera, unless both are turned inwards."""
     for eye in ("left", "right"):
-        assert not displaced(scene_of(STILL), eye)
-        assert displaced(scene_of(STILL, stereo=Stereo(baseline=6.0)), eye) == (eye == "right")
-        assert displaced(scene_of(STILL, stereo=Stereo(baseline=6.0, toe_in=0.5)), eye)
+        assert not shifts_view(scene_of(STILL), eye)
+        assert shifts_view(scene_of(STILL, stereo=Stereo(baseline=6.0)), eye) == (eye == "right")
+        assert shifts_view(scene_of(STILL, stereo=Stereo(baseline=6.0, toe_in=0.5)), eye)
 
 
 def test_which_cameras_see_a_plane_with_one_radius() -> None:

@@ -76,8 +76,8 @@ def half(ends: tuple[float, float]) -> tuple[float, float]:
 def smaller(surface: Any) -> Any:
     if not np.isfinite(surface.ball[3]):
         return surface
-    seen = Extent(half(surface.seen.x), half(surface.seen.y), surface.seen.w)
-    return replace(surface, seen=seen, ball=surface.ball * [1.0, 1.0, 1.0, 0.5])
+    extent = Extent(half(surface.extent.x), half(surface.extent.y), surface.extent.w)
+    return replace(surface, extent=extent, ball=surface.ball * [1.0, 1.0, 1.0, 0.5])
 
 
 def without_apron(strips: tuple[Strip, ...]) -> tuple[Strip, ...]:
@@ -118,7 +118,7 @@ PLAN, SEEN, PLACED = "clsco.plan.decisions", "clsco.plan.plan", "clsco.passes.pl
 TOGETHER = Choice("none"), (OcclusionGroup(7, 0),), ()
 NO_SECOND_LOOK: dict[str, Fault] = {"clsco.engine.renderer.larger_plan": always(None)}
 NOT_KEPT: dict[str, Fault] = {f"{PLACED}.PlacedScene.content": always(None)}  # textures of other tests, and theirs
-IN_STRIPS: dict[str, Fault] = {"clsco.engine.sequence.fitted": changed(strip_rows=lambda _: BAND)}
+IN_STRIPS: dict[str, Fault] = {"clsco.engine.sequence.fit_strips": changed(strip_rows=lambda _: BAND)}
 FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "no occlusion": ("still", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),
     "no occluders": ("still", {f"{PLAN}.choose_occlusion": blind}),
@@ -134,7 +134,7 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "a group that is dropped": ("still", {f"{PLAN}.choose_occlusion": alone}),
     "strips without an apron": ("high", IN_STRIPS | {f"{SEEN}.strips_of": altered(without_apron)}),
     "what moves taken for still": ("moving", {"clsco.optics.still._same_place": always(True)}),
-    "sources merged unasked": ("still", {"clsco.plan.prepare.fitted": changed(merged=lambda _: 1.0)}),
+    "sources merged unasked": ("still", {"clsco.plan.prepare.fit_strips": changed(merged=lambda _: 1.0)}),
     "a shutter without its curve": ("moving", {"clsco.optics.exposure.curve_integral": boxed}),
     "lines in the other order": ("rolling", {"clsco.optics.exposure.line_openings": altered(np.flip)}),
     "half an exposure": ("moving", {"clsco.engine.film.frame_exposure": changed(times=lambda times: 0.5 * times)}),

@@ -51,7 +51,7 @@ class CurvedPolygon(Outline):
 
     @cached_property
     def borders(self) -> Borders:
-        ends = sorted({x / self.squeeze for each in self.arcs for x, _ in (each.start, each.end)})
+        ends = sorted({x / self.squeeze for arc in self.arcs for x, _ in (arc.start, arc.end)})
         circles = tuple((*blade[0].center, blade[0].radius) for blade in self._blades if blade[0].radius)
         edges = () if circles and self.curvature > 0.0 else Polygon(self.blades, self.rotation, self.squeeze).edges
         convex, holes = ((), circles) if edges else (circles, ())
@@ -59,4 +59,4 @@ class CurvedPolygon(Outline):
 
     @cached_property
     def arcs(self) -> tuple[Arc, ...]:
-        return tuple(each for blade in self._blades for each in blade)
+        return tuple(arc for blade in self._blades for arc in blade)

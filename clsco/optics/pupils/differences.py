@@ -23,16 +23,16 @@ def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array
     With the tent, offsets are integers; otherwise pixel edges, or the radius, are at least SMALL_POINT px.
     """
     dx, dy, radius = (np.asarray(v, np.float64) for v in np.broadcast_arrays(dx, dy, radius))
-    at, part = _held(radius, tent)
-    found = share(dx, dy, at)
+    at, part = _hold(radius, tent)
+    shares = share(dx, dy, at)
     small = part < 1.0
     if tent and small.any():
         x, y, r = dx[small], dy[small], at[small]
         beside = (-1.0, 0.0, 1.0)
         across = np.sum([share(x, np.full_like(y, j), r) for j in beside], axis=0)
         down = np.sum([share(np.full_like(x, i), y, r) for i in beside], axis=0)
-        found[small] = _shrunk(found[small], across, down, 1.0 * (x == 0), 1.0 * (y == 0), part[small])
-    return found
+        shares[small] = _shrunk(shares[small], across, down, 1.0 * (x == 0), 1.0 * (y == 0), part[small])
+    return shares
 
 
 def corner_share(
@@ -51,12 +51,12 @@ def corner_share(
     turn, size = np.where(radius < 0.0, -1.0, 1.0)[near], np.abs(radius[near])
     x, y = turn * dx[near], turn * dy[near]
     steps = ((-1.0, 1.0), (0.0, -2.0), (1.0, 1.0)) if tent else ((-0.5, -1.0), (0.5, 1.0))
-    found = np.zeros(near.shape)
+    shares = np.zeros(near.shape)
     for down, factor_y in steps:
         for right, factor_x in steps:
-            found += factor_x * factor_y * running_integral(size, x + right, y + down)
+            shares += factor_x * factor_y * running_integral(size, x + right, y + down)
     share = np.zeros(dx.shape)
-    share[near] = np.where(found < ROUNDING * far[near] * far[near], 0.0, found)
+    share[near] = np.where(shares < ROUNDING * far[near] * far[near], 0.0, shares)
     return share.reshape(shape)
 
 
@@ -70,18 +70,18 @@ def grid_share(
     second differences the overlap of a square source and a square detector.
     """
     half, order = (1.0, 2) if tent else (0.5, 1)
-    at, part = _held(radii[:, None, None], tent)
+    at, part = _hold(radii[:, None, None], tent)
     x, y = (axis[0] - half + np.arange(len(axis) + order) for axis in (dx, dy))
-    whole = running_integral(at, x[None, None, :], y[None, :, None])
-    share = np.diff(np.diff(whole, order, axis=1), order, axis=2)
-    share = np.where(share < ROUNDING * whole.max(axis=(1, 2), keepdims=True), 0.0, share)
+    integral = running_integral(at, x[None, None, :], y[None, :, None])
+    share = np.diff(np.diff(integral, order, axis=1), order, axis=2)
+    share = np.where(share < ROUNDING * integral.max(axis=(1, 2), keepdims=True), 0.0, share)
     if tent:
         sums = share.sum(axis=1, keepdims=True), share.sum(axis=2, keepdims=True)
         share = np.where(part < 1.0, _shrunk(share, *sums, 1.0 * (dx == 0), 1.0 * (dy == 0)[:, None], part), share)
     return np.asarray(share)
 
 
-def _held(radius: Array, tent: bool) -> tuple[Array, Array]:
+def _hold(radius: Array, tent: bool) -> tuple[Array, Array]:
     """Radii for which integrals are computed, and the fraction of each that the requested radius is."""
     least = SMALL if tent else SMALL_POINT
     used = np.where(np.abs(radius) < least, np.where(radius < 0.0, -least, least), radius)
@@ -95,6 +95,6 @@ def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y:
     Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so along each axis the weight of a blur scaled
     by s is (1 - s) of a point's and s of the whole blur's.
     """
-    rest = 1.0 - part
-    inner = rest * (center_x * down + center_y * across) + part * share
-    return np.asarray(rest * rest * center_x * center_y + part * inner)
+    remainder = 1.0 - part
+    inner = remainder * (center_x * down + center_y * across) + part * share
+    return np.asarray(remainder * remainder * center_x * center_y + part * inner)

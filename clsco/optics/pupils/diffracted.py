@@ -123,8 +123,8 @@ class Diffracted(Pupil):
         Far light is nearly the mean of an image: if it were added in the middle of the blur, contrast would be too
         high, by the same fraction for any detail.
         """
-        held = np.clip(end - distance, 0.0, 1.0)
-        inside = held**3 * (10.0 + held * (6.0 * held - 15.0))
+        shares = np.clip(end - distance, 0.0, 1.0)
+        inside = shares**3 * (10.0 + shares * (6.0 * shares - 15.0))
         light = light * inside
         if self.keeps:
             haze = area * distance**2 * inside

@@ -28,13 +28,13 @@ def bessel_j0(x: Array) -> Array:
     """Bessel function J0 of arguments >= 0, to 1e-11."""
     x = np.asarray(x, np.float64)
     small = x < SERIES_UNTIL
-    found = np.empty_like(x)
+    values = np.empty_like(x)
     quarter = -0.25 * x[small] ** 2
     term = total = np.ones_like(quarter)
     for k in range(1, SERIES_TERMS):
         term = term * quarter / (k * k)
         total = total + term
-    found[small] = total
+    values[small] = total
     z = x[~small]
     even, odd, power = np.ones_like(z), np.zeros_like(z), np.ones_like(z)
     for k in range(1, ASYMPTOTIC_TERMS):
@@ -44,8 +44,8 @@ def bessel_j0(x: Array) -> Array:
         else:
             even += power if k % 4 == 0 else -power
     angle = z - 0.25 * np.pi
-    found[~small] = np.sqrt(2.0 / (np.pi * z)) * (even * np.cos(angle) - odd * np.sin(angle))
-    return found
+    values[~small] = np.sqrt(2.0 / (np.pi * z)) * (even * np.cos(angle) - odd * np.sin(angle))
+    return values
 
 
 def cell_width(unit: float) -> float:
@@ -84,19 +84,19 @@ def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Pat
     t, weight = _nodes(2.0 * np.pi * (waves + bend) + np.pi * r[-1] / unit, inner)
     phase = 2.0 * np.pi / unit * (0.25 * radii * t[:, None] + path(t)[:, None])
     real, imaginary = weight[:, None] * np.cos(phase), weight[:, None] * np.sin(phase)
-    root, found = np.sqrt(t), np.empty((len(r), len(radii)))
+    root, intensity = np.sqrt(t), np.empty((len(r), len(radii)))
     step = max(MOST_SAMPLES // len(t), 1)
     for start in range(0, len(r), step):
         kernel = bessel_j0(np.pi / unit * r[start : start + step, None] * root)
-        found[start : start + step] = (kernel @ real) ** 2 + (kernel @ imaginary) ** 2
-    return found * (0.25 * np.pi / unit**2 / (1.0 - inner**2))
+        intensity[start : start + step] = (kernel @ real) ** 2 + (kernel @ imaginary) ** 2
+    return intensity * (0.25 * np.pi / unit**2 / (1.0 - inner**2))
 
 
 def round_light(radii: Array, unit: float, inner: float, path: Path, width: float, count: int) -> Array:
     """Light in `count` rings `width` px wide, (count, radii); other arguments as for `round_intensity`."""
     r = ((np.arange(count)[:, None] + GAUSS) * width).ravel()
-    found = np.pi * width * r[:, None] * round_intensity(r, radii, unit, inner, path)
-    return np.asarray(found[0::2] + found[1::2])
+    light = np.pi * width * r[:, None] * round_intensity(r, radii, unit, inner, path)
+    return np.asarray(light[0::2] + light[1::2])
 
 
 def _nodes(phase: float, inner: float) -> tuple[Array, Array]:

@@ -84,37 +84,37 @@ class FourierDiffracted(Diffracted):
 
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
         right, down, r = np.broadcast_arrays(dx, dy, radius)
-        found = np.zeros(r.shape)
+        shares = np.zeros(r.shape)
         column, row = np.rint(right), np.rint(down)
         places = np.rint((column - right) * PLACES) + 1j * np.rint((row - down) * PLACES)
         numbers, which, factors = panels_of(r.ravel(), self.panel, self.NODES)
-        of_panel = which.reshape(r.shape)
+        panels = which.reshape(r.shape)
         for place in np.unique(places):
-            for number in np.unique(of_panel[places == place]):
-                here = (places == place) & (of_panel == number)
+            for number in np.unique(panels[places == place]):
+                mask = (places == place) & (panels == number)
                 squares = self._squares(int(numbers[number]), (place.real / PLACES, place.imag / PLACES), tent)
                 half = squares.shape[1] // 2
-                x, y = column[here].astype(np.int64), row[here].astype(np.int64)
+                x, y = column[mask].astype(np.int64), row[mask].astype(np.int64)
                 inside = np.maximum(np.abs(x), np.abs(y)) < half
                 values = squares[:, np.where(inside, y + half, 0), np.where(inside, x + half, 0)]
-                found[here] = inside * np.einsum("ns,sn->s", values, factors[here.ravel()])
-        return self._clipped(found)
+                shares[mask] = inside * np.einsum("ns,sn->s", values, factors[mask.ravel()])
+        return self._clip(shares)
 
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
         column, row = np.rint(dx).astype(np.int64), np.rint(dy).astype(np.int64)
         place = tuple(float(np.rint((at[0] - d[0]) * PLACES) / PLACES) for at, d in ((column, dx), (row, dy)))
         numbers, which, factors = panels_of(radii, self.panel, self.NODES)
-        found = np.zeros((len(radii), len(dy), len(dx)))
+        rows = np.zeros((len(radii), len(dy), len(dx)))
         for k, number in enumerate(numbers.tolist()):
             squares = self._squares(number, (place[0], place[1]), tent)
             half = squares.shape[1] // 2
             x, y = np.abs(column) < half, np.abs(row) < half
             values = squares[:, row[y][:, None] + half, column[x] + half]
-            found[np.ix_(which == k, y, x)] = np.tensordot(factors[which == k], values, axes=1)
-        return self._clipped(found)
+            rows[np.ix_(which == k, y, x)] = np.tensordot(factors[which == k], values, axes=1)
+        return self._clip(rows)
 
-    def _clipped(self, found: Array) -> Array:
-        return np.maximum(found, 0.0)
+    def _clip(self, weights: Array) -> Array:
+        return np.maximum(weights, 0.0)
 
     def left_out(self, radius: float) -> float:
         return 1.0 - float(replace(self, keeps=False)._light(radius, abs(radius)).sum())
@@ -138,16 +138,16 @@ class FourierDiffracted(Diffracted):
             return self._mirrored_squares(number, place, tent)
 
         return _weights.get(
-            (self, number, place, tent), lambda: self._made(number, place, tent), lambda made: made.nbytes
+            (self, number, place, tent), lambda: self._make_squares(number, place, tent), lambda squares: squares.nbytes
         )
 
-    def _made(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        found = self._kept_spots(number)
-        width = found.shape[1] // image_parts(self.narrowest, self.extent)
-        return np.stack([pixel_weights(each, width, place, tent) for each in found])
+    def _make_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
+        spots = self._cached_spots(number)
+        width = spots.shape[1] // image_parts(self.narrowest, self.extent)
+        return np.stack([pixel_weights(spot, width, place, tent) for spot in spots])
 
-    def _kept_spots(self, number: int) -> NDArray[Any]:
-        return _spots.get((self, number), lambda: self._spots(number), lambda made: made.nbytes)
+    def _cached_spots(self, number: int) -> NDArray[Any]:
+        return _spots.get((self, number), lambda: self._spots(number), lambda spots: spots.nbytes)
 
     @property
     def upright(self) -> FourierDiffracted:

@@ -96,10 +96,10 @@ def gaussian_axis(offset: Array, sigma: Array, cut: float, tent: bool) -> Array:
         probability = 0.5 * np.vectorize(erf, otypes=[float])(z / sqrt(2.0))
         return probability, sigma * np.exp(-0.5 * z * z) / sqrt(2.0 * np.pi)
 
-    whole = erf(cut / sqrt(2.0))
+    total = erf(cut / sqrt(2.0))
     if not tent:
-        return np.asarray((mass(offset + 0.5)[0] - mass(offset - 0.5)[0]) / whole)
+        return np.asarray((mass(offset + 0.5)[0] - mass(offset - 0.5)[0]) / total)
     (p0, g0), (p1, g1), (p2, g2) = (mass(offset + m) for m in (-1.0, 0.0, 1.0))
     rising = (1.0 - offset) * (p1 - p0) - (g1 - g0)
     falling = (1.0 + offset) * (p2 - p1) + (g2 - g1)
-    return np.asarray(np.maximum(rising + falling, 0.0) / whole)
+    return np.asarray(np.maximum(rising + falling, 0.0) / total)

@@ -50,8 +50,8 @@ class HankelDiffracted(Diffracted):
         places, place = np.unique(np.maximum(a, b) + 1j * np.minimum(a, b), return_inverse=True)
         radii, which = np.unique(r, return_inverse=True)
         weights = self._weights if len(radii) <= DIRECT else self._interpolated
-        found = weights(places, radii, tent)
-        return np.asarray(found[place.reshape(a.shape), which.reshape(a.shape)])
+        shares = weights(places, radii, tent)
+        return np.asarray(shares[place.reshape(a.shape), which.reshape(a.shape)])
 
     def left_out(self, radius: float) -> float:
         return 1.0 - float(replace(self, keeps=False)._light(np.array([radius])).sum())
@@ -59,12 +59,12 @@ class HankelDiffracted(Diffracted):
     def _weights(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
         """Weights (places, radii)."""
         rings, width = _rings(self, radii.tobytes()), self._width
-        found = np.empty((len(places), len(radii)))
+        weights = np.empty((len(places), len(radii)))
         for k, (a, b) in enumerate(zip(places.real.tolist(), places.imag.tolist(), strict=True)):
             first, shares = pixel_rings(a, b, tent, width)
             light = rings[first : first + len(shares)]
-            found[k] = shares[: len(light)] @ light
-        return np.maximum(found, 0.0)
+            weights[k] = shares[: len(light)] @ light
+        return np.maximum(weights, 0.0)
 
     def _interpolated(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
         """Weights at radii, interpolated by polynomials in the radius: within 1e-9 where Q is 0.1 px or more."""

@@ -96,11 +96,11 @@ class Image(Pupil):
         column, across = _cell(0.5 * self.count + x * (scale * self.squeeze), self.count)
         row, down = _cell(0.5 * self.count + y * scale, self.count)
         order = 2 if tent else 1
-        sums, found = _running_sums(self), np.zeros(np.broadcast_shapes(row.shape, column.shape, scale.shape))
+        sums, integral = _running_sums(self), np.zeros(np.broadcast_shapes(row.shape, column.shape, scale.shape))
         for i, factor_y in enumerate(_powers(down, order)):
             for j, factor_x in enumerate(_powers(across, order)):
-                found += sums[i][j][row, column] * (factor_y * factor_x)
-        return np.asarray(found / (sums[1][1][-1, -1] * (scale * scale * self.squeeze if tent else 1.0)))
+                integral += sums[i][j][row, column] * (factor_y * factor_x)
+        return np.asarray(integral / (sums[1][1][-1, -1] * (scale * scale * self.squeeze if tent else 1.0)))
 
 
 def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> Image:
@@ -151,15 +151,15 @@ def turned(picture: Array, rotation: float) -> Array:
     down = np.sin(angle) * at[None, :] + np.cos(angle) * at[:, None]
     row, column = (np.floor(v + 0.5 * count).astype(np.int64) for v in (down, right))
     inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < count)
-    found = np.where(inside, picture[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
-    return np.asarray(found.reshape(count, TURNED_PARTS, count, TURNED_PARTS).mean(axis=(1, 3)))
+    values = np.where(inside, picture[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
+    return np.asarray(values.reshape(count, TURNED_PARTS, count, TURNED_PARTS).mean(axis=(1, 3)))
 
 
 def _cell(at: Array, count: int) -> tuple[NDArray[np.int64], Array]:
     """Cell of a position along an axis, and the position in it; beyond the last cell, which is empty, any distance."""
-    held = np.maximum(at, 0.0)
-    cell = np.minimum(held, count).astype(np.int64)
-    return cell, held - cell
+    clamped = np.maximum(at, 0.0)
+    cell = np.minimum(clamped, count).astype(np.int64)
+    return cell, clamped - cell
 
 
 def _powers(t: Array, order: int) -> Sequence[Array | float]:
@@ -174,11 +174,11 @@ def _running_sums(pupil: Image) -> list[list[Array]]:
     """
     cells = np.pad(pupil.image, (0, 1))
     down = [cells, *_integrals(cells, axis=0)]
-    return [[each, *_integrals(each, axis=1)] for each in down]
+    return [[integral, *_integrals(integral, axis=1)] for integral in down]
 
 
 def _integrals(cells: Array, axis: int) -> tuple[Array, Array]:
     """First and second integral along an axis at the beginning of each cell."""
     first = np.cumsum(cells, axis=axis) - cells
-    each = first + 0.5 * cells
-    return first, np.cumsum(each, axis=axis) - each
+    means = first + 0.5 * cells
+    return first, np.cumsum(means, axis=axis) - means

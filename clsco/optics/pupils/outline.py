@@ -177,21 +177,21 @@ class Outline(Pupil):
 
     def _walked(self) -> Iterable[tuple[Array, Array, Array, Array]]:
         """Coordinates x, y of the quadrature nodes on each arc, and their derivatives along it."""
-        for each in self.arcs:
-            x, y = each.at(_nodes()[0])
-            yield x, y, *each.slope(x, y)
+        for arc in self.arcs:
+            x, y = arc.at(_nodes()[0])
+            yield x, y, *arc.slope(x, y)
 
     def transmission(self, x: Array, y: Array) -> Array:
         """Transmission from the number of outlines to the left of each point."""
         x, y = np.asarray(x, np.float64) * self.squeeze, np.asarray(y, np.float64)
         inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), bool)
-        for each in self.arcs:
-            low, high = sorted((each.start[1], each.end[1]))
+        for arc in self.arcs:
+            low, high = sorted((arc.start[1], arc.end[1]))
             if low == high:
                 continue
-            first, last = each.until(1, y)
-            at = last if each.end[1] > each.start[1] else first
-            inside ^= (y > low) & (y <= high) & (each.at(at)[0] < x)
+            first, last = arc.until(1, y)
+            at = last if arc.end[1] > arc.start[1] else first
+            inside ^= (y > low) & (y <= high) & (arc.at(at)[0] < x)
         return inside.astype(np.float64)
 
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
@@ -206,44 +206,44 @@ class Outline(Pupil):
     def _filled(self, radius: float, dx: Array, dy: Array) -> Array:
         """Fractions of the light (dy, dx) in pixels: exact along the outline, constant inside."""
         beside = 0.25  # of a row through the middle, where arcs end
-        found = self.transmission(dx / radius, (dy[:, None] + beside) / radius) / (pi * self.light * radius * radius)
+        weights = self.transmission(dx / radius, (dy[:, None] + beside) / radius) / (pi * self.light * radius * radius)
         row, column = np.nonzero(self._outlined(radius, dx, dy))
         share = np.zeros(row.shape)
         for right, down, sign in ((0.5, 0.5, 1.0), (-0.5, 0.5, -1.0), (0.5, -0.5, -1.0), (-0.5, -0.5, 1.0)):
             share += sign * self._running_integral(np.asarray(radius), dx[column] + right, dy[row] + down, tent=False)
-        found[row, column] = np.where(share < ROUNDING, 0.0, share)
-        return np.asarray(found)
+        weights[row, column] = np.where(share < ROUNDING, 0.0, share)
+        return np.asarray(weights)
 
     def _outlined(self, radius: float, dx: Array, dy: Array) -> NDArray[np.bool_]:
         """Mask (dy, dx) of pixels crossed by an outline, and their neighbors."""
-        found = np.zeros((len(dy) + 2, len(dx) + 2), bool)
-        for each in self.arcs:
-            turned = each.radius * abs(each.angles[1] - each.angles[0])
-            length = radius * self.extent * (turned or hypot(*np.subtract(each.end, each.start)))
-            x, y = each.at(np.linspace(0.0, 1.0, 2 * ceil(length) + 2))
+        mask = np.zeros((len(dy) + 2, len(dx) + 2), bool)
+        for arc in self.arcs:
+            turned = arc.radius * abs(arc.angles[1] - arc.angles[0])
+            length = radius * self.extent * (turned or hypot(*np.subtract(arc.end, arc.start)))
+            x, y = arc.at(np.linspace(0.0, 1.0, 2 * ceil(length) + 2))
             column, row = np.rint(x / self.squeeze * radius - dx[0]), np.rint(y * radius - dy[0])
             inside = (column >= -1) & (column <= len(dx)) & (row >= -1) & (row <= len(dy))
-            found[row[inside].astype(np.int64) + 1, column[inside].astype(np.int64) + 1] = True
-        found = found[:-2] | found[1:-1] | found[2:]
-        return np.asarray(found[:, :-2] | found[:, 1:-1] | found[:, 2:])
+            mask[row[inside].astype(np.int64) + 1, column[inside].astype(np.int64) + 1] = True
+        mask = mask[:-2] | mask[1:-1] | mask[2:]
+        return np.asarray(mask[:, :-2] | mask[:, 1:-1] | mask[:, 2:])
 
     def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
         """Integral for `grid_share` along all arcs: of (x - u)^2 (y - v) / 2 dv for the tent, else of (x - u) dv."""
         x, y = x * self.squeeze / radius, y / radius
         total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
-        for each in self.arcs:
-            if each.start[1] == each.end[1]:
+        for arc in self.arcs:
+            if arc.start[1] == arc.end[1]:
                 continue
-            (first_x, last_x), (first_y, last_y) = each.until(0, x), each.until(1, y)
+            (first_x, last_x), (first_y, last_y) = arc.until(0, x), arc.until(1, y)
             first = np.maximum(first_x, first_y)
             length = np.maximum(np.minimum(last_x, last_y) - first, 0.0)
-            found = np.zeros_like(total)
+            integral = np.zeros_like(total)
             for node, weight in zip(*_nodes(), strict=True):
                 t = first + node * length
-                u, v = each.at(t)
-                _, change = each.slope(u, v)
+                u, v = arc.at(t)
+                _, change = arc.slope(u, v)
                 left = x - u
-                found += (weight * change) * (0.5 * left * left * (y - v) if tent else left)
-            total -= found * length
+                integral += (weight * change) * (0.5 * left * left * (y - v) if tent else left)
+            total -= integral * length
         scale = radius * radius / self.squeeze if tent else 1.0
         return np.asarray(total / self.area * scale)

@@ -153,12 +153,12 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
         low_y, high_y = _before(radius * v0, radius * (v1 - v0), y)
         low = np.clip(np.maximum(low_x, low_y), 0.0, 1.0)
         length = np.maximum(np.clip(np.minimum(high_x, high_y), 0.0, 1.0) - low, 0.0)
-        each = np.zeros_like(total)
+        part = np.zeros_like(total)
         for node in GAUSS:
             t = low + node * length
             left = x - radius * (u0 + t * (u1 - u0))
-            each += left * left * (y - radius * (v0 + t * (v1 - v0))) if tent else 2.0 * left
-        total -= each * length * (0.25 * radius * (v1 - v0))
+            part += left * left * (y - radius * (v0 + t * (v1 - v0))) if tent else 2.0 * left
+        total -= part * length * (0.25 * radius * (v1 - v0))
     return np.asarray(total / (area * radius * radius))
 
 

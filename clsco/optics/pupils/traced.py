@@ -85,14 +85,14 @@ class Traced(FourierDiffracted):
     def seconds(self, radius: float, places: int) -> float:
         return SECONDS * 4.0 * self._count(radius) ** 2 * (1.0 + PLACE * places)
 
-    def _clipped(self, found: Array) -> Array:
+    def _clip(self, weights: Array) -> Array:
         """Values at nodes, adjusted so that the cubics between them, as in tables, are not negative."""
-        return found
+        return weights
 
     def _count(self, radius: float) -> int:
         """Number of rays per radius of the lens."""
-        wanted = min(RAYS_PER_CELL * self._parts(radius), RAYS_PER_PX) * (radius * self.extent + self.margin)
-        return min(max(32 * ceil(wanted / 32.0), FEWEST_RAYS), MOST_RAYS)
+        count = min(RAYS_PER_CELL * self._parts(radius), RAYS_PER_PX) * (radius * self.extent + self.margin)
+        return min(max(32 * ceil(count / 32.0), FEWEST_RAYS), MOST_RAYS)
 
     def _spots(self, number: int) -> Array:
         """Light at the nodes of a panel, in the cells (nodes, y, x) of spots."""
@@ -104,17 +104,17 @@ class Traced(FourierDiffracted):
         cell, shares = np.empty(size, np.int64), np.empty((4, size))
         for cells, radius in zip(spots, nodes.tolist(), strict=True):
             for begin in range(0, size, TOGETHER):
-                these = slice(begin, begin + TOGETHER)
-                x, y, light, bent_x, bent_y, xx, shear, yy = (each[these] for each in rays)
+                batch = slice(begin, begin + TOGETHER)
+                x, y, light, bent_x, bent_y, xx, shear, yy = (values[batch] for values in rays)
                 column, right = ends(parts * (radius * x + bent_x), pitch * np.sqrt((radius + xx) ** 2 + shear))
                 row, down = ends(parts * (radius * y + bent_y), pitch * np.sqrt((radius + yy) ** 2 + shear))
-                cell[these] = (row + middle) * (2 * middle + 1) + (column + middle)
+                cell[batch] = (row + middle) * (2 * middle + 1) + (column + middle)
                 right, down = light * right, light * down
-                both = shares[3, these] = down * right / light
-                shares[0, these], shares[1, these], shares[2, these] = (
-                    light - right - down + both,
-                    right - both,
-                    down - both,
+                product = shares[3, batch] = down * right / light
+                shares[0, batch], shares[1, batch], shares[2, batch] = (
+                    light - right - down + product,
+                    right - product,
+                    down - product,
                 )
             for step, share in zip((0, 1, 2 * middle + 1, 2 * middle + 2), shares, strict=True):
                 cells[step:] += np.bincount(cell, share, len(cells))[: len(cells) - step]
@@ -132,12 +132,12 @@ class Traced(FourierDiffracted):
         """Cells per px."""
         return min(max(2 ** floor(log2(SPOT / self._reach(radius))), LEAST_PARTS), MOST_PARTS)
 
-    def _made(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        found: Array = self._kept_spots(number)
+    def _make_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
+        spots: Array = self._cached_spots(number)
         parts, *_ = self._sizes(number)
         for at in place:
-            found = pixels(found, response(parts, at, tent), parts).swapaxes(1, 2)
-        return np.maximum(found, 0.0)
+            spots = pixels(spots, response(parts, at, tent), parts).swapaxes(1, 2)
+        return np.maximum(spots, 0.0)
 
 
 def ends(at: Array, width: Array) -> tuple[Array, Array]:

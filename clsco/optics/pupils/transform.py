@@ -28,11 +28,11 @@ def fast_length(least: float, step: int = 1) -> int:
     """Smallest multiple of `step`, at least `least`, with a fast transform: without prime factors above 5."""
     count = max(ceil(least / step - 1e-9), 1)
     while True:
-        rest = count
+        quotient = count
         for factor in (2, 3, 5):
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
+            while quotient % factor == 0:
+                quotient //= factor
+        if quotient == 1:
             return count * step
         count += 1
 
@@ -92,8 +92,8 @@ def spot_light(
     field = amplitude * turn * turn[:, None]
     count, half = parts * window, parts * width // 2
     for _ in range(2):  # each along rows, which are turned to columns; a shift of the pupil is a phase of the image
-        whole = np.fft.fft(field, count)
-        field = np.ascontiguousarray(np.concatenate([whole[:, -half:], whole[:, :half]], axis=1).T)
+        spectrum = np.fft.fft(field, count)
+        field = np.ascontiguousarray(np.concatenate([spectrum[:, -half:], spectrum[:, :half]], axis=1).T)
     cells = 0.25 * np.pi * (window / unit) ** 2 * opening.light
     return np.asarray((field.real**2 + field.imag**2) / (cells * count**2))
 

@@ -85,9 +85,9 @@ class Wavefront:
         below = along * y + down * square + 2.0 * (xy * x + yy * y)
         if not self.zernike:
             return across, below
-        more = self._polynomials(x + STEP, y) - self._polynomials(x - STEP, y)
+        changes = self._polynomials(x + STEP, y) - self._polynomials(x - STEP, y)
         deeper = self._polynomials(x, y + STEP) - self._polynomials(x, y - STEP)
-        return across + more / (2.0 * STEP), below + deeper / (2.0 * STEP)
+        return across + changes / (2.0 * STEP), below + deeper / (2.0 * STEP)
 
     def curvature(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Second derivatives of the path in px per squared radius at lens points: xx, xy and yy, x right and y down."""
@@ -138,7 +138,7 @@ def zernike(n: int, m: int, x: Array, y: Array) -> Array:
     order, square = abs(m), x * x + y * y
     radial: Array | float = 0.0
     for k in range((n - order) // 2 + 1):
-        ways = factorial(n - k) // (factorial(k) * factorial((n + order) // 2 - k) * factorial((n - order) // 2 - k))
-        radial = radial + (-1) ** k * ways * square ** ((n - order) // 2 - k)
+        factor = factorial(n - k) // (factorial(k) * factorial((n + order) // 2 - k) * factorial((n - order) // 2 - k))
+        radial = radial + (-1) ** k * factor * square ** ((n - order) // 2 - k)
     turned = (x - 1j * y) ** order  # rho^order at the angle counter-clockwise
     return np.asarray(sqrt((2.0 if m else 1.0) * (n + 1)) * radial * (turned.real if m >= 0 else turned.imag))

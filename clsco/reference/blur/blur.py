@@ -79,22 +79,22 @@ def place_weights(
     """
 
     def weights(spread: PointSpread, which: NDArray[np.int64] | slice) -> Array:
-        x, y = (each if each.ndim == 0 else each[which] for each in (np.asarray(dx), np.asarray(dy)))
+        x, y = (offset if offset.ndim == 0 else offset[which] for offset in (np.asarray(dx), np.asarray(dy)))
         return (spread.subpixel_weights if subpixel else spread.weights)(x, y, radius[which])
 
     if psf.varying is None:
         return weights(psf, slice(None))
     numbers, shares = psf.varying.blend(place[1], place[0])
-    found = np.zeros(radius.shape)
+    blended = np.zeros(radius.shape)
     for number in np.unique(numbers):
         share = (shares * (numbers == number)).sum(axis=0)
         which = np.flatnonzero(share)
         if which.size:
-            found[which] += share[which] * weights(psf.places[number], which)
-    return found
+            blended[which] += share[which] * weights(psf.places[number], which)
+    return blended
 
 
-def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
+def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
     """An offset, with all offsets of equal weight: by sign changes and swapped axes; alone: only the offset itself."""
     if alone:
         span = range(-offset_limit, offset_limit + 1)
@@ -105,7 +105,7 @@ def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, s
             yield b, a, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
 
 
-def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
+def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
     """Groups of partly hidden sources with nearly equal radii, and so equal taps, and their lens cells.
 
     Yields the numbers of the sources in a group, its part of `visibility`, and its `cell_visibility`.
@@ -113,10 +113,10 @@ def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, 
     hidden = np.flatnonzero(visibility.row >= 0)
     hidden = hidden[np.argsort(np.abs(visibility.radius[visibility.row[hidden]]), kind="stable")]
     parts = [hidden[start : start + OCCLUDED_BLOCK] for start in range(0, hidden.size, OCCLUDED_BLOCK)]
-    return [(part, group, cell_visibility(group)) for part in parts for group in [visibility.of(part)]]
+    return [(part, group, cell_visibility(group)) for part in parts for group in [visibility.select(part)]]
 
 
-def _shares(
+def _tap_shares(
     spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
     """For every offset: source numbers, frame pixel numbers, and the fraction of each source's radiance that the pixel
@@ -133,12 +133,12 @@ def _shares(
     at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
     blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
     reaches = [spec.psf.reach(float(size[block[-1]])) for block in blocks]
-    groups = [] if sources.visibility is None else _alike(sources.visibility)
+    groups = [] if sources.visibility is None else _group_by_radius(sources.visibility)
     shape_at = None if sources.shape is None else sources.shape.reshape(-1, 3)
     alone = spec.psf.signed or shape_at is not None
     if shape_at is not None and sources.widening is not None:
         slope = slope + sources.widening.reshape(-1, 2)
-    for right, down, offsets in _alike_offsets(max(reaches, default=-1), alone):
+    for right, down, offsets in _equal_offsets(max(reaches, default=-1), alone):
         weight = np.zeros(there.size)
         for block, far in zip(blocks, reaches, strict=True):
             if far >= max(abs(right), abs(down)):
@@ -146,8 +146,8 @@ def _shares(
                 if shape_at is None:
                     weight[block] = place_weights(spec.psf, *offset, signed[block], place[:, block])
                 else:
-                    shown = np.maximum(size[block], LEAST_OPENING)
-                    weight[block] = chord_weights(*offset, shown, shape_at[block])
+                    disc_radius = np.maximum(size[block], LEAST_OPENING)
+                    weight[block] = chord_weights(*offset, disc_radius, shape_at[block])
         lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
             y, x = row[lit] + dy, column[lit] + dx
@@ -162,14 +162,15 @@ def _shares(
                 at_source = np.minimum(np.searchsorted(source, hidden), source.size - 1)
                 matches = source[at_source] == hidden
                 if matches.any():
-                    here, point = at_source[matches], spec.psf.edge == "area"
-                    own = weight[hidden]
-                    share[here] *= (cut_weights(visibility, own, dx, dy, point)[matches]) / own[matches]
-                    share[here] *= tap_share(visibility, cells, dx, dy)[matches]
+                    partial, point = at_source[matches], spec.psf.edge == "area"
+                    hidden_weight = weight[hidden]
+                    cut = cut_weights(visibility, hidden_weight, dx, dy, point)
+                    share[partial] *= cut[matches] / hidden_weight[matches]
+                    share[partial] *= tap_share(visibility, cells, dx, dy)[matches]
             yield source, target, share
 
 
-def _subpixel_shares(
+def _subpixel_tap_shares(
     spec: BlurSpec, sub: SubpixelSources, shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
     """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, fraction of radiance.
@@ -192,7 +193,7 @@ def _subpixel_shares(
             slope = slope + sub.widening[sub.hit][block]
         far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
         place = np.stack([sub.row[p], sub.column[p]]) - guard
-        visibility = None if sub.visibility is None else sub.visibility.of(block)
+        visibility = None if sub.visibility is None else sub.visibility.select(block)
         cells = np.empty(0) if visibility is None else cell_visibility(visibility)
         if visibility is not None:  # where it has the tilt
             slope[np.flatnonzero(visibility.row >= 0)[visibility.lean.any(axis=-1)]] = 0.0
@@ -204,8 +205,8 @@ def _subpixel_shares(
                 if sub.shape is None:
                     share = place_weights(spec.psf, right, below, radius[inside], place[:, inside], subpixel=True)
                 else:
-                    shown = np.maximum(np.abs(radius[inside]), LEAST_OPENING)
-                    share = chord_weights(right, below, shown, sub.shape[p[inside]], point=True)
+                    disc_radius = np.maximum(np.abs(radius[inside]), LEAST_OPENING)
+                    share = chord_weights(right, below, disc_radius, sub.shape[p[inside]], point=True)
                 if visibility is not None:
                     weight, hidden = np.zeros(p.size), visibility.row >= 0
                     weight[inside] = share
@@ -214,20 +215,20 @@ def _subpixel_shares(
                 if spec.tilt:
                     share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope, limb)[inside]
                 if visibility is not None:
-                    seen = np.ones(p.size)
-                    seen[visibility.row >= 0] = tap_share(visibility, cells, dx, dy)
-                    share = share * seen[inside]
+                    visible = np.ones(p.size)
+                    visible[visibility.row >= 0] = tap_share(visibility, cells, dx, dy)
+                    share = share * visible[inside]
                 lit = share != 0.0
                 target = (row * shape[1] + column)[inside][lit]
                 yield block[inside][lit], target, share[lit] / samples**2
 
 
-def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
+def _whole_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels with their own source: a surface, and no sub-pixel sources."""
-    there = sources.lit.copy()
+    mask = sources.lit.copy()
     if sub is not None:
-        there[sub.row, sub.column] = False
-    return there
+        mask[sub.row, sub.column] = False
+    return mask
 
 
 def renormalize(
@@ -236,29 +237,29 @@ def renormalize(
     """Sources with their radiance scaled so that light lost outside of the frame is returned to it.
 
     Arguments as for `scatter`. The radiance is divided by the fraction of the source's PSF (with tilt) inside the
-    frame, ignoring occluders; sources outside of the frame (the apron) are dropped. Validated: the sum of a constant
-    image is preserved up to the border.
+    frame, ignoring occluders; sources outside of the frame are dropped. Validated: the sum of a constant image is
+    preserved up to the border.
     """
     m, n = shape
     inside = np.zeros(sources.label.shape, dtype=bool)
     inside[guard : guard + m, guard : guard + n] = True
-    there = _own_sources(sources, sub) & inside
-    kept: Array = np.zeros(there.size)
-    for source, _, share in _shares(spec, replace(sources, visibility=None), there, shape, guard):
-        kept[source] += share
-    kept = kept.reshape(there.shape)
-    scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
+    mask = _whole_sources(sources, sub) & inside
+    light: Array = np.zeros(mask.size)
+    for source, _, share in _tap_shares(spec, replace(sources, visibility=None), mask, shape, guard):
+        light[source] += share
+    light = light.reshape(mask.shape)
+    scale = np.where(light > 0.0, 1.0 / np.where(light > 0.0, light, 1.0), 0.0)
     sources = replace(sources, lit=sources.lit & inside, radiance=sources.radiance * scale[..., None])
     if sub is None:
         return sources, None
     sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
-    kept_sub = np.zeros(int(sub.hit.sum()))
-    for source, _, share in _subpixel_shares(spec, replace(sub, visibility=None), shape, guard):
-        np.add.at(kept_sub, source, share)
+    light_sub = np.zeros(int(sub.hit.sum()))
+    for source, _, share in _subpixel_tap_shares(spec, replace(sub, visibility=None), shape, guard):
+        np.add.at(light_sub, source, share)
     # Shares include 1/S^2; what is divided by is the share of the source's own radiance.
-    kept_sub *= sub.hit.shape[1] ** 2
+    light_sub *= sub.hit.shape[1] ** 2
     scale_sub = np.zeros(sub.hit.shape)
-    scale_sub[sub.hit] = np.where(kept_sub > 0.0, 1.0 / np.where(kept_sub > 0.0, kept_sub, 1.0), 0.0)
+    scale_sub[sub.hit] = np.where(light_sub > 0.0, 1.0 / np.where(light_sub > 0.0, light_sub, 1.0), 0.0)
     return sources, replace(sub, radiance=sub.radiance * scale_sub[..., None])
 
 
@@ -275,10 +276,10 @@ def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape
         sources, sub = renormalize(spec, sources, sub, shape, guard)
     color = np.zeros((m * n, sources.radiance.shape[2]))
     radiance = sources.radiance.reshape(-1, color.shape[1])
-    for source, target, share in _shares(spec, sources, _own_sources(sources, sub), shape, guard):
+    for source, target, share in _tap_shares(spec, sources, _whole_sources(sources, sub), shape, guard):
         color[target] += share[:, None] * radiance[source]  # of one offset, so no target occurs twice
     if sub is not None:
         radiance = sub.radiance[sub.hit]
-        for source, target, share in _subpixel_shares(spec, sub, shape, guard):
+        for source, target, share in _subpixel_tap_shares(spec, sub, shape, guard):
             np.add.at(color, target, share[:, None] * radiance[source])
     return color.reshape(m, n, -1)

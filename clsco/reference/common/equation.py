@@ -110,9 +110,9 @@ def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
     g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
     width = np.asarray(division.width)
     point = np.where(width < 1.0, 1.0 / (1.0 + (width * (2.0 * g - 1.0)) ** 2), 0.0)
-    own, both = np.where(division.bent, 1.0, (1 - g * division.part) ** 2), (1 - g) ** 2 + g * g
-    narrows = np.where(width == 1.0, own / both, point)
-    return np.where(width == 1.0, g, 0.0), narrows, np.where(width == 1.0, g * g / both, 1.0 - narrows)
+    lens_part, total = np.where(division.bent, 1.0, (1 - g * division.part) ** 2), (1 - g) ** 2 + g * g
+    narrows = np.where(width == 1.0, lens_part / total, point)
+    return np.where(width == 1.0, g, 0.0), narrows, np.where(width == 1.0, g * g / total, 1.0 - narrows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,14 +137,14 @@ class Equation:
     flat: bool
 
 
-def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, own: bool) -> Equation:
-    """The equation of points on rays (N, 3); own: True if they are on the surface, F = 0."""
+def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, on_surface: bool) -> Equation:
+    """The equation of points on rays (N, 3); on_surface: True if they are on the surface, F = 0."""
     q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
     p = o * w[:, None] + turned(surface.turn, rays)
     right = lens.radius / cells
-    along_x, along_y = (way[:, None] * surface.turn[:, i] for i, way in enumerate((right, -right)))
+    along_x, along_y = (shift[:, None] * surface.turn[:, i] for i, shift in enumerate((right, -right)))
     sign = -1.0 if surface.constant < 0 else 1.0
-    f = np.zeros_like(w) if own else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
+    f = np.zeros_like(w) if on_surface else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
     b = sign * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
     flat = not q.any()
     return Equation(b, f, sign * surface.constant, p, along_x, along_y, right, _dot(l, p), sign, f <= 0, flat)

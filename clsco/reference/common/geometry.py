@@ -163,7 +163,7 @@ def solve_root(
     3.32, 3.36 and against exact arithmetic at c/rho = 1e6.
     """
     shape = surface.canonical
-    d, own = turned(surface.turn, rays), turned(surface.own_turn, rays)
+    d, own_rays = turned(surface.turn, rays), turned(surface.own_turn, rays)
     a = (shape.q * d * d).sum(axis=-1)
     b = ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
     discriminant = quarter_discriminant(surface, d)
@@ -176,8 +176,8 @@ def solve_root(
     for first in (True, False):
         number = np.where(plus_first == first, np.uint8(1), np.uint8(2))
         w = np.where(number == 1, plus, minus)
-        wanted = (label == 0) & (discriminant >= 0.0) & ((only == 0) | (number == only))
-        counts = wanted & root_counts(surface, bounds, d, own, w)
+        candidate = (label == 0) & (discriminant >= 0.0) & ((only == 0) | (number == only))
+        counts = candidate & root_counts(surface, bounds, d, own_rays, w)
         inverse_depth = np.where(counts, w, inverse_depth)
         label = np.where(counts, number, label)
     return inverse_depth, label
@@ -251,11 +251,11 @@ def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Arra
     if lens.is_curved:
         slope = slope - lens.focus_rise((rays[..., :2] ** 2).sum(axis=-1))[..., None] * rays[..., :2]
     if lens.distortion is not None:
-        here = along_rays(lens, rays)
-        radius = here.blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
+        local_lens = along_rays(lens, rays)
+        radius = local_lens.blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
         x, y = rays[..., 0], rays[..., 1]
         by_size = lens.distortion.stretch_slope(x, y)
-        changes = (radius * by_size[k] - here.blur_scale * slope[..., k] for k in range(2))
+        changes = (radius * by_size[k] - local_lens.blur_scale * slope[..., k] for k in range(2))
         right, up = lens.distortion.solved(x, y, *changes)
         return ray_step(camera) * np.stack([right, -up], axis=-1)
     return np.asarray(lens.blur_scale * ray_step(camera) * slope * np.array([-1.0, 1.0]))
@@ -363,12 +363,12 @@ def table_coordinate(
     highest = np.full(u.shape, first + count)
     jumps = psf.sampled and not subpixel
     ceiling = (np.minimum(np.floor(u) + 1.0, highest) if jumps else highest).astype(np.float32)
-    found = np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
+    coordinate = np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
     if not psf.signed:
-        return found
-    other, end = (values + np.float32(turned or count) for values in (found, ceiling))
-    other = np.where(other < end, other, np.nextafter(end, np.float32(0.0)))
-    return np.where(np.asarray(radius) < 0.0, other, found)
+        return coordinate
+    negative, end = (values + np.float32(turned or count) for values in (coordinate, ceiling))
+    negative = np.where(negative < end, negative, np.nextafter(end, np.float32(0.0)))
+    return np.where(np.asarray(radius) < 0.0, negative, coordinate)
 
 
 def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array:

@@ -47,7 +47,7 @@ class Occluder:
     narrows: Array | float = 0.0
     trails: Array | float = 1.0
 
-    def of(self, chosen: NDArray[Any]) -> Occluder:
+    def select(self, chosen: NDArray[Any]) -> Occluder:
         """Arrays of the selected points."""
         arrays = {k: v[chosen] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         limits, needed = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.needed))
@@ -58,7 +58,7 @@ class Occluder:
 class Cut:
     """Effect of an aperture's edge on taps of wide lenses: displacement in px from the tap to the middle of its visible
     part; the reduction of its variance along both axes; and the same for the source, for each lens position; (N,) each;
-    both (3, N): with bent rays, the covariance of the positions in source and lens (`clsco.optics.ray_means.RayMeans`).
+    covariance (3, N): with bent rays, that of the positions in source and lens (`clsco.optics.ray_means.RayMeans`).
     """
 
     aside_x: Array
@@ -68,9 +68,9 @@ class Cut:
     yy: Array
     trail_x: Array
     trail_y: Array
-    both: Array | None = None
+    covariance: Array | None = None
 
-    def of(self, chosen: NDArray[Any]) -> Cut:
+    def select(self, chosen: NDArray[Any]) -> Cut:
         """Arrays of the selected taps."""
         return Cut(**{name: array[..., chosen] for name, array in vars(self).items() if array is not None})
 
@@ -81,10 +81,10 @@ def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float
         return 1.0
     square = x * x + y * y + TINY
     xx, xy, yy = cut.xx, cut.xy, cut.yy
-    if cut.both is not None:
-        xx, xy, yy = (xx, xy, yy) - np.abs(m.follows) * cut.both
+    if cut.covariance is not None:
+        xx, xy, yy = (xx, xy, yy) - np.abs(m.follows) * cut.covariance
     across = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
-    if cut.both is not None:
+    if cut.covariance is not None:
         varies = 1.0 + m.narrows * (2.0 * m.follows - across)
     else:
         trail = (x * x * cut.trail_x + y * y * cut.trail_y) / square
@@ -102,9 +102,9 @@ def two_boxes(t: Array, part: Array) -> Array:
     """Step from 0 at t = -1/2 to 1 at 1/2: a sharp step blurred by boxes of widths `part`, at most 1/2, and 1 -
     part.
     """
-    left = np.maximum(0.5 - np.abs(t), 0.0)
-    least = np.minimum(left, part)
-    beyond = least * (2.0 * left - least) / (2.0 * part * (1.0 - part))
+    distance = np.maximum(0.5 - np.abs(t), 0.0)
+    least = np.minimum(distance, part)
+    beyond = least * (2.0 * distance - least) / (2.0 * part * (1.0 - part))
     return np.where(t < 0.0, beyond, 1.0 - beyond)
 
 
@@ -119,7 +119,7 @@ class Part:
     def where(self, chosen: Mask, other: Part) -> Part:
         """This part where `chosen` (N,) is True, else the other."""
         pairs = ((self.share, other.share), (self.x, other.x), (self.y, other.y))
-        return Part(*(np.where(chosen, own, others) for own, others in pairs))
+        return Part(*(np.where(chosen, first, second) for first, second in pairs))
 
 
 def part_slope(part: Part) -> Array:
@@ -127,24 +127,24 @@ def part_slope(part: Part) -> Array:
     return np.asarray(np.hypot(part.x, part.y))
 
 
-def leave_free(left: Part, hidden: Part) -> Part:
-    """Combine the free part `left` of cells with one more surface that hides the part `hidden` of them.
+def leave_free(free_part: Part, hidden: Part) -> Part:
+    """Combine the free part of cells with one more surface that hides the part `hidden` of them.
 
     For perpendicular edges, the product of the free fractions; for parallel edges, the smaller one if both surfaces
     hide the same side, and the strip between the edges if they hide opposite sides: nothing, if the surfaces share that
     edge.
     """
-    free = 1 - hidden.share
-    product = left.share * free
-    left_scale, scale = 1 / (part_slope(left) + TINY), 1 / (part_slope(hidden) + TINY)
-    cosine = (left.x * hidden.x + left.y * hidden.y) * (left_scale * scale)
-    gap = np.maximum(left.share - hidden.share, 0.0)
-    excess = np.where(cosine > 0, np.minimum(left.share, free) - product, product - gap)
-    left_weight, weight = left.share * (1 - left.share) * left_scale, hidden.share * free * scale
+    remaining = 1 - hidden.share
+    product = free_part.share * remaining
+    free_scale, scale = 1 / (part_slope(free_part) + TINY), 1 / (part_slope(hidden) + TINY)
+    cosine = (free_part.x * hidden.x + free_part.y * hidden.y) * (free_scale * scale)
+    gap = np.maximum(free_part.share - hidden.share, 0.0)
+    excess = np.where(cosine > 0, np.minimum(free_part.share, remaining) - product, product - gap)
+    left_weight, weight = free_part.share * (1 - free_part.share) * free_scale, hidden.share * remaining * scale
     return Part(
         product + cosine * excess,
-        left_weight * left.x + weight * hidden.x,
-        left_weight * left.y + weight * hidden.y,
+        left_weight * free_part.x + weight * hidden.x,
+        left_weight * free_part.y + weight * hidden.y,
     )
 
 
@@ -248,18 +248,18 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     across, down = root * m.h[:, 1] - (fx + 2 * fxx * x + fxy * y), root * m.h[:, 2] - (fy + fxy * x + 2 * fyy * y)
     steep = sharpened(m, cut, across, down)
     height = occluded_height(m, x, y) * steep + strip_share(m.strip / steep) - steep * strip_share(m.strip)
-    whole = Part(soft_step(height), across, down)
+    full = Part(soft_step(height), across, down)
     if not m.limits:
-        return whole
+        return full
     with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
-        one, other = (crossing_part(m, at, x, y, cut) for at in find_crossings(m, x, y))
-    part = one.where((m.f0 == 0) | (one.share > other.share), other)
+        near_part, far_part = (crossing_part(m, at, x, y, cut) for at in find_crossings(m, x, y))
+    part = near_part.where((m.f0 == 0) | (near_part.share > far_part.share), far_part)
     outline = outline_part(m, x, y)
     steep = m.soft * sharpened(m, cut, outline.x, outline.y)
     within = soft_step(outline.share * steep / (part_slope(outline) + TINY))
     twice = replace(part.where(part.share <= within, outline), share=part.share * within)
     # Without any condition left, a surface that is crossed twice is as one that never had any.
-    return part.where((m.f0 == 0) | (m.crossings == 1), twice.where(np.any(m.needed, axis=0), whole))
+    return part.where((m.f0 == 0) | (m.crossings == 1), twice.where(np.any(m.needed, axis=0), full))
 
 
 def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:

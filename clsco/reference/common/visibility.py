@@ -62,20 +62,20 @@ SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
     """Conditions on an intersection: the right nappe, and the bounds."""
     p, e = equation.point, np.stack([equation.right, -equation.right], axis=-1)  # e: mm per cell, right and down
-    found = []
+    limits = []
     nappe, o = float(surface.canonical.nappe), surface.offset
     if nappe:
-        found.append(np.stack([p[:, 2], np.full(w.shape, o[2]), *(e * surface.turn[2, :2]).T], axis=-1) * nappe)
+        limits.append(np.stack([p[:, 2], np.full(w.shape, o[2]), *(e * surface.turn[2, :2]).T], axis=-1) * nappe)
     if bounds is not None:
-        own = surface.own_offset * w[:, None] + turned(surface.own_turn, rays)
+        own_points = surface.own_offset * w[:, None] + turned(surface.own_turn, rays)
         for axis, (low, high) in enumerate(bounds):
             at, along = surface.own_offset[axis], e * surface.own_turn[axis, :2]
             for limit, sign in ((low, 1.0), (high, -1.0)):
                 if np.isinf(limit):
                     continue
-                head = np.stack([own[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
-                found.append(np.concatenate([head, along], axis=-1) * sign)
-    return found
+                head = np.stack([own_points[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
+                limits.append(np.concatenate([head, along], axis=-1) * sign)
+    return limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +134,13 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
     d = turned(surface.turn, points.rays)  # p = o w + d
     reach = -e.sign * radius * d[:, 2]
     away = np.stack([difference_of_products(d[:, i], o[2], d[:, 2], o[i]) for i in (0, 1)], axis=-1)
-    ways = (e.along_x, e.along_y)
+    shifts = (e.along_x, e.along_y)
     (r_x, r_y), (a_x, a_y) = (
-        [e.sign * radius * points.w * way[:, 2] for way in ways],
-        [p[:, :2] * way[:, 2:] - p[:, 2:] * way[:, :2] for way in ways],
+        [e.sign * radius * points.w * shift[:, 2] for shift in shifts],
+        [p[:, :2] * shift[:, 2:] - p[:, 2:] * shift[:, :2] for shift in shifts],
     )
-    f_x, f_y, f_xy = (2 * (one * other).sum(axis=-1) for one, other in ((away, a_x), (away, a_y), (a_x, a_y)))
-    f_xx, f_yy = ((one * one).sum(axis=-1) for one in (a_x, a_y))
+    f_x, f_y, f_xy = (2 * (first * second).sum(axis=-1) for first, second in ((away, a_x), (away, a_y), (a_x, a_y)))
+    f_xx, f_yy = ((first * first).sum(axis=-1) for first in (a_x, a_y))
     under, none = np.hypot(*away.T), np.zeros_like(reach)
     h = reach - under
     slopes = Slopes(
@@ -183,27 +183,32 @@ def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, ex
     """Mask of points (N,) that a surface cannot occlude: the line to lens point l moves in the image by lens_radius l
     per inverse depth.
     """
-    way = lens.radius * extent * (surface.seen.w[1] - w)
-    far = way <= 0
-    for axis, (low, high) in enumerate((surface.seen.x, surface.seen.y)):
-        far = far | (rays[:, axis] + way < low) | (rays[:, axis] - way > high)
+    shift = lens.radius * extent * (surface.extent.w[1] - w)
+    far = shift <= 0
+    for axis, (low, high) in enumerate((surface.extent.x, surface.extent.y)):
+        far = far | (rays[:, axis] + shift < low) | (rays[:, axis] - shift > high)
     return np.asarray(far)
 
 
 def meet_occluder(
-    lens: Lens, surface: PlacedSurface, bounds: Bounds | None, points: Points, division: Division, own: bool = False
+    lens: Lens,
+    surface: PlacedSurface,
+    bounds: Bounds | None,
+    points: Points,
+    division: Division,
+    on_surface: bool = False,
 ) -> tuple[NDArray[np.uint8], Mask, Occluder, Array]:
     """Compute how a surface hides the lens from N points.
 
-    own: True if the points are on the surface itself, another part of which may be between them and the lens. Returns
-    the state CLEAR, PARTLY or HIDDEN (N,), a mask of points on the far side of the surface or near an outline with
-    almost no width (N,), the data for tests per tap, and `crossing_place` (N,).
+    on_surface: True if the points are on the surface itself, another part of which may be between them and the lens.
+    Returns the state CLEAR, PARTLY or HIDDEN (N,), a mask of points on the far side of the surface or near an outline
+    with almost no width (N,), the data for tests per tap, and `crossing_place` (N,).
     """
     rays, w = points.rays, points.w
     far = out_of_the_way(lens, surface, rays, w, division.extent)
-    e = equation_of(lens, surface, rays, w, division.cells, own)
+    e = equation_of(lens, surface, rays, w, division.cells, on_surface)
     # The same for every point of the ray, and without the cancellation of B^2 - C F; a point on it is itself a root.
-    d = e.B * e.B if own else quarter_discriminant(surface, turned(surface.turn, rays))
+    d = e.B * e.B if on_surface else quarter_discriminant(surface, turned(surface.turn, rays))
     limits = _limits(surface, bounds, w, rays, e)
     with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
         place = crossing_place(lens, e, d)
@@ -242,7 +247,7 @@ def flatten_limits(
     The intersection is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each. h: constant, x, y, divided by
     the width of the edge. A condition satisfied all over the lens is not needed.
     """
-    clear, found, needed = np.zeros(near.shape, dtype=bool), [], []
+    clear, conditions, needed = np.zeros(near.shape, dtype=bool), [], []
     side = -1.0 if far[0] < 0 else 1.0
     for limit in limits:
         base, x, y = (side * (limit[:, 0] * far[k] - near * limit[:, 1 + k]) for k in range(3))
@@ -250,26 +255,26 @@ def flatten_limits(
         slope = np.sqrt(square)
         # By how many cells the edge moves if the source moves by 1 px across it: as in `edge_width`, with 1 / v there.
         over_v = sum(u * (far[0] * limit[:, 1 + k] - limit[:, 1] * far[k]) for k, u in ((1, x), (2, y)))
-        way = side * division.cells / lens.blur_scale * over_v / square
-        moved = np.abs(way - division.wide)
+        shift = side * division.cells / lens.blur_scale * over_v / square
+        moved = np.abs(shift - division.wide)
         # Not so far if it moves on a tilted surface, and not at all if that ends at this limit.
         tilted = base / division.cells
         along = np.hypot(x - tilted * division.gradient[:, 0], y - tilted * division.gradient[:, 1])
         width = division.width * moved * np.minimum(along, slope)
         ratio, across = width * width / square, x * x / square
-        squares, source = 1 - 2 * across * (1 - across), (division.width * way) ** 2
+        squares, source = 1 - 2 * across * (1 - across), (division.width * shift) ** 2
         boxes = squares * (1 + ratio * ratio) / (1 + ratio) ** 2
         disc = (4 / 1.2 + squares * source * source) / (2 + source) ** 2
         boxes = np.maximum(division.part * boxes + (1 - division.part) * disc, 0.5)
-        some = np.minimum(boxes, 0.999999)
-        second = np.where(boxes < 0.999999, np.sqrt((some - np.sqrt(2 * some - 1)) / (1 - some)), 0.0)
+        clamped = np.minimum(boxes, 0.999999)
+        second = np.where(boxes < 0.999999, np.sqrt((clamped - np.sqrt(2 * clamped - 1)) / (1 - clamped)), 0.0)
         part = np.maximum(second / (1 + second), 1e-3)
         soft = 0.5 * np.hypot(slope, width) / np.hypot(part, 1 - part)
         clear |= base + division.most * slope <= -soft
         needed.append(base - division.most * slope < soft)
-        found.append(np.stack([*(each / (2 * soft) for each in (base, x, y)), part], axis=-1))
+        conditions.append(np.stack([*(term / (2 * soft) for term in (base, x, y)), part], axis=-1))
     state = np.where(clear, CLEAR, np.where(np.any(needed, axis=0), PARTLY, HIDDEN))
-    return state, found, tuple(needed)
+    return state, conditions, tuple(needed)
 
 
 def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
@@ -293,7 +298,7 @@ class Circle:
     radius: Array
     scale: Array
 
-    def of(self, chosen: NDArray[Any]) -> Circle:
+    def select(self, chosen: NDArray[Any]) -> Circle:
         """Arrays of the selected sources."""
         return Circle(*(getattr(self, name)[chosen] for name in ("cuts", "x", "y", "radius", "scale")))
 
@@ -364,15 +369,15 @@ class Visibility:
     near: Mask | None = None
     part: Array | None = None
 
-    def of(self, chosen: NDArray[Any] | slice) -> Visibility:
+    def select(self, chosen: NDArray[Any] | slice) -> Visibility:
         """Arrays of the selected sources."""
         row = self.row[chosen]
-        there = row[row >= 0]
+        rows = row[row >= 0]
         occluders = tuple(
-            (mask[there], occluder.of(np.cumsum(mask)[there[mask[there]]] - 1)) for mask, occluder in self.occluders
+            (mask[rows], occluder.select(np.cumsum(mask)[rows[mask[rows]]] - 1)) for mask, occluder in self.occluders
         )
-        circles, new = [one.of(there) for one in self.circles], np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
-        planes = {name: getattr(self, name)[there] for name in PLANES if getattr(self, name) is not None}
+        circles, new = [circle.select(rows) for circle in self.circles], np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
+        planes = {name: getattr(self, name)[rows] for name in PLANES if getattr(self, name) is not None}
         return replace(self, row=new, occluders=occluders, circles=tuple(circles), **planes)
 
 
@@ -388,19 +393,19 @@ def check_visibility(
     """
     lens = along_rays(lens, points.rays)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
-    state, edge, found, nearest = _meet_occluders(lens, surfaces, bounds, group, points, division)
+    state, edge, hits, nearest = _meet_occluders(lens, surfaces, bounds, group, points, division)
     cut, circles = meet_rims(lens, psf, points, division)
     state = np.maximum(state, cut)
     partly = state == PARTLY
     taps: dict[str, Any] = {}
     if partly.any() and (has_ray_means(psf) or not psf.diffracted):
-        whole, by_cells = division, np.broadcast_to(points.shared, partly.shape)
+        pixel_division, by_cells = division, np.broadcast_to(points.shared, partly.shape)
         while True:
-            division = whole if psf.diffracted else tap_division(whole, points.radius, by_cells)
+            division = pixel_division if psf.diffracted else tap_division(pixel_division, points.radius, by_cells)
             if has_ray_means(psf):
                 division, taps = _by_rays(psf, points, division)
-            again, _, found, place = _meet_occluders(lens, surfaces, bounds, group, points, division)
-            hidden = np.any([mask for mask, _ in found], axis=0)
+            again, _, hits, place = _meet_occluders(lens, surfaces, bounds, group, points, division)
+            hidden = np.any([mask for mask, _ in hits], axis=0)
             far = hidden & sees_by_cells(division, place) & ~by_cells
             if psf.diffracted or not far.any():
                 break
@@ -409,7 +414,7 @@ def check_visibility(
         near = division.wide & (np.asarray(division.width) == 1.0) & (division.blur < NEAR_LENS)
         taps |= {"behind": again == HIDDEN, "near": near, "part": np.broadcast_to(division.part, near.shape)}
         taps = {name: value if name == "rays" else value[partly] for name, value in taps.items()}
-    occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
+    occluders = tuple((mask[partly], occluder.select(mask & partly)) for mask, occluder in hits)
     # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
     leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
     lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
@@ -418,7 +423,7 @@ def check_visibility(
         np.broadcast_to(np.asarray(points.width) < 1.0, partly.shape)[partly], points.x[partly], points.y[partly],
         occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
-        tuple(circle.of(partly) for circle in circles), psf.diffracted, psf.signed,
+        tuple(circle.select(partly) for circle in circles), psf.diffracted, psf.signed,
         not (psf.signed or psf.diffracted or psf.pupil.edges), psf.pupil if psf.cut_by_chords else None, **taps,
     )  # fmt: skip
 
@@ -429,17 +434,18 @@ def _meet_occluders(
 ) -> tuple[NDArray[np.uint8], Mask, list[tuple[Mask, Occluder]], Array]:  # fmt: skip
     """State of the lens (N,), a mask of edges (N,), the partial occluders, and their smallest `crossing_place` (N,)."""
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
-    found, nearest = [], np.full(points.w.shape, np.inf)
+    occluders, nearest = [], np.full(points.w.shape, np.inf)
     for k, surface in enumerate(surfaces):
         # The near one of two roots has nothing of its own surface before it.
         if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):
-            one, changes, occluder, place = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
+            hides = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
+            surface_state, changes, occluder, place = hides
             follows, narrows, trails = source_ways(division, place)
             occluder = replace(occluder, follows=follows, narrows=narrows, trails=trails)
-            nearest = np.where(one == PARTLY, np.minimum(nearest, place), nearest)
-            state, edge = np.maximum(state, one), edge ^ changes
-            found.append((one == PARTLY, occluder))
-    return state, edge, found, nearest
+            nearest = np.where(surface_state == PARTLY, np.minimum(nearest, place), nearest)
+            state, edge = np.maximum(state, surface_state), edge ^ changes
+            occluders.append((surface_state == PARTLY, occluder))
+    return state, edge, occluders, nearest
 
 
 def _by_rays(psf: PointSpread, points: Points, division: Division) -> tuple[Division, dict[str, Any]]:

@@ -46,7 +46,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     if visibility.bent is not None:
-        x, y = (np.where(visibility.wide, *both) for both in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
+        x, y = (np.where(visibility.wide, *values) for values in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
     tap_x, tap_y = x, y
     if visibility.rays is not None and visibility.waves:
         sheets = [part * _free_of_all(visibility, *at, cut) for part, at, cut in _sheets(visibility, x, y)]
@@ -68,11 +68,11 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         narrow = [np.zeros_like(x)] * 3
     aside = (0.0 * x, 0.0 * y) if visibility.waves else (tap_x - x, tap_y - y)
     aside_x, aside_y, none, (xx, xy, yy) = *aside, np.zeros_like(x), narrow
-    each = np.array([[x, xx, none, aside_x], [y, yy, none, aside_y]])
+    axes = np.array([[x, xx, none, aside_x], [y, yy, none, aside_y]])
     if visibility.near is not None and visibility.rays is None:
         near = np.stack([near_focus(visibility, tap) for tap in (tap_x, tap_y)])
-        each, xy = np.where(visibility.near, near, each), np.where(visibility.near, 0.0, xy)
-    (x, xx, trail_x, aside_x), (y, yy, trail_y, aside_y) = each
+        axes, xy = np.where(visibility.near, near, axes), np.where(visibility.near, 0.0, xy)
+    (x, xx, trail_x, aside_x), (y, yy, trail_y, aside_y) = axes
     narrow = [np.where(visibility.wide, part, 0.0) for part in (xx, xy, yy, trail_x, trail_y)]
     return _free_of_all(visibility, x, y, Cut(aside_x, aside_y, *narrow))
 
@@ -81,9 +81,9 @@ def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
     """Fraction of the lens that all occluders leave free, with taps moved to the middle of their visible part."""
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
-        left = Part(share[mask], across[mask], down[mask])
-        left = leave_free(left, occluded_part(occluder, x[mask], y[mask], cut.of(mask)))
-        share[mask], across[mask], down[mask] = left.share, left.x, left.y
+        free = Part(share[mask], across[mask], down[mask])
+        free = leave_free(free, occluded_part(occluder, x[mask], y[mask], cut.select(mask)))
+        share[mask], across[mask], down[mask] = free.share, free.x, free.y
     share = share * rim_share(visibility, x, y)
     return share if visibility.behind is None else np.where(visibility.behind, 0.0, share)
 
@@ -111,10 +111,10 @@ def near_focus(visibility: Visibility, t: Array) -> Array:
     cells = visibility.extent * np.where(visibility.part < 1.0, PIXEL_CELLS, np.abs(visibility.radius))
     angle = np.arange(1, DISC_NODES + 1) * (np.pi / (DISC_NODES + 1))
     node = np.cos(angle)
-    seen = np.maximum(1.0 - np.abs(t[:, None] - size[:, None] * node), 0.0)
-    share = seen * np.sin(angle) ** 2
+    tent = np.maximum(1.0 - np.abs(t[:, None] - size[:, None] * node), 0.0)
+    share = tent * np.sin(angle) ** 2
     share /= share.sum(axis=-1, keepdims=True) + 1e-20
-    mean, second, trail = share @ node, share @ node**2, (share * seen**2).sum(axis=-1)
+    mean, second, trail = share @ node, share @ node**2, (share * tent**2).sum(axis=-1)
     return np.stack([cells * mean, 1.0 - 6.0 * cells**2 * (second - mean**2), 1.0 - 2.0 * trail, t - size * mean])
 
 
@@ -166,12 +166,12 @@ def _sheets(visibility: Visibility, x: Array, y: Array) -> list[tuple[Array, tup
     assert rays is not None and numbers is not None  # noqa: PT018
     assert parts is not None and scale is not None  # noqa: PT018
     second, *planes = rays.lens_points(numbers, parts, x, y)
-    found = []
+    sheets = []
     for part, sheet in zip((1.0 - second, second), np.reshape(planes, (SHEETS, SHEET_PLANES, -1)), strict=True):
-        right, down, xx, xy, yy, aside_x, aside_y, *both = sheet / np.maximum(part, LEAST_PART)
-        cut = Cut(aside_x, aside_y, xx, xy, yy, 0.0 * xx, 0.0 * xx, np.stack(both))
-        found.append((part, (scale * right, scale * down), cut))
-    return found
+        right, down, xx, xy, yy, aside_x, aside_y, *covariance = sheet / np.maximum(part, LEAST_PART)
+        cut = Cut(aside_x, aside_y, xx, xy, yy, 0.0 * xx, 0.0 * xx, np.stack(covariance))
+        sheets.append((part, (scale * right, scale * down), cut))
+    return sheets
 
 
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
@@ -186,21 +186,21 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
         return weight
     size = np.maximum(np.abs(visibility.radius), LEAST_OPENING)
     x, y, far = dx - visibility.x, dy - visibility.y, PIXEL_CORNER if point else PIXELS_CORNER
-    borders, whole = pupil.borders, 1.0 / (np.pi * size * size)
+    borders, open_weight = pupil.borders, 1.0 / (np.pi * size * size)
     inside = size - np.hypot(x, y)
     if borders is not None:
-        size, whole = np.where(visibility.radius < 0.0, -size, size), weight
+        size, open_weight = np.where(visibility.radius < 0.0, -size, size), weight
         inside = np.full_like(size, np.inf)
     for circle in visibility.circles:
         within = circle.radius - np.hypot(x - circle.x, y - circle.y)
         inside = np.minimum(inside, np.where(circle.cuts, within, np.inf))
-    found = np.where(cut, np.where(inside > 0.0, whole, 0.0), weight)
-    some = cut & (np.abs(inside) < far) & ((weight > 0.0) | (borders is None))
-    rims = [(circle.x[some], circle.y[some], circle.radius[some]) for circle in visibility.circles]
-    if some.any():
-        light = chord_weights(x[some], y[some], size[some], rims=rims, point=point, borders=borders)
-        found[some] = light / pupil.light
-    return found
+    weights = np.where(cut, np.where(inside > 0.0, open_weight, 0.0), weight)
+    at_edge = cut & (np.abs(inside) < far) & ((weight > 0.0) | (borders is None))
+    rims = [(circle.x[at_edge], circle.y[at_edge], circle.radius[at_edge]) for circle in visibility.circles]
+    if at_edge.any():
+        light = chord_weights(x[at_edge], y[at_edge], size[at_edge], rims=rims, point=point, borders=borders)
+        weights[at_edge] = light / pupil.light
+    return weights
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
@@ -229,7 +229,7 @@ def cell_visibility(visibility: Visibility) -> Array:
     if narrow.size:
         there = np.flatnonzero(visibility.row >= 0)
         sources = there[np.argsort(visibility.row[there])]
-        cells, across = visibility.of(np.repeat(sources[narrow], at.size)), np.tile(at, narrow.size)
+        cells, across = visibility.select(np.repeat(sources[narrow], at.size)), np.tile(at, narrow.size)
         for i, down in enumerate(at):  # a row of cells of all sources at a time
             share[:, i] = lens_share(cells, across, np.full_like(across, down)).reshape(narrow.size, -1)
     return share
@@ -257,20 +257,20 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
         if visibility.waves:
             rim = LENS_CELLS * step + np.where(point, 0.0, BEYOND)
             part = np.minimum(rim / np.maximum(np.hypot(*away), 1e-6), 1.0)
-            away = [part * each for each in away]
+            away = [part * center for center in away]
         if visibility.bent is not None:
             share[narrow] = _elliptic_share(visibility, cells, visibility.bent[narrow] * step[:, None], away, width)
             return share
-        across, down = (response(at * step[:, None] - each[:, None], width[:, None]) for each in away)
+        across, down = (response(at * step[:, None] - center[:, None], width[:, None]) for center in away)
         weights = visibility.cells
         if visibility.signed:
             mirrored = visibility.radius[narrow, None, None] < 0
             weights = np.where(mirrored, weights[::-1, ::-1], weights)
-            whole = np.einsum("mi,mij,mj->m", down, weights, across, optimize=True)
+            total = np.einsum("mi,mij,mj->m", down, weights, across, optimize=True)
         else:
-            whole = np.einsum("mi,ij,mj->m", down, weights, across, optimize=True)
+            total = np.einsum("mi,ij,mj->m", down, weights, across, optimize=True)
         free = np.einsum("mi,mij,mj->m", down, weights * cells, across, optimize=True)
-        share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
+        share[narrow] = np.where(total > 0, free / np.where(total > 0, total, 1.0), 1.0)
     return share
 
 
@@ -280,7 +280,8 @@ def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: lis
     """
     at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
     places = _bent(bent[:, None, None], at, at[:, None])
-    parts = [response(one - d[:, None, None], width[:, None, None]) for one, d in zip(places, away, strict=True)]
+    pairs, widths = zip(places, away, strict=True), width[:, None, None]
+    parts = [response(position - d[:, None, None], widths) for position, d in pairs]
     weights = visibility.cells * parts[0] * parts[1]
-    whole, free = weights.sum(axis=(1, 2)), (weights * cells).sum(axis=(1, 2))
-    return np.asarray(np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0))
+    total, free = weights.sum(axis=(1, 2)), (weights * cells).sum(axis=(1, 2))
+    return np.asarray(np.where(total > 0, free / np.where(total > 0, total, 1.0), 1.0))

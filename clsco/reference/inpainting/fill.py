@@ -49,9 +49,9 @@ def find_spans(known: Mask) -> NDArray[np.int64]:
     """
 
     def ends(lines: Mask) -> NDArray[np.int64]:
-        some = lines.any(axis=1)
-        first = np.where(some, lines.argmax(axis=1), sum(known.shape))
-        last = np.where(some, lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1), -1)
+        occupied = lines.any(axis=1)
+        first = np.where(occupied, lines.argmax(axis=1), sum(known.shape))
+        last = np.where(occupied, lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1), -1)
         return np.stack([first, last], axis=1)
 
     return np.concatenate([ends(known), ends(known.T)])
@@ -70,10 +70,10 @@ def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
     return missing if allowed is None else missing & allowed
 
 
-def far_bounds(w: Array, known: Mask, wanted: Mask) -> NDArray[np.float32]:
-    """Largest inverse depth (H, W) in 1/mm of neighbors that the wanted pixels may be filled from; infinite elsewhere.
+def far_bounds(w: Array, known: Mask, pixels: Mask) -> NDArray[np.float32]:
+    """Largest inverse depth (H, W) in 1/mm of neighbors that `pixels` may be filled from; infinite elsewhere.
 
-    w: (H, W) 1/mm; known, wanted: (H, W). For each wanted pixel, known pixels on both sides are searched along its row,
+    w: (H, W) 1/mm; known, pixels: (H, W). For each of these, known pixels on both sides are searched along its row,
     its column and both diagonals. The line that finds both within the fewest steps is used, of equal lines the first:
     the bound is 1.02 times the smaller inverse depth of its two pixels. Beside an edge that has moved away, this is the
     inverse depth of the far side; in a gap that a growing surface leaves, at most WIDEST_GAP px to each side, it is
@@ -84,31 +84,31 @@ def far_bounds(w: Array, known: Mask, wanted: Mask) -> NDArray[np.float32]:
     """
     height, width = known.shape
     bound = np.full(known.shape, np.inf, dtype=np.float32)
-    row, column = np.nonzero(wanted)
+    row, column = np.nonzero(pixels)
     ends = np.full((8, row.size), np.nan, dtype=np.float32)
     steps = np.zeros((8, row.size), dtype=np.float32)
-    found, farthest = (np.full(row.size, np.inf, dtype=np.float32) for _ in range(2))
-    settled, begun = np.zeros(row.size, dtype=bool), np.zeros(row.size, dtype=bool)
+    bounds, farthest = (np.full(row.size, np.inf, dtype=np.float32) for _ in range(2))
+    settled, paired = np.zeros(row.size, dtype=bool), np.zeros(row.size, dtype=bool)
     for step in range(1, max(height, width)):
         for k, (i, j) in enumerate(NEIGHBORS):
             y, x = row + step * i, column + step * j
-            met = (y >= 0) & (y < height) & (x >= 0) & (x < width) & np.isnan(ends[k])
-            met[met] = known[y[met], x[met]]
-            ends[k, met] = w[y[met], x[met]]
-            steps[k, met] = step
+            reached = (y >= 0) & (y < height) & (x >= 0) & (x < width) & np.isnan(ends[k])
+            reached[reached] = known[y[reached], x[reached]]
+            ends[k, reached] = w[y[reached], x[reached]]
+            steps[k, reached] = step
             if k % 2:
-                (one, other), (near, far) = ends[k - 1 : k + 1], steps[k - 1 : k + 1]
-                pair = ~settled & ~np.isnan(one) & ~np.isnan(other) & (np.maximum(near, far) == step)
-                smaller, larger = np.minimum(one, other), np.maximum(one, other)
-                here = (one * far + other * near) / np.maximum(near + far, np.float32(1))
-                first = pair & ~begun
-                better = first | (pair & (FAR_SLACK * here < farthest))
-                found[better], farthest[better] = smaller[better], here[better]
+                (first_w, second_w), (near, far) = ends[k - 1 : k + 1], steps[k - 1 : k + 1]
+                pair = ~settled & ~np.isnan(first_w) & ~np.isnan(second_w) & (np.maximum(near, far) == step)
+                smaller, larger = np.minimum(first_w, second_w), np.maximum(first_w, second_w)
+                interpolated = (first_w * far + second_w * near) / np.maximum(near + far, np.float32(1))
+                first = pair & ~paired
+                better = first | (pair & (FAR_SLACK * interpolated < farthest))
+                bounds[better], farthest[better] = smaller[better], interpolated[better]
                 settled |= first & ((larger > FAR_SLACK * smaller) | (step <= WIDEST_GAP))
-                begun |= pair
+                paired |= pair
         if settled.all():
             break
-    bound[row[begun], column[begun]] = FAR_SLACK * found[begun]
+    bound[row[paired], column[paired]] = FAR_SLACK * bounds[paired]
     return bound
 
 
@@ -145,8 +145,8 @@ def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, 
     far: use only the farther one if the other is nearer by more than the slack.
     """
     left, right = _nearest_known(known)
-    both = (left >= 0) & (right < known.shape[1])
-    left, right = np.where(both, left, 0), np.where(both, right, 0)
+    enclosed = (left >= 0) & (right < known.shape[1])
+    left, right = np.where(enclosed, left, 0), np.where(enclosed, right, 0)
     row, column = np.arange(known.shape[0])[:, None], np.arange(known.shape[1])[None, :]
     share = (column - left) / np.maximum(right - left, 1)
     if far:
@@ -156,7 +156,7 @@ def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, 
             np.where(at_right > FAR_SLACK * at_left, left, right),
         )
     low, high = values[row, left], values[row, right]
-    return low + (high - low) * share[..., None], both, left
+    return low + (high - low) * share[..., None], enclosed, left
 
 
 def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -> tuple[Array, Mask, Pixels]:
@@ -174,21 +174,21 @@ def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -
     row, column = np.nonzero(inside)
     near, near_known = known_neighbors(values, known, row, column, bounds)
     result, filled, source = values.copy(), np.zeros_like(known), np.arange(known.size).reshape(known.shape)
-    value, found = np.zeros((row.size, values.shape[2])), np.zeros(row.size, dtype=bool)
+    value, valued = np.zeros((row.size, values.shape[2])), np.zeros(row.size, dtype=bool)
     first = np.zeros(row.size, dtype=np.int64)
     for pair in range(0, 8, 2):
-        use = near_known[pair] & near_known[pair + 1] & ~found
+        use = near_known[pair] & near_known[pair + 1] & ~valued
         value[use] = 0.5 * (near[pair] + near[pair + 1])[use]
         first[use] = pair
-        found |= use
+        valued |= use
     for k in range(8):
-        use = near_known[k] & ~found
+        use = near_known[k] & ~valued
         value[use] = near[k][use]
         first[use] = k
-        found |= use
-    result[row[found], column[found]] = value[found]
-    filled[row[found], column[found]] = True
-    source[row[found], column[found]] = neighbor_numbers(first, row, column, known.shape[1])[found]
+        valued |= use
+    result[row[valued], column[valued]] = value[valued]
+    filled[row[valued], column[valued]] = True
+    source[row[valued], column[valued]] = neighbor_numbers(first, row, column, known.shape[1])[valued]
     border = missing & ~inside
     if border.any():
         far = bounds is not None
@@ -229,21 +229,21 @@ def fill_objects(
     far: fill holes from their farther side (`far_bounds`, computed when a pixel becomes missing). If that fills no more
     pixels, nearer ones are allowed for one sweep. brightest: largest radiance, for scores.
     """
-    left, valid = mark_missing(known, allowed), known
+    holes, valid = mark_missing(known, allowed), known
     frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))
-    bounds = far_bounds(values[..., -1], valid, left) if far else None
+    bounds = far_bounds(values[..., -1], valid, holes) if far else None
     sweeps = first = 0
     median_wins = np.zeros(9, dtype=bool)
-    if method == "mean_median" and left.any():
+    if method == "mean_median" and holes.any():
         median_wins = score_mean_median(values[..., :-1], known, score_scale(brightest)).median_wins()
-    while method != "none" and left.any():
+    while method != "none" and holes.any():
         # Fewer neighbors will do where the filling would stall, and then (0) nearer ones.
         for minimum in range(1 if method == "ait" else CHAPTER5.minimum, -1 if far else 0, -1):
             within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
             if method == "ait":
-                swept, filled, source = fill_ait(values, valid, left, within)
+                swept, filled, source = fill_ait(values, valid, holes, within)
             else:
-                swept, filled, source = fill_mean_median(values, valid, left, median_wins, minimum, within)
+                swept, filled, source = fill_mean_median(values, valid, holes, median_wins, minimum, within)
             if filled.any():
                 break
         if not filled.any():
@@ -252,16 +252,16 @@ def fill_objects(
         sweeps += 1
         if sweeps == 1:
             first = int(filled[frame].sum())
-        valid, missing = settle_sweep(valid, left, filled)
-        left = mark_grown(valid, missing, allowed)
+        valid, missing = settle_sweep(valid, holes, filled)
+        holes = mark_grown(valid, missing, allowed)
         if bounds is not None:
-            new = left & ~missing
+            new = holes & ~missing
             bounds = np.where(new, far_bounds(values[..., -1], valid, new), bounds)
     done = valid & ~known
     if method == "mean_median" and done.any():
         for _ in range(CHAPTER5.smoothing_rounds):
             values = smooth_median(values, done, valid, bounds)
-    status = np.where(done, FILLED, np.where(left, UNFILLED, KNOWN))
-    done_pixels, left_pixels = int(done[frame].sum()), int(left[frame].sum())
+    status = np.where(done, FILLED, np.where(holes, UNFILLED, KNOWN))
+    done_pixels, left_pixels = int(done[frame].sum()), int(holes[frame].sum())
     report = FillReport(done_pixels + left_pixels, done_pixels, left_pixels, sweeps, first)
     return values, objects, status, report

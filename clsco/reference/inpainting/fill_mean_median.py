@@ -43,7 +43,7 @@ def smooth_median(values: Array, filled: Mask, valid: Mask, bounds: Bounds = Non
     """
     row, column = np.nonzero(filled)
     near, near_known = known_neighbors(values, valid, row, column, bounds)
-    some = near_known.any(axis=0)
+    usable = near_known.any(axis=0)
     result = values.copy()
-    result[row[some], column[some]] = median_of_known(near[:, some], near_known[:, some])
+    result[row[usable], column[usable]] = median_of_known(near[:, usable], near_known[:, usable])
     return result

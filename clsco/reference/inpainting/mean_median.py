@@ -105,8 +105,8 @@ def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedi
         gradients = np.sqrt(steepness.astype(np.float64))
         histogram = border_histogram(gradients, span / 255, constants.border_share)
         if histogram.threshold is not None:
-            taken = gradients >= histogram.threshold
-            blended[tuple(np.argwhere(border)[taken].T)] = medians[taken]
+            selected = gradients >= histogram.threshold
+            blended[tuple(np.argwhere(border)[selected].T)] = medians[selected]
     return Inpainted(filled, smoothed, blended, score, sweeps, border, histogram)
 
 

@@ -18,11 +18,11 @@ def score_mean_median(values: Array, known: Mask, scale: float) -> Score:
     8 neighbors exist and are known, all channels and all 163 subsets of k = 4..8 neighbors. Validated against plain
     enumeration with numpy.mean and numpy.median.
     """
-    whole = known.copy()
-    whole[[0, -1], :] = whole[:, [0, -1]] = False
+    complete = known.copy()
+    complete[[0, -1], :] = complete[:, [0, -1]] = False
     for i, j in NEIGHBORS:
-        whole &= np.roll(known, (-i, -j), axis=(0, 1))
-    row, column = np.nonzero(whole)
+        complete &= np.roll(known, (-i, -j), axis=(0, 1))
+    row, column = np.nonzero(complete)
     near, _ = known_neighbors(values, known, row, column)
     # Subsets of the sorted neighbors are the subsets of the neighbors, and their medians need no sorting.
     near = np.rint(np.sort(near, axis=0) * scale).astype(np.int64)

@@ -95,7 +95,7 @@ def reach_hidden(layer: Labels, seed: Labels, offset: Integers, deep: int) -> tu
     not reach pixels where the hidden surface may be visible.
     """
     columns, wide = layer.shape[1], 2 * deep
-    best, found = np.full(layer.shape, deep * deep + 1), np.zeros_like(layer)
+    best, labels = np.full(layer.shape, deep * deep + 1), np.zeros_like(layer)
     edge = np.zeros(layer.shape, dtype=bool)
     padded = np.pad(offset, ((0, 0), (wide, wide)), constant_values=NO_SEED)
     row, column = np.indices(layer.shape)
@@ -104,8 +104,8 @@ def reach_hidden(layer: Labels, seed: Labels, offset: Integers, deep: int) -> tu
         edge |= np.abs(dy) <= wide
         nearer = dx * dx + dy * dy < best
         label = seed[np.where(nearer, row + dy, 0), np.clip(column + dx, 0, columns - 1)]
-        best, found = np.where(nearer, dx * dx + dy * dy, best), np.where(nearer, label, found)
-    return np.where((layer > 0) & (found > layer), found, 0).astype(np.uint8), edge
+        best, labels = np.where(nearer, dx * dx + dy * dy, best), np.where(nearer, label, labels)
+    return np.where((layer > 0) & (labels > layer), labels, 0).astype(np.uint8), edge
 
 
 def open_depth_layer(radiance: Array, coc: Array, layer: Labels, which: int) -> Array:
@@ -139,8 +139,8 @@ def _between(coarse: Array, count: int, axis: int) -> Array:
     """Bilinear interpolation of a coarse level at `count` fine pixels along an axis."""
     position = np.arange(count)
     near = position // 2
-    other = np.clip(np.where(position % 2, near + 1, near - 1), 0, coarse.shape[axis] - 1)
-    return np.asarray(0.75 * np.take(coarse, near, axis) + 0.25 * np.take(coarse, other, axis))
+    far = np.clip(np.where(position % 2, near + 1, near - 1), 0, coarse.shape[axis] - 1)
+    return np.asarray(0.75 * np.take(coarse, near, axis) + 0.25 * np.take(coarse, far, axis))
 
 
 def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
@@ -154,9 +154,9 @@ def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
 def pull(fine: Array, coarse: Array) -> Array:
     """A level (H, W, C + 2) with its unknown and partly known pixels filled from the next coarser one."""
     known = fine[..., -1:]
-    other, found = _around(coarse, fine.shape)
-    values = np.where(found, known * fine[..., :-1] + (1.0 - known) * other, fine[..., :-1])
-    return np.concatenate([values, np.where((known > 0) | found, 1.0, 0.0)], axis=-1)
+    surrounding, exists = _around(coarse, fine.shape)
+    values = np.where(exists, known * fine[..., :-1] + (1.0 - known) * surrounding, fine[..., :-1])
+    return np.concatenate([values, np.where((known > 0) | exists, 1.0, 0.0)], axis=-1)
 
 
 def take_depth_layer(
@@ -168,11 +168,11 @@ def take_depth_layer(
     coarse: the second level of the layer's pyramid, filled, which gives the hidden part.
     """
     behind, _ = _around(coarse, layer.shape)
-    own, extended = layer == which, hidden == which
-    there = own | extended
-    light = np.where(own[..., None], radiance, behind[..., :-1])
-    value = np.concatenate([light, np.ones((*layer.shape, 1))], axis=-1) * there[..., None]
-    return value, np.where(own, coc, np.where(extended, behind[..., -1], 0.0)), there
+    visible, extended = layer == which, hidden == which
+    mask = visible | extended
+    light = np.where(visible[..., None], radiance, behind[..., :-1])
+    value = np.concatenate([light, np.ones((*layer.shape, 1))], axis=-1) * mask[..., None]
+    return value, np.where(visible, coc, np.where(extended, behind[..., -1], 0.0)), mask
 
 
 def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
@@ -188,9 +188,9 @@ def composite(total: Array, covered: Array, blurred: Array, most: Array | float 
     coverages sum to that of the whole, and no light is lost.
     """
     coverage = blurred[..., -1]
-    seen = np.maximum(np.minimum(coverage, np.maximum(coverage, most) - covered), 0.0)
-    share = np.where(seen < coverage, seen / np.where(seen < coverage, coverage, 1.0), 1.0)
-    return total + share[..., None] * blurred[..., :-1], covered + seen
+    visible = np.maximum(np.minimum(coverage, np.maximum(coverage, most) - covered), 0.0)
+    share = np.where(visible < coverage, visible / np.where(visible < coverage, coverage, 1.0), 1.0)
+    return total + share[..., None] * blurred[..., :-1], covered + visible
 
 
 def extend_depth_layer(

@@ -47,8 +47,8 @@ def philox(first: ArrayLike, second: int, third: int, fourth: int, key: tuple[in
 
 def uniform_of(word: Words) -> Floats:
     """Number in (0, 1] from a random word: (word + 1/2) / 2^32, rounded; never 0."""
-    found: Floats = (np.asarray(word).astype(np.float32) + np.float32(0.5)) * np.float32(2.0**-32)
-    return found
+    numbers: Floats = (np.asarray(word).astype(np.float32) + np.float32(0.5)) * np.float32(2.0**-32)
+    return numbers
 
 
 def square_root(x: Floats) -> Floats:
@@ -71,18 +71,18 @@ def minus_log(x: Floats) -> Floats:
 def exp_minus(x: Floats) -> Floats:
     """exp(-x) for x in [0, 80], with relative error 2e-7 at small x and, because x is rounded, 1e-6 at 30."""
     y = x * np.float32(-1.44269504)
-    whole = np.floor(y).astype(np.int32)
-    rest = y - whole.astype(np.float32)
-    return _polynomial(EXP2, rest) * ((whole + 127) << 23).astype(np.int32).view(np.float32)
+    integer = np.floor(y).astype(np.int32)
+    fraction = y - integer.astype(np.float32)
+    return _polynomial(EXP2, fraction) * ((integer + 127) << 23).astype(np.int32).view(np.float32)
 
 
 def _polynomial(coefficients: tuple[float, ...], x: Floats) -> Floats:
     """Polynomial by Horner's rule, each step rounded."""
-    first, *others = (np.float32(each) for each in coefficients)
-    found = np.full_like(x, first)
-    for each in others:
-        found = found * x + each
-    return found
+    first, *lower = (np.float32(coefficient) for coefficient in coefficients)
+    values = np.full_like(x, first)
+    for coefficient in lower:
+        values = values * x + coefficient
+    return values
 
 
 def normal_of(word: Words) -> Floats:
@@ -107,10 +107,10 @@ def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
     above = np.where(mean < np.float32(0.125), little, one - term)
     count = np.zeros(mean.shape, np.int64)
     for k in range(1, FEW_ELECTRONS):
-        more = u < above
-        if not more.any():
+        above_count = u < above
+        if not above_count.any():
             break
-        count += more
+        count += above_count
         term = term * (mean * reciprocals[k])
         above = above - term
     # Where rounding leaves more than u above all terms.
@@ -122,11 +122,11 @@ def many_electrons(mean: Floats, word: Words) -> Counts:
     Integer and fractional part of the mean are separate, as float32 has no halves beyond 2^23.
     """
     z = normal_of(word)
-    whole = mean.astype(np.int64)
-    rest = mean - whole.astype(np.float32)
+    integer = mean.astype(np.int64)
+    fraction = mean - integer.astype(np.float32)
     sixth = np.float32(0.166666672)
-    more = rest + z * square_root(mean) + (z * z - np.float32(1.0)) * sixth + np.float32(0.5)
-    return np.maximum(whole + np.floor(more).astype(np.int64), 0)
+    deviation = fraction + z * square_root(mean) + (z * z - np.float32(1.0)) * sixth + np.float32(0.5)
+    return np.maximum(integer + np.floor(deviation).astype(np.int64), 0)
 
 
 def poisson(mean: Floats, word: Words, reciprocals: Floats) -> Counts:

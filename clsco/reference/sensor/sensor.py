@@ -63,8 +63,8 @@ def sense(
     planes = []
     for k in range(len(sensor_model.filters)):
         channel, scale = (sensor[name].reshape(-1, 4)[k][site] for name in ("channel", "scale"))
-        own = np.take_along_axis(light, channel[..., None], axis=2)[..., 0].astype(np.float32)
-        mean, dark, added = photoelectrons(own, scale), sensor["dark"], np.zeros(own.shape, np.float32)
+        plane_light = np.take_along_axis(light, channel[..., None], axis=2)[..., 0].astype(np.float32)
+        mean, dark, added = photoelectrons(plane_light, scale), sensor["dark"], np.zeros(plane_light.shape, np.float32)
         pixel = y * columns + x
         if sensor_model.has_pattern:
             word = philox(pixel, 0, camera & 1, PATTERN_STREAM + STREAMS * k, key)
@@ -77,7 +77,7 @@ def sense(
         added = added + sensor["read_noise"] * normal_of(word[1])
         code = codes_of(np.where(full, sensor["full_well"], count), added, sensor)
         planes.append((code.astype(np.uint16), full | (code >= sensor["maximum"])))
-    codes, saturated = (np.stack(each, axis=-1) for each in zip(*planes, strict=True))
+    codes, saturated = (np.stack(planes_, axis=-1) for planes_ in zip(*planes, strict=True))
     return codes, saturated
 
 

@@ -45,22 +45,22 @@ def detailed_texture(
     size = texture.spread * np.abs(radius)
     exchanged = sharpening(texture, parts * radius) * np.clip(REACHING * (2 * samples * size - 1.0), 0.0, 1.0)
     for axis in range(shares.shape[1]):
-        here = shares[:, axis] > 0.0
-        seen = Mapped(*(along_axis(p[here], axis) if three else p[here] for p in (point.at, point.right, point.down)))
-        bent = is_bent(texture.map, seen)
-        seen = Mapped(seen.at, seen.right / parts, seen.down / parts)
-        texel = texel_at(texture.map, seen.at)
-        changes = texel_change(texture.map, seen.at, seen.right), texel_change(texture.map, seen.at, seen.down)
+        mask = shares[:, axis] > 0.0
+        mapped = Mapped(*(along_axis(p[mask], axis) if three else p[mask] for p in (point.at, point.right, point.down)))
+        bent = is_bent(texture.map, mapped)
+        mapped = Mapped(mapped.at, mapped.right / parts, mapped.down / parts)
+        texel = texel_at(texture.map, mapped.at)
+        changes = texel_change(texture.map, mapped.at, mapped.right), texel_change(texture.map, mapped.at, mapped.down)
         footprint = footprint_of(texture, changes, bent)
         places = np.arange(parts + 2) - 0.5 * (parts + 1)
         mean = np.stack(
-            [np.stack([mean_texture(texture, seen, texel, footprint, a, b) for a in places], axis=1) for b in places],
+            [np.stack([mean_texture(texture, mapped, texel, footprint, a, b) for a in places], axis=1) for b in places],
             axis=1,
         )
-        own, share = mean[:, 1:-1, 1:-1], exchanged[here, None, None, None]
-        value = own + share * (2.0 * own - mean[:, 1:-1, :-2] - mean[:, 1:-1, 2:])
-        value += share * (2.0 * own - mean[:, :-2, 1:-1] - mean[:, 2:, 1:-1])
-        values[here] += shares[here, axis, None, None, None] * value
+        inner, share = mean[:, 1:-1, 1:-1], exchanged[mask, None, None, None]
+        value = inner + share * (2.0 * inner - mean[:, 1:-1, :-2] - mean[:, 1:-1, 2:])
+        value += share * (2.0 * inner - mean[:, :-2, 1:-1] - mean[:, 2:, 1:-1])
+        values[mask] += shares[mask, axis, None, None, None] * value
     return values
 
 

@@ -161,15 +161,15 @@ def footprint_of(
     """Footprints: the mipmap level and the cells in it, from changes of column and row."""
     (rc, rr), (dc, dr) = changes
     across, along = rc * rc + rr * rr, dc * dc + dr * dr
-    narrow, both = 2.0 * (rc * dr - rr * dc) ** 2, across + along
+    narrow, total = 2.0 * (rc * dr - rr * dc) ** 2, across + along
     level = np.zeros(across.shape, np.intp)
     most = np.where(bent, MOST_BENT_TEXELS, MOST_TEXELS) ** 2
     for _ in texture.levels[1:]:
-        each = 4.0**level
-        more = ~(narrow < both * (4.0 * APART * LEAST_TEXELS**2 * each)) | (
-            APART * most * each < np.maximum(across, along)
+        scale = 4.0**level
+        coarser = ~(narrow < total * (4.0 * APART * LEAST_TEXELS**2 * scale)) | (
+            APART * most * scale < np.maximum(across, along)
         )
-        level += more & (level + 1 < len(texture.levels))
+        level += coarser & (level + 1 < len(texture.levels))
     cells_x, cells_y = (
         cells_of(square / 4.0**level, column * row / 4.0**level, bent)
         for square, (column, row) in zip((across, along), changes, strict=True)
@@ -188,39 +188,39 @@ def mean_texture(
     """
     result = np.empty((len(footprint.kinds), texture.levels[0].shape[3]))
     for kind in np.unique(footprint.kinds, axis=0):
-        here = (footprint.kinds == kind).all(axis=-1)
-        result[here] = _mean_of_kind(texture, point, texel, footprint, here, (aside, below))
+        selected = (footprint.kinds == kind).all(axis=-1)
+        result[selected] = _mean_of_kind(texture, point, texel, footprint, selected, (aside, below))
     return result
 
 
 def _mean_of_kind(
-    texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, here: NDArray[np.bool_],
+    texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, selected: NDArray[np.bool_],
     shift: tuple[float, float],
 ) -> Array:  # fmt: skip
-    """`mean_texture` for pixels `here`, which share one level and number of cells."""
-    level, cells_x, cells_y, bent = (int(n) for n in footprint.kinds[here][0])
+    """`mean_texture` for pixels `selected`, which share one level and number of cells."""
+    level, cells_x, cells_y, bent = (int(n) for n in footprint.kinds[selected][0])
     texture_map, stored = texture.map, texture.levels[level]
     border = CUBE_BORDER if texture_map.kind == MAP_CUBE else 0
     share_x = (stored.shape[2] - 2 * border) / texture_map.columns
     share_y = (stored.shape[1] - 2 * border) / texture_map.rows
     right, down = (
-        tuple(c[here] * s for c, s in zip(change, (share_x, share_y), strict=True)) for change in footprint.changes
+        tuple(c[selected] * s for c, s in zip(change, (share_x, share_y), strict=True)) for change in footprint.changes
     )
     center, places = (
-        Texel(texel.column[here], texel.row[here], texel.side[here]),
+        Texel(texel.column[selected], texel.row[selected], texel.side[selected]),
         0.5 * (texture.texture_filter != "nearest"),
     )
-    total = np.zeros((int(here.sum()), stored.shape[3]))
-    own = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
-    own = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in own]
-    width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*own, strict=True))
+    total = np.zeros((int(selected.sum()), stored.shape[3]))
+    steps = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
+    steps = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in steps]
+    width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*steps, strict=True))
     most = width_x * width_y  # the skew has no more, unless cells are cut to MOST_CELL
-    skew = np.clip(sum(x * y for x, y in own), -most, most) / 12.0
+    skew = np.clip(sum(x * y for x, y in steps), -most, most) / 12.0
     for b in _places(cells_y, bool(bent)) + shift[1]:
         for a in _places(cells_x, bool(bent)) + shift[0]:
             at = center
             if bent:
-                at = texel_at(texture_map, point.at[here] + a * point.right[here] + b * point.down[here])
+                at = texel_at(texture_map, point.at[selected] + a * point.right[selected] + b * point.down[selected])
             x = wrapped_position(at.column, texture_map.columns, texture_map.wrap_x) * share_x - places
             y = wrapped_position(at.row, texture_map.rows, texture_map.wrap_y) * share_y - places
             if not bent:
@@ -262,12 +262,12 @@ def surface_texture(
     mean = np.zeros((len(w), texture.levels[0].shape[3]))
     texels = np.zeros(len(w))
     for axis in range(shares.shape[1]):
-        here = shares[:, axis] > 0.0
-        parts = (part[here] for part in (point.at, point.right, point.down))
-        seen = Mapped(*(along_axis(part, axis) if three else part for part in parts))
-        texel = texel_at(texture.map, seen.at)
-        changes = texel_change(texture.map, seen.at, seen.right), texel_change(texture.map, seen.at, seen.down)
-        texels[here] = np.maximum(texels[here], np.max([c * c + r * r for c, r in changes], axis=0))
-        bent, share = is_bent(texture.map, seen), shares[here, axis, None]
-        mean[here] += share * mean_texture(texture, seen, texel, footprint_of(texture, changes, bent))
+        mask = shares[:, axis] > 0.0
+        parts = (part[mask] for part in (point.at, point.right, point.down))
+        mapped = Mapped(*(along_axis(part, axis) if three else part for part in parts))
+        texel = texel_at(texture.map, mapped.at)
+        changes = texel_change(texture.map, mapped.at, mapped.right), texel_change(texture.map, mapped.at, mapped.down)
+        texels[mask] = np.maximum(texels[mask], np.max([c * c + r * r for c, r in changes], axis=0))
+        bent, share = is_bent(texture.map, mapped), shares[mask, axis, None]
+        mean[mask] += share * mean_texture(texture, mapped, texel, footprint_of(texture, changes, bent))
     return mean, texels

@@ -89,15 +89,15 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
     d = turned(surface.turn, rays)
     gradient = canonical_gradient(surface, d, w)
     n, facing = turned_back(surface.turn, gradient), (gradient * d).sum(axis=-1)
-    each = np.where(facing != 0.0, -1.0 / np.where(facing != 0.0, facing, 1.0), 0.0)
-    changes = [np.eye(3)[axis] + rays * (n[..., axis] * each)[..., None] for axis in range(2)]
+    scale = np.where(facing != 0.0, -1.0 / np.where(facing != 0.0, facing, 1.0), 0.0)
+    changes = [np.eye(3)[axis] + rays * (n[..., axis] * scale)[..., None] for axis in range(2)]
     along, aside, upwards = ray_changes(camera, rays[..., 0], rays[..., 1])
     steps = []
     for sign, shares in ((1.0, (along, aside)), (-1.0, (aside, upwards))):
-        change = sum(one * (sign * share / w)[..., None] for one, share in zip(changes, shares, strict=True))
+        change = sum(c * (sign * share / w)[..., None] for c, share in zip(changes, shares, strict=True))
         steps.append(turned(texture_map.frame, turned(surface.own_turn, change)))
-    own = surface.own_offset + turned(surface.own_turn, rays) / w[..., None]
-    return Mapped(turned(texture_map.frame, own), *steps)
+    own_points = surface.own_offset + turned(surface.own_turn, rays) / w[..., None]
+    return Mapped(turned(texture_map.frame, own_points), *steps)
 
 
 def square_from_axis(q: Array) -> Array:
@@ -183,8 +183,8 @@ def is_bent(texture_map: TextureMap, point: Mapped) -> NDArray[np.bool_]:
         least = (q[..., 0] ** 2 + q[..., 2] ** 2) / BENT
         return np.asarray((least < (right * right).sum(axis=-1)) | (least < (down * down).sum(axis=-1)))
     if texture_map.kind == MAP_CUBE:
-        own, corners = cube_side(q)[0], [q + a * right + b * down for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
-        return np.any([cube_side(corner)[0] != own for corner in corners], axis=0)
+        side, corners = cube_side(q)[0], [q + a * right + b * down for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
+        return np.any([cube_side(corner)[0] != side for corner in corners], axis=0)
     return np.zeros(q.shape[:-1], dtype=bool)
 
 

@@ -37,8 +37,8 @@ Index = NDArray[np.intp]
 class Coverage:
     """Area in cells (M, S + 2, S + 2) covered by each source, and the position where its radius, tilt and radiance are
     evaluated, in cells to the right and down of its middle; whole for the cells of the pixel itself. label: of each
-    cell, including empty cells that a surface covers in part; part, way_x, way_y: for the latter, the covered part, and
-    the displacement to the middle of a full cell.
+    cell, including empty cells that a surface covers in part; part, step_x, step_y: for the latter, the covered part,
+    and the displacement to the middle of a full cell.
     """
 
     covered: Array
@@ -46,8 +46,8 @@ class Coverage:
     down: Array
     label: Labels
     part: Array
-    way_x: Array
-    way_y: Array
+    step_x: Array
+    step_y: Array
 
 
 def root_margins(
@@ -60,7 +60,7 @@ def root_margins(
     """
     number = (label - 1) // 2
     surface, box = surfaces[number], bounds[number]
-    shape, d, own = surface.canonical, turned(surface.turn, rays), turned(surface.own_turn, rays)
+    shape, d, own_rays = surface.canonical, turned(surface.turn, rays), turned(surface.own_turn, rays)
     a, b = (shape.q * d * d).sum(axis=-1), ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
     discriminant = quarter_discriminant(surface, d)
     plus, minus = both_roots(surface, a, b, np.sqrt(np.maximum(discriminant, 0.0)))
@@ -68,7 +68,7 @@ def root_margins(
     w = (plus if label & 1 else minus) if shape.q.any() else plus + minus
     margins = [discriminant, w, shape.nappe * (surface.offset[2] * w + d[..., 2])]
     for axis, (low, high) in enumerate(box or ()):
-        position = surface.own_offset[axis] * w + own[..., axis]
+        position = surface.own_offset[axis] * w + own_rays[..., axis]
         margins += [position - low * w] if low > -np.inf else []
         margins += [high * w - position] if high < np.inf else []
     if shape.radius < np.inf:
@@ -90,10 +90,10 @@ def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, ra
     surface = surfaces[(label - 1) // 2]
     if not is_curved(surface) or (label % 2 == 1) != (surface.constant > 0.0):
         return np.zeros(len(rays), dtype=bool)
-    here = quarter_discriminant(surface, turned(surface.turn, rays))
+    discriminant = quarter_discriminant(surface, turned(surface.turn, rays))
     steps = ray_step(camera) / samples * np.eye(3)[:2]
-    slopes = [quarter_discriminant(surface, turned(surface.turn, rays + step)) - here for step in steps]
-    return np.asarray(4.0 * here**2 < slopes[0] ** 2 + slopes[1] ** 2)
+    slopes = [quarter_discriminant(surface, turned(surface.turn, rays + step)) - discriminant for step in steps]
+    return np.asarray(4.0 * discriminant**2 < slopes[0] ** 2 + slopes[1] ** 2)
 
 
 def end_of_root(
@@ -103,9 +103,9 @@ def end_of_root(
 
     label: of the root and its object.
     """
-    here, there = (root_margins(surfaces, bounds, label, rays)[1] for rays in (start, stop))
-    inside, fails = np.maximum(here, 0.0), there < 0.0
-    return np.asarray(np.where(fails, inside / np.where(fails, inside - there, 1.0), 1.0).min(axis=0))
+    at_start, at_stop = (root_margins(surfaces, bounds, label, rays)[1] for rays in (start, stop))
+    inside, fails = np.maximum(at_start, 0.0), at_stop < 0.0
+    return np.asarray(np.where(fails, inside / np.where(fails, inside - at_stop, 1.0), 1.0).min(axis=0))
 
 
 def outline_place(
@@ -123,12 +123,12 @@ def outline_place(
     through = np.full(len(start), 0.5)
     if first and second:
         # They pass through one another.
-        here, there = (
+        at_start, at_stop = (
             sign * (root_margins(surfaces, bounds, first, rays)[0] - root_margins(surfaces, bounds, second, rays)[0])
             for sign, rays in ((1.0, start), (-1.0, stop))
         )
-        usable = (here >= 0.0) & (there >= 0.0) & (here + there > 0.0)
-        through = np.where(usable, here / np.where(usable, here + there, 1.0), 0.5)
+        usable = (at_start >= 0.0) & (at_stop >= 0.0) & (at_start + at_stop > 0.0)
+        through = np.where(usable, at_start / np.where(usable, at_start + at_stop, 1.0), 0.5)
     return np.where(end < 1.0, end, np.where(begin < 1.0, 1.0 - begin, through))
 
 
@@ -143,9 +143,9 @@ def labels_around(row: Index, column: Index, label: Labels, shape: tuple[int, in
     cells = np.concatenate([label, np.full((1, samples, samples), UNMARKED, np.uint8)])
     sides = ((0, slice(0, 1), slice(-1, None)), (1, slice(1, -1), slice(None)), (2, slice(-1, None), slice(0, 1)))
     around = np.empty((len(row), samples + 2, samples + 2), np.uint8)
-    for below, rows, of_rows in sides:
-        for beside, columns, of_columns in sides:
-            around[:, rows, columns] = cells[slot[row + below, column + beside]][:, of_rows, of_columns]
+    for below, rows, inner_rows in sides:
+        for beside, columns, inner_columns in sides:
+            around[:, rows, columns] = cells[slot[row + below, column + beside]][:, inner_rows, inner_columns]
     return around
 
 
@@ -160,29 +160,29 @@ def crossing_between(
     side = label.shape[1]
     flat = label.reshape(len(label), side * side)
     pairs = np.stack([flat[:, first], flat[:, second]], axis=-1)
-    there = (pairs[..., 0] != pairs[..., 1]) & (pairs != UNMARKED).all(axis=-1)
-    found = np.full(there.shape, -1.0)
-    for one, other in {*map(tuple, pairs[there].tolist())}:
-        here = np.nonzero(there & (pairs == (one, other)).all(axis=-1))
+    crossed = (pairs[..., 0] != pairs[..., 1]) & (pairs != UNMARKED).all(axis=-1)
+    fractions = np.full(crossed.shape, -1.0)
+    for first_label, second_label in {*map(tuple, pairs[crossed].tolist())}:
+        indices = np.nonzero(crossed & (pairs == (first_label, second_label)).all(axis=-1))
         start, stop = (
             pixel_ray(
                 camera,
-                row[here[0]] + (cell[here[1]] // side - 0.5) / (side - 2) - 0.5,
-                column[here[0]] + (cell[here[1]] % side - 0.5) / (side - 2) - 0.5,
+                row[indices[0]] + (cell[indices[1]] // side - 0.5) / (side - 2) - 0.5,
+                column[indices[0]] + (cell[indices[1]] % side - 0.5) / (side - 2) - 0.5,
             )
             for cell in (first, second)
         )
-        found[here] = outline_place(surfaces, bounds, one, other, start, stop)
-    return found
+        fractions[indices] = outline_place(surfaces, bounds, first_label, second_label, start, stop)
+    return fractions
 
 
-def place_of_source(curved: NDArray[np.bool_], more: Array, inwards: int) -> Array:
+def place_of_source(curved: NDArray[np.bool_], offset: Array, inwards: int) -> Array:
     """Positions (n,) at which the sources of cells are evaluated, in cells from their middles.
 
-    curved: (n,), True if the cell's surface is curved; more: (n,), position of the outline relative to halfway to the
+    curved: (n,), True if the cell's surface is curved; offset: (n,), position of the outline relative to halfway to the
     next cell; inwards: -1 for the cell in front of it, 1 for the one behind.
     """
-    return np.where(curved, 0.75 * more - inwards * 0.25, 0.5 * more)
+    return np.where(curved, 0.75 * offset - inwards * 0.25, 0.5 * offset)
 
 
 def mean_above(first: Array, last: Array) -> Array:
@@ -196,19 +196,19 @@ def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDA
     """Area (n,) of a quarter of unit squares, in row and column 0 or 1 (n,) of 2 x 2, on the left of straight lines
     from x = top to x = bottom (n,).
     """
-    way = 0.5 * (bottom - top)
-    first = top + row * way - 0.5 * column
-    return np.asarray(0.5 * (mean_above(first, first + way) - mean_above(first - 0.5, first + way - 0.5)))
+    step = 0.5 * (bottom - top)
+    first = top + row * step - 0.5 * column
+    return np.asarray(0.5 * (mean_above(first, first + step) - mean_above(first - 0.5, first + step - 0.5)))
 
 
-def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, own: Labels) -> None:
+def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, surface_label: Labels) -> None:
     """Distribute the area that a surface covers of squares (n,), as far as it is in the pixel, to the surface's cells
     there, or to empty ones.
 
     label: (n, S + 2, S + 2); i, j: the upper left cell; place: (4, n), where an outline crosses the sides, top, bottom,
-    left and right; own: (n,), the surface's label, 0 to skip a square.
+    left and right; surface_label: (n,), the surface's label, 0 to skip a square.
     """
-    side, index = label.shape[1], np.arange(len(own))
+    side, index = label.shape[1], np.arange(len(surface_label))
     along = (place[2] >= 0.0) & (place[3] >= 0.0)
     corner = ~along & ~((place[0] >= 0.0) & (place[1] >= 0.0))
     # The corner that is beside the line, of one against three that one; rows and columns count from there.
@@ -218,25 +218,25 @@ def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, 
     across = np.where(column == 1, 1.0 - first, first)
     last = np.where(corner, across - across / np.maximum(below, 1e-6), last)
     first = np.where(corner, across, first)
-    beside = label[index, i + row, j + column] == own
+    beside = label[index, i + row, j + column] == surface_label
     cells = [(y, x) for y in (i, i + 1) for x in (j, j + 1) if 0 < y < side - 1 and 0 < x < side - 1]
     areas = []
     for y, x in cells:
         at = (np.abs(y - i - row), np.abs(x - j - column))
         part = quarter_beside(first, last, *(np.where(along, *pair) for pair in (at[::-1], at)))
         areas.append(np.where(beside, part, 0.25 - part))
-    of_own = [(own > 0) & (label[:, y, x] == own) for y, x in cells]
-    count, whole = np.sum(of_own, axis=0), np.sum(areas, axis=0)
-    for (y, x), area, covers in zip(cells, areas, of_own, strict=True):
-        coverage.covered[:, y, x] += np.where(covers, whole / np.maximum(count, 1) - 0.25, 0.0)
+    on_surface = [(surface_label > 0) & (label[:, y, x] == surface_label) for y, x in cells]
+    count, total = np.sum(on_surface, axis=0), np.sum(areas, axis=0)
+    for (y, x), area, covers in zip(cells, areas, on_surface, strict=True):
+        coverage.covered[:, y, x] += np.where(covers, total / np.maximum(count, 1) - 0.25, 0.0)
         # The surface is hit in the middle of the nearest cell of another pixel that is there.
-        empty = (own > 0) & (count == 0) & (area > LEAST_PART)
+        empty = (surface_label > 0) & (count == 0) & (area > LEAST_PART)
         aside, down = (1 if x == j else -1), (1 if y == i else -1)
-        is_beside, is_below = (label[:, y, x + aside] == own), (label[:, y + down, x] == own)
+        is_beside, is_below = (label[:, y, x + aside] == surface_label), (label[:, y + down, x] == surface_label)
         coverage.part[:, y, x] += np.where(empty, area, 0.0)
-        coverage.label[empty, y, x] = own[empty]
-        coverage.way_x[empty, y, x] = np.where(is_beside | ~is_below, aside, 0.0)[empty]
-        coverage.way_y[empty, y, x] = np.where(is_beside, 0.0, down)[empty]
+        coverage.label[empty, y, x] = surface_label[empty]
+        coverage.step_x[empty, y, x] = np.where(is_beside | ~is_below, aside, 0.0)[empty]
+        coverage.step_y[empty, y, x] = np.where(is_beside, 0.0, down)[empty]
 
 
 def cut_label(
@@ -246,13 +246,13 @@ def cut_label(
 
     corners: (n, 2, 2), labels of the cells; rays: (n, 3), through the centers of the squares.
     """
-    own = corners.max(axis=(1, 2))
-    alone = ((corners == 0) | (corners == own[:, None, None])).all(axis=(1, 2))
-    for one in {*own.tolist()} - {0, UNMARKED}:
-        here = own == one
-        w, _ = root_margins(surfaces, bounds, one, rays[here])
-        alone[here] &= np.abs(blur_radius(lens, rays[here], w)) < SHARP_OUTLINE
-    return np.asarray(own * alone)
+    labels = corners.max(axis=(1, 2))
+    alone = ((corners == 0) | (corners == labels[:, None, None])).all(axis=(1, 2))
+    for label in {*labels.tolist()} - {0, UNMARKED}:
+        mask = labels == label
+        w, _ = root_margins(surfaces, bounds, label, rays[mask])
+        alone[mask] &= np.abs(blur_radius(lens, rays[mask], w)) < SHARP_OUTLINE
+    return np.asarray(labels * alone)
 
 
 def share_square(
@@ -275,19 +275,19 @@ def share_square(
     for (first, second), place in sides.items():
         moved = coverage.right if first[0] == second[0] else coverage.down
         for cell, sign in ((first, 1.0), (second, -1.0)):
-            there, more = place >= 0.0, place - 0.5
-            taken = place_of_source(curved[:, *cell], more, -int(sign))
-            moved[:, *cell] += np.where(there, np.where(straight, 0.5, 0.25) * taken, 0.0)
-            coverage.covered[:, *cell] += np.where(there & straight & ~cut, sign * 0.5 * more, 0.0)
+            crossed, offset = place >= 0.0, place - 0.5
+            shift = place_of_source(curved[:, *cell], offset, -int(sign))
+            moved[:, *cell] += np.where(crossed, np.where(straight, 0.5, 0.25) * shift, 0.0)
+            coverage.covered[:, *cell] += np.where(crossed & straight & ~cut, sign * 0.5 * offset, 0.0)
     # One corner against three.
     for row, across in enumerate((top, bottom)):
         for column, along in enumerate((left, right)):
-            here = ~straight & ~cut & (across >= 0.0) & (along >= 0.0)
+            usable = ~straight & ~cut & (across >= 0.0) & (along >= 0.0)
             x, y = (np.where(turned_over, 1.0 - n, n) for turned_over, n in ((column, across), (row, along)))
-            more = np.where(here, 0.5 * x * y - 0.25, 0.0)
-            coverage.covered[:, i + row, j + column] += more
-            coverage.covered[:, i + row, j + 1 - column] -= 0.5 * more
-            coverage.covered[:, i + 1 - row, j + column] -= 0.5 * more
+            offset = np.where(usable, 0.5 * x * y - 0.25, 0.0)
+            coverage.covered[:, i + row, j + column] += offset
+            coverage.covered[:, i + row, j + 1 - column] -= 0.5 * offset
+            coverage.covered[:, i + 1 - row, j + column] -= 0.5 * offset
 
 
 def cell_coverage(
@@ -306,8 +306,8 @@ def cell_coverage(
     coverage = Coverage(
         np.ones(label.shape), none.copy(), none.copy(), label.copy(), none.copy(), none.copy(), none.copy()
     )
-    of_labels = [False, *(is_curved(surface) for surface in surfaces for _ in range(2))]
-    curved = np.array(of_labels + [False] * (UNMARKED + 1 - len(of_labels)))[label]
+    curved_labels = [False, *(is_curved(surface) for surface in surfaces for _ in range(2))]
+    curved = np.array(curved_labels + [False] * (UNMARKED + 1 - len(curved_labels)))[label]
     for i in range(side - 1):
         for j in range(side - 1):
             edges = np.stack([across[:, i, j], across[:, i + 1, j], along[:, i, j], along[:, i, j + 1]])
@@ -321,11 +321,11 @@ def cell_coverage(
                     cut = usable * cut_label(lens, surfaces, bounds, label[:, i : i + 2, j : j + 2], rays)
                     cut_square(coverage, label, i, j, places, cut)
                 share_square(coverage, curved, i, j, places, cut > 0)
-    some = coverage.part > 0.0
+    covered = coverage.part > 0.0
     for plane, values in (
         (coverage.covered, coverage.part),
-        (coverage.right, coverage.way_x),
-        (coverage.down, coverage.way_y),
+        (coverage.right, coverage.step_x),
+        (coverage.down, coverage.step_y),
     ):
-        plane[some] = values[some]
+        plane[covered] = values[covered]
     return coverage

@@ -59,13 +59,13 @@ def conditions(surface: PlacedSurface, bounds: Bounds | None) -> list[Callable[[
         at = surface.offset * w[..., None] + turned(surface.turn, rays)
         return np.asarray(shape.radius**2 * w * w - at[..., 0] ** 2 - at[..., 1] ** 2)
 
-    found = [within(axis, *ends) for axis, ends in enumerate(bounds or ()) if np.isfinite(ends).any()]
-    return found + ([on_disc] if shape.radius < np.inf else [])
+    forms = [within(axis, *ends) for axis, ends in enumerate(bounds or ()) if np.isfinite(ends).any()]
+    return forms + ([on_disc] if shape.radius < np.inf else [])
 
 
 def conics_of(camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: Index, column: Index) -> Array:
     """Conics (conditions, 6, ...) of a surface relative to pixels, rows and columns (...)."""
-    found = []
+    conics = []
     for form in conditions(surface, bounds):
         places = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0), (1, 1))
         middle, left, right, above, below, corner = (
@@ -73,8 +73,8 @@ def conics_of(camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row
         )
         first = middle, 0.5 * (right - left), 0.5 * (below - above)
         second = 0.5 * (right + left) - middle, corner - right - below + middle, 0.5 * (below + above) - middle
-        found.append(np.stack([*first, *second]))
-    return np.stack(found)
+        conics.append(np.stack([*first, *second]))
+    return np.stack(conics)
 
 
 def is_small(
@@ -88,18 +88,18 @@ def is_small(
     if not surface.width < NARROW_IMAGE * ray_step(camera):
         return np.zeros(row.shape, dtype=bool)
     rays, step = pixel_ray(camera, row, column), (reach + 0.5) * ray_step(camera)
-    ends = (surface.seen.x, surface.seen.y)
+    ends = (surface.extent.x, surface.extent.y)
     near = [(rays[..., k] + step >= low) & (rays[..., k] - step <= high) for k, (low, high) in enumerate(ends)]
-    found = near[0] & near[1]
-    here = np.ones(int(found.sum()), dtype=bool)
-    for one, x, y, xx, xy, yy in conics_of(camera, surface, bounds, row[found], column[found]):
+    near_image = near[0] & near[1]
+    inside = np.ones(int(near_image.sum()), dtype=bool)
+    for value, x, y, xx, xy, yy in conics_of(camera, surface, bounds, row[near_image], column[near_image]):
         beyond = reach * reach * (np.maximum(xx, 0.0) + np.maximum(yy, 0.0) + np.abs(xy))
-        here &= one + reach * (np.abs(x) + np.abs(y)) + beyond >= 0.0
+        inside &= value + reach * (np.abs(x) + np.abs(y)) + beyond >= 0.0
         if surface.width < 0.0:
             bend = -(xx + yy)
-            here &= (bend > 0.0) & (4.0 * one * bend + x * x + y * y < (NARROW_IMAGE * bend) ** 2)
-    found[found] = here
-    return np.asarray(found)
+            inside &= (bend > 0.0) & (4.0 * value * bend + x * x + y * y < (NARROW_IMAGE * bend) ** 2)
+    near_image[near_image] = inside
+    return np.asarray(near_image)
 
 
 def small_members(
@@ -110,9 +110,9 @@ def small_members(
     broadcast.
     """
     none = np.zeros(np.broadcast(row, column).shape, dtype=bool)
-    each = zip(surfaces, bounds, strict=True)
+    pairs = zip(surfaces, bounds, strict=True)
     return np.stack(
-        [is_small(camera, *one, row, column) if group.members >> k & 1 else none for k, one in enumerate(each)]
+        [is_small(camera, *pair, row, column) if group.members >> k & 1 else none for k, pair in enumerate(pairs)]
     )
 
 
@@ -123,12 +123,12 @@ def hidden_by_small(
     """Mask (...) of pixels that contain a small occluder of their sources, or are so near one that whole pixels would
     see its edge; inverse_depth (...): of the sources, 0 without one, 1/mm.
     """
-    rays, found = pixel_ray(camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
+    rays, mask = pixel_ray(camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
     for k, (surface, ends) in enumerate(zip(surfaces, bounds, strict=True)):
         if group.occluders >> k & 1:
-            nearest = outline_plane(surface, rays)[0] if surface.canonical.q.any() else surface.seen.w[1]
-            found |= (nearest > inverse_depth) & is_small(camera, surface, ends, row, column, SMALL_REACH)
-    return found
+            nearest = outline_plane(surface, rays)[0] if surface.canonical.q.any() else surface.extent.w[1]
+            mask |= (nearest > inverse_depth) & is_small(camera, surface, ends, row, column, SMALL_REACH)
+    return mask
 
 
 def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -148,33 +148,34 @@ def small_cover(
     texture.
     """
     camera, (row, column) = view.scene.camera, place
-    each = conics_of(camera, view.surfaces[k], bounds[k], row, column)
-    bend = -(each[:, 3] + each[:, 5])
-    size = each[:, 0] * bend + 0.25 * (each[:, 1] ** 2 + each[:, 2] ** 2)
+    conics = conics_of(camera, view.surfaces[k], bounds[k], row, column)
+    bend = -(conics[:, 3] + conics[:, 5])
+    size = conics[:, 0] * bend + 0.25 * (conics[:, 1] ** 2 + conics[:, 2] ** 2)
     ratio = np.where(bend > 0.0, bend * bend / np.where(bend > 0.0, np.maximum(size, 1e-6 * bend * bend), 1.0), 0.0)
     narrowest, most = np.zeros(row.shape, dtype=np.intp), np.zeros(row.shape)
-    for i, one in enumerate(ratio):
-        narrowest, most = (np.where(one > CLEARLY * most, new, old) for new, old in ((i, narrowest), (one, most)))
+    for i, value in enumerate(ratio):
+        narrowest, most = (np.where(value > CLEARLY * most, new, old) for new, old in ((i, narrowest), (value, most)))
     pixel = np.arange(len(row))
-    chosen = each[narrowest, :, pixel].T
+    chosen = conics[narrowest, :, pixel].T
     over = np.abs(chosen[5]) > CLEARLY * np.abs(chosen[3])
-    each = np.where(over, each[:, [0, 2, 1, 5, 4, 3]], each)
-    one, x, y, xx, xy, yy = each[narrowest, :, pixel].T
-    square, ends = x * x - 4.0 * xx * one, (np.full(row.shape, -0.5), np.full(row.shape, 0.5))
+    conics = np.where(over, conics[:, [0, 2, 1, 5, 4, 3]], conics)
+    value, x, y, xx, xy, yy = conics[narrowest, :, pixel].T
+    square, ends = x * x - 4.0 * xx * value, (np.full(row.shape, -0.5), np.full(row.shape, 0.5))
     low, high = narrow(square, xy * x - 2.0 * xx * y, xy * xy - 4.0 * xx * yy, *ends)
     closed = (low > -0.5) | (high < 0.5)
     inner = [low, high]
-    for i, (p, px, py, pxx, pxy, pyy) in enumerate(each):
-        first, last, other = high, low, narrowest != i
+    for i, (p, px, py, pxx, pxy, pyy) in enumerate(conics):
+        first, last, others = high, low, narrowest != i
         for side in (-1.0, 1.0):
             along, at = -xy / (2.0 * xx), (side * np.sqrt(np.maximum(square, 0.0)) - x) / (2.0 * xx)
             half = 0.5 * (py + px * along + at * (2.0 * along * pxx + pxy))
             begin, end = narrow(p + at * (px + pxx * at), half, pyy + along * (pxy + pxx * along), low, high)
-            inner[0] = np.where(other, np.maximum(inner[0], np.minimum(begin, high)), inner[0])
-            inner[1] = np.where(other, np.minimum(inner[1], np.maximum(end, low)), inner[1])
-            met = begin < end
-            first, last = np.where(met, np.minimum(first, begin), first), np.where(met, np.maximum(last, end), last)
-        low, high = np.where(other, np.maximum(low, first), low), np.where(other, np.minimum(high, last), high)
+            inner[0] = np.where(others, np.maximum(inner[0], np.minimum(begin, high)), inner[0])
+            inner[1] = np.where(others, np.minimum(inner[1], np.maximum(end, low)), inner[1])
+            overlap = begin < end
+            first = np.where(overlap, np.minimum(first, begin), first)
+            last = np.where(overlap, np.maximum(last, end), last)
+        low, high = np.where(others, np.maximum(low, first), low), np.where(others, np.minimum(high, last), high)
     limits = np.stack([low, np.minimum(*inner), np.maximum(*inner), high])
     few = np.where((limits[1] > low) | (limits[2] < high), END_LINES, 0)
     nodes, weights = (0.5 * n for n in np.polynomial.legendre.leggauss(LINES))
@@ -186,7 +187,7 @@ def small_cover(
         u = np.where(closed, node * node * (3.0 - 2.0 * node), (i - before + 0.5) / lines)
         share = length * np.where(closed, 6.0 * node * (1.0 - node) * weights[i], 1.0 / lines)
         line, (begin, end) = limits[part, pixel] + length * u, ends
-        for p, px, py, pxx, pxy, pyy in each:
+        for p, px, py, pxx, pxy, pyy in conics:
             begin, end = narrow(
                 p + line * (py + pyy * line), 0.5 * (px + pxy * line), pxx, begin, np.maximum(end, begin)
             )
@@ -196,10 +197,10 @@ def small_cover(
             right, down = np.where(over, line, at), np.where(over, at, line)
             rays = pixel_ray(camera, row + down, column + right)
             w, _, number = nearest_surface(view.surfaces, bounds, group, rays)
-            shown = np.ones(w.shape) if view.light is None else shade(view.light, view.surfaces[k], k, rays, w)
+            light = np.ones(w.shape) if view.light is None else shade(view.light, view.surfaces[k], k, rays, w)
             part_of = np.where((low < high) & (begin < end) & (number == k), share * (end - begin), 0.0)
             part_of = part_of * samples**2 / points
-            value = part_of[:, None] * np.stack([np.ones_like(right), right, down, shown], axis=-1)
+            value = part_of[:, None] * np.stack([np.ones_like(right), right, down, light], axis=-1)
             # Between the middles of cells, so that their sources have its place.
             y, x = (np.clip((n + 0.5) * samples - 0.5, 0.0, samples - 1.001) for n in (down, right))
             for i_cell, below in ((y.astype(np.intp), 1.0 - y % 1.0), (y.astype(np.intp) + 1, y % 1.0)):
@@ -230,14 +231,14 @@ def cast_behind(
     texel: tuple[Index, Index], samples: int,
 ) -> Cast:  # fmt: skip
     """`cast` at cells (M, S, S) without the objects that are small in their pixels; small: (objects, M)."""
-    found = cast(view, group, row, column, texel, samples)
+    hits = cast(view, group, row, column, texel, samples)
     for number in {*map(tuple, small.T.tolist())} - {(False,) * len(small)}:
-        behind = replace(group, members=group.members & ~sum(1 << k for k, one in enumerate(number) if one))
-        here = np.nonzero((np.array(number) == small.T).all(axis=1))[0]
-        part = cast(view, behind, row[here], column[here], tuple(n[here] for n in texel), samples)
-        for field in fields(found):
-            getattr(found, field.name)[here] = getattr(part, field.name)
-    return found
+        behind = replace(group, members=group.members & ~sum(1 << k for k, absent in enumerate(number) if absent))
+        pixels = np.nonzero((np.array(number) == small.T).all(axis=1))[0]
+        part = cast(view, behind, row[pixels], column[pixels], tuple(n[pixels] for n in texel), samples)
+        for field in fields(hits):
+            getattr(hits, field.name)[pixels] = getattr(part, field.name)
+    return hits
 
 
 def with_small(
@@ -250,13 +251,13 @@ def with_small(
     """
     camera, samples = view.scene.camera, hit.label.shape[1]
     bounds = [cutting_bounds(item) for item in view.scene.objects]
-    pixels, left, hits = [np.arange(small.shape[1])], np.ones(hit.label.shape), []
+    pixels, free, hits = [np.arange(small.shape[1])], np.ones(hit.label.shape), []
     for k in np.flatnonzero(small.any(axis=1)).tolist():
         at, surface = np.flatnonzero(small[k]), view.surfaces[k]
         cover = small_cover(view, bounds, group, k, (place[0][at], place[1][at]), samples)
         covered = cover[..., 0]
-        left[at] -= covered
-        right, down, shown = np.moveaxis(cover[..., 1:] / np.where(covered > 0.0, covered, 1.0)[..., None], -1, 0)
+        free[at] -= covered
+        right, down, light = np.moveaxis(cover[..., 1:] / np.where(covered > 0.0, covered, 1.0)[..., None], -1, 0)
         row, column = place[0][at, None, None] + down, place[1][at, None, None] + right
         rays = pixel_ray(camera, row, column)
         w, slope = small_depth(surface, bounds[k], group, rays), outline_plane(surface, rays)[1]
@@ -264,9 +265,9 @@ def with_small(
         alone = cast(replace(view, light=None), replace(group, members=1 << k), row, column, texel, samples)
         size, label = blur_radius(view.lens, rays, w), np.where(covered > 0.0, 2 * k + 1, 0).astype(np.uint8)
         gradient = blur_gradient(camera, view.lens, slope, rays, w)
-        radiance = alone.radiance * (shown * covered)[..., None]
+        radiance = alone.radiance * (light * covered)[..., None]
         hits.append(replace(alone, w=w, label=label, radius=size, gradient=gradient, radiance=radiance))
         pixels.append(at)
-    hits = [replace(hit, radiance=hit.radiance * left[..., None]), *hits]
-    joined = {field.name: np.concatenate([getattr(one, field.name) for one in hits]) for field in fields(hit)}
+    hits = [replace(hit, radiance=hit.radiance * free[..., None]), *hits]
+    joined = {field.name: np.concatenate([getattr(part, field.name) for part in hits]) for field in fields(hit)}
     return Cast(**joined), np.concatenate(pixels)

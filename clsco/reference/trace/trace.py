@@ -147,23 +147,23 @@ def cast(
     for k, surface in enumerate(view.surfaces):
         if not group.members >> k & 1:
             continue
-        own = (number == k)[..., None]
-        gradient = np.where(own, gradient_of(view, surface, rays, w), gradient)
+        on_object = (number == k)[..., None]
+        gradient = np.where(on_object, gradient_of(view, surface, rays, w), gradient)
         texels, texture = (np.asarray(n, dtype=np.int64) for n in texel), view.textures[k]
         if isinstance(texture, MappedTexture):
-            here = np.where(own[..., 0], w, 0.0)
-            shown, fineness = _mapped_radiance(scene, surface, texture, rays, here, sources)
+            object_w = np.where(on_object[..., 0], w, 0.0)
+            light, fineness = _mapped_radiance(scene, surface, texture, rays, object_w, sources)
             size = blur_radius(view.lens, rays, w)
             cut = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
-            parts = np.where(own[..., 0], cut, parts)
-            share = np.where(own[..., 0], sharpening(texture, size), share)
+            parts = np.where(on_object[..., 0], cut, parts)
+            share = np.where(on_object[..., 0], sharpening(texture, size), share)
         elif view.moved:
-            shown = _moved_radiance(view, surface, texture, rays, w)
+            light = _moved_radiance(view, surface, texture, rays, w)
         else:
-            shown = np.broadcast_to(_texels(texture, *texels), radiance.shape)
+            light = np.broadcast_to(_texels(texture, *texels), radiance.shape)
         if view.light is not None:
-            shown = shown * shade(view.light, surface, k, rays, w)[..., None]
-        radiance = np.where(own, shown, radiance)
+            light = light * shade(view.light, surface, k, rays, w)[..., None]
+        radiance = np.where(on_object, light, radiance)
     radius = np.where(label > 0, blur_radius(view.lens, rays, w), 0.0)
     return Cast(w, label, number, radius, gradient, radiance, parts, share)
 
@@ -179,9 +179,9 @@ def _mapped_radiance(
     """Radiance (..., channels) of a texture on a surface, and squared numbers (...) of texels per pixel; 0 where w is.
     sources: as for `cast`.
     """
-    found, texels, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape), w > 0.0
-    found[hit], texels[hit] = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], sources)
-    return found, texels
+    radiance, texels, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape), w > 0.0
+    radiance[hit], texels[hit] = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], sources)
+    return radiance, texels
 
 
 def _moved_radiance(view: View, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
@@ -209,17 +209,18 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     shape, widening = _ellipses(view, row, column)
     bounds = [cutting_bounds(item) for item in scene.objects]
     if group.occluders or view.psf.rims:
-        rays, own = pixel_ray(scene.camera, row, column)[lit], None if widening is None else widening[lit]
-        here, radius = np.zeros(len(rays)), hit.radius[lit]
-        points = Points(rays, hit.w[lit], radius, here, here, 1.0, _tilted(view, radius, hit.gradient[lit], own))
+        rays, hit_widening = pixel_ray(scene.camera, row, column)[lit], None if widening is None else widening[lit]
+        zeros, radius = np.zeros(len(rays)), hit.radius[lit]
+        gradient = _tilted(view, radius, hit.gradient[lit], hit_widening)
+        points = Points(rays, hit.w[lit], radius, zeros, zeros, 1.0, gradient)
         points = replace(points, place=np.stack([np.broadcast_to(at, lit.shape)[lit] for at in (row, column)]))
-        state, edge, seen = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
+        state, edge, partial = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
         label[lit] |= edge.astype(np.uint8) << 7
         number = np.full(lit.size, -1)
-        number[np.flatnonzero(lit)] = seen.row
-        visibility = replace(seen, row=number)
+        number[np.flatnonzero(lit)] = partial.row
+        visibility = replace(partial, row=number)
         if shape is not None:
-            visibility = bend_visibility(visibility, shape[lit][seen.row >= 0])
+            visibility = bend_visibility(visibility, shape[lit][partial.row >= 0])
         lit[lit] = state != HIDDEN
     return Sources(
         hit.radiance,
@@ -284,8 +285,8 @@ def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
         first, second = ([slice(None)] * 2 for _ in range(2))
         first[axis], second[axis] = slice(None, -1), slice(1, None)
         low, high = tuple(first), tuple(second)
-        both = (share[low] > 0.0) & (share[high] > 0.0)
-        flow = np.where(both, 0.5 * (share[low] + share[high]), 0.0)[..., None]
+        shared = (share[low] > 0.0) & (share[high] > 0.0)
+        flow = np.where(shared, 0.5 * (share[low] + share[high]), 0.0)[..., None]
         flow = flow * (sources.radiance[low] - sources.radiance[high])
         radiance[low] += flow
         radiance[high] -= flow
@@ -317,7 +318,7 @@ def trace_subpixels(
     hit = cast_behind(cast, view, group, small, at_row, at_column, texel, samples)
     lens_radius = hit.radius  # of visibility tests
     empty = hit.label == 0
-    hit, limb = _covering(view, group, hit, marked, (row, column), guard)
+    hit, limb = _cover(view, group, hit, marked, (row, column), guard)
     lens_radius = np.where(
         empty & (hit.label > 0), blur_radius(view.lens, pixel_ray(scene.camera, at_row, at_column), hit.w), lens_radius
     )
@@ -334,9 +335,9 @@ def trace_subpixels(
         lens_radius = np.where((cut > 0)[:, None, None], hit.radius, lens_radius)
     lit, visibility = hit.label > 0, None
     shape, widening = _ellipses(view, row - guard, column - guard)
-    _, own = _ellipses(view, at_row, at_column)
-    if widening is not None and own is not None:
-        widening = np.where((cut > 0)[:, None, None, None], widening[:, None, None], own)
+    _, cell_widening = _ellipses(view, at_row, at_column)
+    if widening is not None and cell_widening is not None:
+        widening = np.where((cut > 0)[:, None, None, None], widening[:, None, None], cell_widening)
     if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
@@ -354,9 +355,9 @@ def trace_subpixels(
         if sources is not None and cut.any() and view.psf.shares_lens:
             points = _from_middles(view, points, sources, (row, column), cut, lit, guard)
         state, _, visibility = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
-        seen = state != HIDDEN
-        lit[lit] = seen
-        visibility = visibility.of(seen)
+        visible = state != HIDDEN
+        lit[lit] = visible
+        visibility = visibility.select(visible)
         if shape is not None:
             visibility = bend_visibility(visibility, shape[np.nonzero(lit)[0][visibility.row >= 0]])
     return SubpixelSources(
@@ -379,15 +380,17 @@ def _from_middles(
     nearest = np.append(sources.visibility.nearest, np.inf)[partly]
     shared &= nearest >= SHARED_PLACE
     slot = np.nonzero(lit)[0]
-    own, middle = shared[slot], slot[shared[slot]]
+    replaced, middle = shared[slot], slot[shared[slot]]
     rays, w, tilted = points.rays.copy(), points.w.copy(), points.gradient.copy()
-    rays[own] = pixel_ray(view.scene.camera, pixel[0] - guard, pixel[1] - guard)[middle]
+    rays[replaced] = pixel_ray(view.scene.camera, pixel[0] - guard, pixel[1] - guard)[middle]
     widening = None if sources.widening is None else sources.widening[pixel]
-    w[own], tilted[own] = sources.inverse_depth[pixel][middle], _tilted(view, radius, gradient, widening)[middle]
-    return replace(points, rays=rays, w=w, gradient=tilted, width=np.where(own, 1.0, points.width), shared=own)
+    w[replaced] = sources.inverse_depth[pixel][middle]
+    tilted[replaced] = _tilted(view, radius, gradient, widening)[middle]
+    width = np.where(replaced, 1.0, points.width)
+    return replace(points, rays=rays, w=w, gradient=tilted, width=width, shared=replaced)
 
 
-def _covering(
+def _cover(
     view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_],
     pixel: tuple[NDArray[np.intp], NDArray[np.intp]], guard: int,
 ) -> tuple[Cast, NDArray[np.bool_]]:  # fmt: skip
@@ -407,23 +410,24 @@ def _covering(
     beside = (hit.label > 0) & ((covered != 1.0) | (right != 0.0) | (down != 0.0))
     slot, i, j = np.nonzero(beside)
     offsets, texel = subpixel_offsets(samples), (place[0][slot], place[1][slot])
-    shown = cast(
+    neighbor_hits = cast(
         view, group, texel[0] + offsets[i] + down[beside] / samples, texel[1] + offsets[j] + right[beside] / samples,
         texel, samples,
     )  # fmt: skip
-    same = shown.label == hit.label[beside]  # but for beside a corner
+    same = neighbor_hits.label == hit.label[beside]  # but for beside a corner
     planes = {name: getattr(hit, name).copy() for name in ("radius", "gradient", "radiance", "w")}
     for name, plane in planes.items():
-        plane[slot[same], i[same], j[same]] = getattr(shown, name)[same]
+        plane[slot[same], i[same], j[same]] = getattr(neighbor_hits, name)[same]
     planes["w"] = np.where(added, planes["w"], hit.w)
     hit.label[slot[~same], i[~same], j[~same]] *= ~added[beside][~same]
     planes["radiance"] *= np.where(beside, covered, 1.0)[..., None]
     limb = np.zeros(hit.label.shape, dtype=bool)
     moved = [np.where(same, n[beside] / samples, 0.0) for n in (down, right)]
     rays = pixel_ray(view.scene.camera, texel[0] + offsets[i] + moved[0], texel[1] + offsets[j] + moved[1])
-    for one in np.unique(hit.label[beside]).tolist():
-        own = hit.label[beside] == one
-        limb[slot[own], i[own], j[own]] = is_at_limb(view.scene.camera, view.surfaces, one, rays[own], samples)
+    for object_label in np.unique(hit.label[beside]).tolist():
+        mask = hit.label[beside] == object_label
+        near = is_at_limb(view.scene.camera, view.surfaces, object_label, rays[mask], samples)
+        limb[slot[mask], i[mask], j[mask]] = near
     return replace(hit, **planes), limb
 
 
@@ -441,8 +445,8 @@ def _with_parts(
         hit = replace(hit, **{name: getattr(hit, name).copy()})
     objects = ((sources.label[pixel] & 127).astype(np.intp) - 1) // 2
     for number, parts in {*zip(objects[cut > 0].tolist(), cut[cut > 0].tolist(), strict=True)}:
-        here = (objects == number) & (cut == parts)
-        row, column = (n[here] for n in pixel)
+        selected = (objects == number) & (cut == parts)
+        row, column = (n[selected] for n in pixel)
         surface, texture = view.surfaces[number], view.textures[number]
         assert isinstance(texture, MappedTexture)
         rays, w, radius = pixel_ray(camera, row - guard, column - guard), *(
@@ -453,14 +457,14 @@ def _with_parts(
         if view.light is not None:
             values = values * shade(view.light, surface, number, rays, w)[:, None, None, None]
         index = np.arange(samples) * parts // samples
-        hit.radiance[here] = values[:, index][:, :, index]
-        hit.label[here] = sources.label[row, column][:, None, None]
+        hit.radiance[selected] = values[:, index][:, :, index]
+        hit.label[selected] = sources.label[row, column][:, None, None]
         along, aside, upwards = ray_changes(camera, rays[:, 0], rays[:, 1])
         x, y = slope[:, 0] * along + slope[:, 1] * aside, slope[:, 0] * aside + slope[:, 1] * upwards
-        hit.w[here] = w[:, None, None] + right * x[:, None, None] - below * y[:, None, None]
+        hit.w[selected] = w[:, None, None] + right * x[:, None, None] - below * y[:, None, None]
         x, y = (gradient[:, k, None, None] for k in range(2))
-        hit.radius[here] = radius[:, None, None] + right * x + below * y
+        hit.radius[selected] = radius[:, None, None] + right * x + below * y
         # In its own pixel a source is visible from all of the lens until its disc reaches over the border.
-        reached = np.minimum(np.abs(hit.radius[here]), 1.0)
-        hit.gradient[here] = gradient[:, None, None] * reached[..., None]
+        reached = np.minimum(np.abs(hit.radius[selected]), 1.0)
+        hit.gradient[selected] = gradient[:, None, None] * reached[..., None]
     return hit

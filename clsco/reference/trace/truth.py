@@ -12,7 +12,7 @@ from clsco.optics.exposure import middle_time
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
-from clsco.plan.predict import displaced
+from clsco.plan.predict import shifts_view
 from clsco.reference.common.geometry import (
     Array,
     blur_radius,
@@ -69,13 +69,13 @@ def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array)
 
 
 def moved_pixel(
-    surface: PlacedSurface, camera: Camera, other: Pose, rays: Array, w: Array
+    surface: PlacedSurface, camera: Camera, pose: Pose, rays: Array, w: Array
 ) -> tuple[Array, Array, Array]:
-    """Row and column in px of hits moved to the pose `other` relative to a camera, and the ratio of their depths there
+    """Row and column in px of hits moved to a pose relative to a camera, and the ratio of their depths there
     and here (0 behind the lens).
     """
-    body = turned(other.rotation, body_point(surface, rays, w))
-    position = (surface.rest + other.shift) * w[..., None] + body
+    body = turned(pose.rotation, body_point(surface, rays, w))
+    position = (surface.rest + pose.shift) * w[..., None] + body
     before_lens = (w > 0.0) & (position[..., 2] > 0.0)
     row, column = project(camera, np.where(before_lens[..., None], position, 1.0))
     at_row, at_column = padded_grid(camera, 0)
@@ -92,18 +92,18 @@ def occluded_among(
     """Mask of points at inverse depth w that other surfaces hide in the pixels given by `moved_pixel` for a camera."""
     row, column, ratio = pixel
     bounds = [cutting_bounds(item) for item in scene.objects]
-    seen, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(camera, row, column))
-    covered = seen * ratio > w * (1.0 + 1e-6)
+    nearest, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(camera, row, column))
+    covered = nearest * ratio > w * (1.0 + 1e-6)
     return np.asarray(covered | (ratio <= 0.0) | outside_frame(scene.camera, row, column))
 
 
 def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Array:
     """Texture coordinates (right, up) of hits (rows, columns) on an object, from the lower left corner, in images."""
     surface, texture, camera = view.surfaces[number], view.textures[number], view.scene.camera
-    found, hit = np.zeros((*w.shape, 2)), w > 0.0
+    coordinates, hit = np.zeros((*w.shape, 2)), w > 0.0
     if isinstance(texture, MappedTexture):
-        found[hit] = texture_coordinates(surface, texture, camera, rays[hit], w[hit])
-        return found
+        coordinates[hit] = texture_coordinates(surface, texture, camera, rays[hit], w[hit])
+        return coordinates
     row, column, valid = rest_pixel(surface, view.reference, rays, w)
     if not view.moved:
         row, column = (np.broadcast_to(n, w.shape).astype(np.float64) for n in padded_grid(camera, 0))
@@ -117,19 +117,20 @@ def _stereo(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Disparity in px, and a mask of points that are not visible in the other view."""
     opposite: Eye = "left" if eye == "right" else "right"
-    other, poses = view_at(scene, textures, time, opposite, True), poses_at(scene, time, opposite)
+    other_view, poses = view_at(scene, textures, time, opposite, True), poses_at(scene, time, opposite)
     disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
     _, at_column = padded_grid(scene.camera, 0)
     for k, surface in enumerate(view.surfaces):
-        pixel = moved_pixel(surface, other.scene.camera, poses[k], rays, hit.w)
-        own = hit.number == k
-        disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (pixel[1] - at_column), disparity)
-        occluded = np.where(own, occluded_among(scene, other.scene.camera, other.surfaces, pixel, hit.w), occluded)
+        pixel = moved_pixel(surface, other_view.scene.camera, poses[k], rays, hit.w)
+        on_object = hit.number == k
+        disparity = np.where(on_object, (1.0 if eye == "right" else -1.0) * (pixel[1] - at_column), disparity)
+        hidden = occluded_among(scene, other_view.scene.camera, other_view.surfaces, pixel, hit.w)
+        occluded = np.where(on_object, hidden, occluded)
     return disparity, occluded
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class SurfaceTruth:
     """Surfaces at pixels (m, n): ray hits, and the ground truth of one time, by name."""
 
     hit: Cast
@@ -137,7 +138,9 @@ class Shown:
     arrays: dict[str, Any]
 
 
-def surface_truth(view: View, rest: list[PlacedSurface], row: NDArray[np.int64], column: NDArray[np.int64]) -> Shown:
+def surface_truth(
+    view: View, rest: list[PlacedSurface], row: NDArray[np.int64], column: NDArray[np.int64]
+) -> SurfaceTruth:
     """Ground truth of a view at pixels: rows (m, 1) and columns (1, n)."""
     scene, camera = view.scene, view.scene.camera
     rays = pixel_ray(camera, row, column)
@@ -145,11 +148,11 @@ def surface_truth(view: View, rest: list[PlacedSurface], row: NDArray[np.int64],
     w = hit.w
     normal, uv, hidden = np.zeros((*w.shape, 3)), np.zeros((*w.shape, 2)), np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
-        own = hit.number == k
-        normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
+        on_object = hit.number == k
+        normal = np.where(on_object[..., None], surface_normal(surface, rays, w), normal)
         if scene.objects[k].mapped is None:
-            hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
-        uv = np.where(own[..., None], _texture_coordinates(view, k, rays, np.where(own, w, 0.0)), uv)
+            hidden = np.where(on_object, _hidden(view, rest[k], k, rays, w), hidden)
+        uv = np.where(on_object[..., None], _texture_coordinates(view, k, rays, np.where(on_object, w, 0.0)), uv)
     mask = hit.label > 0
     for k in (k for k, item in enumerate(scene.objects) if item.is_background):  # no surface, but radiance and blur
         mask = mask & (hit.number != k)
@@ -164,7 +167,7 @@ def surface_truth(view: View, rest: list[PlacedSurface], row: NDArray[np.int64],
         "hidden": hidden & mask,
         "uv": np.where(mask[..., None], uv, 0.0),
     }
-    return Shown(hit, rays, arrays)
+    return SurfaceTruth(hit, rays, arrays)
 
 
 def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:
@@ -178,24 +181,24 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     moves, camera = scene.moves, scene.camera
     before, now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame - 1, frame, frame + 1))
-    view = view_at(scene, textures, now, eye, scene.is_displaced or displaced(scene, eye))
+    view = view_at(scene, textures, now, eye, scene.is_displaced or shifts_view(scene, eye))
     earlier, later = ((camera_at(scene, time), poses_at(scene, time, eye)) for time in (before, then))
     following = tuple(place(item, pose) for item, pose in zip(scene.objects, later[1], strict=True))
     row, column = padded_grid(camera, 0)
-    shown = surface_truth(view, rest, row, column)
-    hit, rays, w, mask = shown.hit, shown.rays, shown.hit.w, shown.arrays["mask"]
+    surfaces = surface_truth(view, rest, row, column)
+    hit, rays, w, mask = surfaces.hit, surfaces.rays, surfaces.hit.w, surfaces.arrays["mask"]
     flow, backward, flow_occluded = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 2)), np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
-        own = hit.number == k
-        pixel, last = (moved_pixel(surface, seen, poses[k], rays, w) for seen, poses in (later, earlier))
-        flow = np.where(own[..., None], np.stack([pixel[1] - column, pixel[0] - row], axis=-1), flow)
-        backward = np.where(own[..., None], np.stack([last[1] - column, last[0] - row], axis=-1), backward)
-        flow_occluded = np.where(own, occluded_among(scene, later[0], following, pixel, w), flow_occluded)
+        on_object = hit.number == k
+        pixel, last = (moved_pixel(surface, camera_, poses[k], rays, w) for camera_, poses in (later, earlier))
+        flow = np.where(on_object[..., None], np.stack([pixel[1] - column, pixel[0] - row], axis=-1), flow)
+        backward = np.where(on_object[..., None], np.stack([last[1] - column, last[0] - row], axis=-1), backward)
+        flow_occluded = np.where(on_object, occluded_among(scene, later[0], following, pixel, w), flow_occluded)
     disparity, occluded = None, None
     if scene.stereo is not None:
         disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)
     return Truth(
-        **shown.arrays,
+        **surfaces.arrays,
         flow=np.where(mask[..., None], flow, 0.0),
         flow_backward=np.where(mask[..., None], backward, 0.0),
         flow_occluded=flow_occluded & mask,

@@ -79,8 +79,8 @@ def reproject_targets(
     point = rays / np.where(w > 0.0, w, 1.0)[..., None]
     moved = np.empty_like(point)
     for k, (item, pose) in enumerate(zip(scene.objects, poses, strict=True)):
-        own, center = whose == k, rest_center(item)
-        moved[own] = center + pose.shift + (point[own] - center) @ pose.rotation.T
+        on_object, center = whose == k, rest_center(item)
+        moved[on_object] = center + pose.shift + (point[on_object] - center) @ pose.rotation.T
     usable = (w > 0.0) & (moved[..., 2] > 0.0)
     row, column = project(camera or reference_camera(scene), np.where(usable[..., None], moved, 1.0))
     target_row, target_column = nearest_pixel(row) + guard, nearest_pixel(column) + guard
@@ -127,13 +127,13 @@ def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], column
 
     def nearer(down: int, right: int) -> NDArray[np.int64]:
         """Number of the first pixel in this direction that is nearer, -1 for none."""
-        found = np.full(winner.shape, -1)
+        numbers = np.full(winner.shape, -1)
         for step in range(WIDEST_GAP, 0, -1):  # the last one stays: the first on the way
-            i, j = (np.arange(n) + step * way for n, way in ((height, down), (width, right)))
+            i, j = (np.arange(n) + step * direction for n, direction in ((height, down), (width, right)))
             inside = ((i >= 0) & (i < height))[:, None] & ((j >= 0) & (j < width))
             at = np.ix_(np.clip(i, 0, height - 1), np.clip(j, 0, width - 1))
-            found = np.where(inside & (depth[at] > bound), at[0] * width + at[1], found)
-        return found
+            numbers = np.where(inside & (depth[at] > bound), at[0] * width + at[1], numbers)
+        return numbers
 
     hidden = np.zeros(winner.shape, dtype=bool)
     for down, right in ((0, 1), (1, 0), (1, 1), (-1, 1)):
@@ -181,11 +181,11 @@ def reproject(
     values = [radiance.reshape(rows * columns, channels), moved_w[:, None], whose.reshape(-1, 1)]
     known, gathered = reproject_gather(winner, np.concatenate(values, axis=1))
     gathered, known = gathered.reshape(height, width, -1), known.reshape(height, width)
-    seen = np.where(known, gathered[..., -1].astype(np.uint8), NO_OBJECT)
+    objects = np.where(known, gathered[..., -1].astype(np.uint8), NO_OBJECT)
     entered = np.zeros(known.shape, dtype=bool)
     if any(surface is None for surface in surfaces):
         entered = mark_entered(winner.reshape(height, width), known, guard)
-    return Reprojected(known, gathered[..., :-2], gathered[..., -2], seen, entered)
+    return Reprojected(known, gathered[..., :-2], gathered[..., -2], objects, entered)
 
 
 def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int) -> NDArray[np.bool_]:
@@ -197,10 +197,10 @@ def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int
     """
     rows, columns = (n - 2 * guard for n in known.shape)
     inside = (slice(guard, guard + rows), slice(guard, guard + columns))
-    source, seen = winner[inside], known[inside]
-    by_row, outermost = _beyond_edge(seen, source % columns)
-    source = np.where(seen, source, np.take_along_axis(source, outermost, axis=1))
-    by_column, _ = _beyond_edge((seen | by_row).T, (source // columns).T)
+    source, known_inside = winner[inside], known[inside]
+    by_row, outermost = _beyond_edge(known_inside, source % columns)
+    source = np.where(known_inside, source, np.take_along_axis(source, outermost, axis=1))
+    by_column, _ = _beyond_edge((known_inside | by_row).T, (source // columns).T)
     entered = np.zeros(known.shape, dtype=bool)
     entered[inside] = by_row | by_column.T
     return entered
@@ -213,11 +213,11 @@ def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[ND
     N) of the nearer of these two known pixels.
     """
     length = lines.shape[1]
-    at, some = np.arange(length), lines.any(axis=1)
+    at, occupied = np.arange(length), lines.any(axis=1)
     first, last = lines.argmax(axis=1), length - 1 - lines[:, ::-1].argmax(axis=1)
     low, high = (np.take_along_axis(place, end[:, None], axis=1)[:, 0] for end in (first, last))
-    before = (some & (low <= EDGE_PX))[:, None] & (at < first[:, None])
-    after = (some & (length - 1 - high <= EDGE_PX))[:, None] & (at > last[:, None])
+    before = (occupied & (low <= EDGE_PX))[:, None] & (at < first[:, None])
+    after = (occupied & (length - 1 - high <= EDGE_PX))[:, None] & (at > last[:, None])
     return before | after, np.where(at > last[:, None], last[:, None], first[:, None])
 
 
@@ -234,23 +234,23 @@ def fill_entered(
     values, objects, valid = values.copy(), objects.copy(), valid.copy()
     rows, columns = (n - 2 * guard for n in valid.shape)
     inside = (slice(guard, guard + rows), slice(guard, guard + columns))
-    value, seen, known, open_ = values[inside], objects[inside], valid[inside], entered[inside]
+    value, object_, known, open_ = values[inside], objects[inside], valid[inside], entered[inside]
     for by_column in (False, True):
         if by_column:
-            value, seen, known, open_ = value.swapaxes(0, 1), seen.T, known.T, open_.T
+            value, object_, known, open_ = value.swapaxes(0, 1), object_.T, known.T, open_.T
         first = known.argmax(axis=1)
         last = known.shape[1] - 1 - known[:, ::-1].argmax(axis=1)
         for line in np.flatnonzero(known.any(axis=1) & (open_ & ~known).any(axis=1)):
             at = np.flatnonzero(open_[line] & ~known[line])
             source = first[line] + mirror_index(at - first[line], int(last[line] - first[line] + 1))
             at, source = at[known[line, source]], source[known[line, source]]
-            value[line, at], seen[line, at] = value[line, source], seen[line, source]
+            value[line, at], object_[line, at] = value[line, source], object_[line, source]
             known[line, at] = True
     return values, objects, valid
 
 
 def extend_border(values: Array, valid: NDArray[np.bool_], guard: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Values (H, W, K) and validity (H, W) of the padded grid with the frame mirrored into its apron.
+    """Values (H, W, K) and validity (H, W) of the padded grid with the frame mirrored into its guard band.
 
     values, valid: (H, W, K) and (H, W). A depth map has no data there; its image continues as its mirror image, as
     textures do. Only invalid pixels change.

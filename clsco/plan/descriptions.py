@@ -14,55 +14,56 @@ def shapes_of(scene: Scene) -> str:
     return ", ".join(dict.fromkeys(item.shape for item in scene.objects))
 
 
-def of_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
+def describe_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
     """Description of rays and the surfaces that they meet; colors: number of color channels."""
     sampled = choices.texture_sampling.value
     moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
     if scene.has_mapped_textures:
         moved += (("surface textures", "means over the pixel's footprint, from mipmaps"),)
     first = ("rays", f"against the {shapes_of(scene)}, one per pixel")
-    return (first, *of_distortion(scene), *moved, *of_frame(choices, colors, alpha))
+    return (first, *describe_distortion(scene), *moved, *describe_frame(choices, colors, alpha))
 
 
-def of_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
-    """Description of a depth map and its image that are used unmoved; arguments as for `of_rays`."""
+def describe_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
+    """Description of a depth map and its image that are used unmoved; arguments as for `describe_rays`."""
     first = ("pixels", "as the depth map and its image have them")
-    return (first, *of_distortion(scene), *of_frame(choices, colors, alpha))
+    return (first, *describe_distortion(scene), *describe_frame(choices, colors, alpha))
 
 
-def of_distortion(scene: Scene) -> Parameters:
+def describe_distortion(scene: Scene) -> Parameters:
     """Description of a distorted image: how far ellipses differ from discs; empty without distortion."""
     off = 100.0 * ellipticity_of(scene)
     words = f"blur of ellipses, whose rims are up to {off:.2g} % of R off those of discs of the same area"
     return (("distortion", words),) if scene.lens is not None and scene.lens.distorts else ()
 
 
-def of_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
+def describe_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
     """Description of the grid and the channels of an image."""
     band = choices.guard_band
-    apron = (("guard band", band.reason),) if band.value else ()
+    guard = (("guard band", band.reason),) if band.value else ()
     color = (("color", f"{colors} channels"),) if colors > 1 else ()
     covers = (("alpha", "a channel of what surfaces cover"),) if alpha else ()
-    return (*apron, *color, *covers)
+    return (*guard, *color, *covers)
 
 
-def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
+def describe_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
     """Description of the blur with `groups` occlusion groups."""
-    found = [
+    parameters = [
         ("PSF", f"{spec.psf.name}, R up to {spec.largest:.3g} px"),
         ("method", f"{spec.method}: {choices.blur.reason}"),
     ]
     if spec.psf.diffracted:
         from clsco.optics.waves import wave_words
 
-        found += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
+        parameters += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
     if spec.tilt:
-        found.append(("tilt", "weights by the gradient of the blur radius"))
+        parameters.append(("tilt", "weights by the gradient of the blur radius"))
     if choices.renormalize.value:
-        found.append(("renormalize", "light over the border is given back"))
+        parameters.append(("renormalize", "light over the border is given back"))
     if choices.occlusion.value == "visibility":
         plural = "s" if groups > 1 else ""
-        found.append(("occlusion", f"{groups} occlusion group{plural}, visibility tests where something is in the way"))
+        text = f"{groups} occlusion group{plural}, visibility tests where something is in the way"
+        parameters.append(("occlusion", text))
     if choices.occlusion.value == "layered":
-        found.append(("occlusion", "depth layers of what the pinhole sees, front to back"))
-    return tuple(found)
+        parameters.append(("occlusion", "depth layers of what the pinhole sees, front to back"))
+    return tuple(parameters)
