@@ -17,9 +17,9 @@ from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
 BUDGET = {
-    "lines of clsco/*.py": 48_500,
+    "lines of clsco/*.py": 48_000,
     "lines of kernels": 10_500,
-    "lines of tests": 45_000,
+    "lines of tests": 44_500,
     "words of documentation": 25_000,
     "wheel, kB": 2_000,
     "kernel programs of the tests": 300,

@@ -13,7 +13,8 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from clsco import __version__
-from clsco.data.pool import DIED, Schedule, ShardTask, device_of, failure_of, limit_threads, perform, stoppable
+from clsco.data.failures import failure_of
+from clsco.data.pool import DIED, Schedule, ShardTask, device_of, limit_threads, perform, stoppable
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, DeviceError, import_extra
 from clsco.resources import processors

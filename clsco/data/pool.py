@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
 import signal
@@ -16,9 +15,10 @@ from multiprocessing.connection import Connection, wait
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from clsco.data.failures import failure_of
 from clsco.data.storage import open_storage
 from clsco.engine.child import Child, at_forced_end, how_ended
-from clsco.errors import ClscoError, DeviceError, KernelError, MissingDependencyError
+from clsco.errors import ClscoError, DeviceError
 from clsco.resources import processors, resident_bytes
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger("clsco")
 RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
-_ERRNOS_OF_MACHINE = {
-    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EROFS,
-}  # fmt: skip
 END_S = 20.0  # until a process that was asked to end is killed
 THREADS = "POCL_MAX_PTHREAD_COUNT"
 """Variable that the wheel of PoCL 3.0 reads; later ones read the other name."""
@@ -250,30 +247,6 @@ def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> 
     else:
         maker.drop(made)
     return made.samples, made.failed
-
-
-def failure_of(error: BaseException) -> tuple[str, str]:
-    """Class of an error: "fatal" if the machine or the store failed, as it would other shards too, else "failed"."""
-    text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
-    is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
-    return "fatal" if is_fatal else "failed", text
-
-
-def is_of_machine(error: BaseException) -> bool:
-    """True if an error is the machine's, not a sample's: no space, memory or file handles left, a failing disk, a
-    kernel that does not build, or a missing package. A set is not made with such failures, but resumed later.
-    """
-    return any(
-        isinstance(cause, KernelError | MissingDependencyError | MemoryError)
-        or (isinstance(cause, OSError) and cause.errno in _ERRNOS_OF_MACHINE)
-        for cause in _causes(error)
-    )
-
-
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__
 
 
 def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, ...]:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample, ScriptedDistribution
+from clsco.data.failures import is_of_machine
 from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
-from clsco.data.pool import is_of_machine
 from clsco.data.record import Record, make_record
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ from clsco.plan.device import DeviceFacts, ThisMachine
 from clsco.plan.ellipses import elliptic_spread
 from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, prefix_names, strips_of
-from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, check_shape, occluder_room
 from clsco.plan.passes import Kind, Parameters, Pass
 from clsco.plan.predict import Maps, Prediction, has_small_images, is_static_map, predict, shifts_view, slopes_where
 from clsco.plan.request import Request
@@ -55,7 +54,6 @@ from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
 from clsco.scene.model import Scene
 
-Occlusion = Literal["visibility", "layered", "none"]
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
 SILHOUETTE_SLOTS = 12  # pixels near silhouettes per row and column of the frame, to begin with
 

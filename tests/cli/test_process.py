@@ -67,7 +67,7 @@ functools.cached_property.__set_name__ = interrupt
         (AT_IMPORT, "clsco.cli.main", "SIGINT", (130, "interrupted\n")),
         (AT_IMPORT, "click", "SIGTERM", (143, "terminated\n")),
         (AT_IMPORT, "clsco.scene.quantities", "SIGTERM", (143, "terminated\n")),
-        (AT_CLASS, "apart", "SIGINT", (130, "interrupted\n")),  # of Plan: Python raises RuntimeError there
+        (AT_CLASS, "color_plans", "SIGINT", (130, "interrupted\n")),  # of Plan: Python raises RuntimeError there
     ],
 )
 def test_a_signal_while_modules_are_imported_ends_with_one_line(

@@ -15,7 +15,7 @@ import pytest
 import clsco
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, load_distribution
-from clsco.data.pool import failure_of
+from clsco.data.failures import failure_of
 from clsco.data.sets import DataSet, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch
 from clsco.data.storage import open_storage

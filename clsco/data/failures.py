@@ -1,0 +1,36 @@
+"""Failures while a set is made: those of a sample, and those of the machine."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+
+from clsco.errors import ClscoError, KernelError, MissingDependencyError
+
+_ERRNOS_OF_MACHINE = {
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EROFS,
+}  # fmt: skip
+
+
+def failure_of(error: BaseException) -> tuple[str, str]:
+    """Class of an error: "fatal" if the machine or the store failed, as it would other shards too, else "failed"."""
+    text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
+    is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
+    return "fatal" if is_fatal else "failed", text
+
+
+def is_of_machine(error: BaseException) -> bool:
+    """True if an error is the machine's, not a sample's: no space, memory or file handles left, a failing disk, a
+    kernel that does not build, or a missing package. A set is not made with such failures, but resumed later.
+    """
+    return any(
+        isinstance(cause, KernelError | MissingDependencyError | MemoryError)
+        or (isinstance(cause, OSError) and cause.errno in _ERRNOS_OF_MACHINE)
+        for cause in _causes(error)
+    )
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__
