@@ -22,6 +22,7 @@ from clsco.resources import ExposedFolderError, open_regular, private_folder
 
 SUFFIX = ".arrays"
 MOST_BYTES = 2**29  # of a folder; then the files that were used longest ago go
+SCANS = 16  # of the folder while this process writes so much
 LARGEST = 2**27  # bytes of a file
 DIGEST = hashlib.sha256().digest_size
 
@@ -43,7 +44,7 @@ class ArrayCache:
     """
 
     def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
+        self.folder, self._written = folder, MOST_BYTES
 
     def get(self, key: str) -> dict[str, NDArray[Any]] | None:
         """The arrays of a key, read-only; None if they are missing or damaged."""
@@ -71,7 +72,10 @@ class ArrayCache:
                 temporary.replace(path)
             finally:
                 temporary.unlink(missing_ok=True)
-            self._shrink()
+            self._written += len(content)
+            if self._written > MOST_BYTES // SCANS:
+                self._written = 0
+                self._shrink()
 
     def _path(self, key: str) -> Path:
         assert self.folder is not None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import floor, sqrt
+from math import ceil, floor, inf, log2, sqrt
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -74,8 +74,9 @@ class PointSpread:
         Change of the wavefront over the frame; the pupil is then that on the axis.
     stretched : float
         In a distorted image, the fraction of R by which ellipses reach beyond discs; 0 for discs only.
-    side : int
-        Sign of all blur radii, 1 or -1, if a wave or aberration PSF is only needed for one; else 0.
+    most : tuple of float
+        Largest |blur radius| among negative and among other radii that a wave or aberration PSF is needed for, px; -1
+        for none.
 
     Examples
     --------
@@ -94,7 +95,7 @@ class PointSpread:
     rims: tuple[Rim, ...] = field(default=(), repr=False)
     varying: SeidelField | None = None
     stretched: float = 0.0
-    side: int = 0
+    most: tuple[float, float] = (inf, inf)
 
     @cached_property
     def layout(self) -> Layout:
@@ -110,9 +111,15 @@ class PointSpread:
             return "separable"
         return "general" if self.signed else "symmetric"
 
-    def of_side(self, side: int) -> PointSpread:
-        """The PSF of sources with blur radii of the sign `side`, 1 or -1; 0 for both."""
-        return replace(self, side=side) if self.diffracted and self.layout == "general" else self
+    def between(self, lowest: float, highest: float) -> PointSpread:
+        """The PSF of sources with signed blur radii from `lowest` to `highest` px, rounded to powers of 2 so that a few
+        tables serve all ranges.
+        """
+        if not (self.diffracted and self.layout == "general"):
+            return self
+        sizes = -lowest if lowest < 0.0 else -1.0, highest if highest >= 0.0 else -1.0
+        negative, others = (2.0 ** ceil(log2(size)) if 0.0 < size < inf else size for size in sizes)
+        return replace(self, most=(negative, others))
 
     @cached_property
     def places(self) -> tuple[PointSpread, ...]:

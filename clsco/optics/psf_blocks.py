@@ -122,7 +122,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
         taps = np.arange(-half_width, half_width + 1.0)
         squares, mirrored = (
             [psf.rows(sign * radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
-            if (sign == 1 and psf.side >= 0) or (sign == -1 and psf.side <= 0 and psf.diffracted)
+            if (sign == 1 and psf.most[1] >= 0.0) or (sign == -1 and psf.most[0] >= 0.0 and psf.diffracted)
             else []
             for sign in (1, -1)
         )

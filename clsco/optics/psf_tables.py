@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ class PsfTable:
     -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. For a general shape all rows, for all
     S x S offsets.
     first: number of the first interval; count: number of intervals; a signed shape has as many again for negative
-    radii, whose coordinates are larger by count, unless it has one sign (`PointSpread.side`). low, end: intervals of
+    radii, whose coordinates are larger by count; they have weights as far as `PointSpread.most`. low, end: intervals of
     the radii that the table was made for; others are clamped to these; reach: largest half-width among them.
     taps, outlines: of a main table, else empty. taps: the same weights again, float32 (taps, count / TAP_LANES, POWERS,
     WIDE_LANES): for the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b, or for a separable shape those
@@ -99,9 +100,8 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
     sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
     tap_bytes = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
     if psf.layout == "general":
-        coefficients = (
-            (2 - abs(psf.side)) * len(psf.places) * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
-        )
+        each = row * (2 * widths + 1) * max(subpixel, 1) ** 2
+        coefficients = len(psf.places) * sum(int(each[:count].sum()) for count in _counts(psf, span, subpixel))
         sizes |= {"intervals": 16 * len(span), "coefficients": coefficients}
         if psf.has_runs and not subpixel:
             sides = _window_sides(widths)
@@ -197,31 +197,61 @@ def table_of(
     """The table of a range of intervals, rounded to whole TAP_LANES; see `psf_table`. join: concatenates the
     coefficients, most of a table.
     """
-    if psf.varying is not None:
-        tables = [table_of(place, span, subpixel, blocks) for place in psf.places]
-        joined = join([table.coefficients for table in tables])
-        return replace(tables[0], coefficients=joined, stride=tables[0].coefficients.size)
     if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
     starts = range(span.start // size * size, span.stop, size)
-    parts = [_part(psf, blocks(psf, start, subpixel), start, span, subpixel) for start in starts]
-    widths = np.concatenate([block.widths for block in parts])
-    every = [block.coefficients for block in parts] + [block.negative for block in parts]
-    coefficient_parts = [coefficients for coefficients in every if coefficients.size]
-    sizes = _interval_size(psf, widths.astype(np.int64), subpixel)
-    if psf.signed:
-        widths, sizes = np.tile(widths, 2), np.tile(sizes, 2)
-    begins = (np.cumsum(sizes) - sizes) % sum(coefficients.size for coefficients in coefficient_parts)
-    intervals = np.stack([begins, widths], axis=1).astype(np.int32)
+    # Block by block: places of a field that mirror each other share weights, which are kept for a short while.
+    by_start = [
+        [
+            _part(place, blocks(_of_block(place, start, subpixel), start, subpixel), start, span, subpixel)
+            for place in psf.places
+        ]
+        for start in starts
+    ]
+    parts = [of_places[0] for of_places in by_start]
+    by_place = [
+        [*(b.coefficients for b in blocks), *(b.negative for b in blocks)] for blocks in zip(*by_start, strict=True)
+    ]
+    coefficients = join([part for place in by_place for part in place if part.size])
+    intervals = _intervals(psf, np.concatenate([block.widths for block in parts]), span, subpixel)
     if psf.has_runs and not subpixel:
         taps, outlines = _windows(parts)
     else:
         taps, outlines = _join_taps(parts), _join_outlines(parts)
-    reach = int(widths.max())
+    stride = coefficients.size // len(psf.places) if psf.varying is not None else 0
+    reach = int(intervals[:, 1].max())
     return PsfTable(
-        span.start, span.start, span.stop, intervals, join(coefficient_parts), reach, len(span), taps, outlines
+        span.start, span.start, span.stop, intervals, coefficients, reach, len(span), taps, outlines, stride
     )  # fmt: skip
+
+
+def _of_block(psf: PointSpread, start: int, subpixel: int) -> PointSpread:
+    """The PSF for a block that begins with an interval: it has all radii of a sign or none."""
+    if psf.most == (inf, inf):
+        return psf
+    least = float(table_radius(psf, np.array(start), subpixel > 0))
+    negative, positive = (inf if least <= most else -1.0 for most in psf.most)
+    return replace(psf, most=(negative, positive))
+
+
+def _counts(psf: PointSpread, span: range, subpixel: int) -> tuple[int, int]:
+    """Number of intervals of a signed shape's table that have weights, for positive and for negative radii."""
+    size = block_intervals(psf, subpixel > 0)
+    least = table_radius(psf, np.array(span) // size * size, subpixel > 0)
+    negative, positive = (int((least <= most).sum()) for most in psf.most)
+    return positive, negative
+
+
+def _intervals(psf: PointSpread, widths: NDArray[np.int32], span: range, subpixel: int) -> NDArray[np.int32]:
+    """`PsfTable.intervals`. An interval without weights is the last that has some, of the other sign if none has."""
+    counts = _counts(psf, span, subpixel) if psf.signed else (len(widths),)
+    numbers = np.concatenate([np.arange(count) for count in counts])  # of what is stored
+    sizes = _interval_size(psf, widths.astype(np.int64), subpixel)[numbers]
+    stored = np.stack([np.cumsum(sizes) - sizes, widths[numbers]], axis=1).astype(np.int32)
+    signs = np.split(stored, np.cumsum(counts)[:-1])
+    signs = [part if len(part) else signs[0] if len(signs[0]) else signs[1] for part in signs]
+    return np.concatenate([part[np.minimum(np.arange(len(widths)), len(part) - 1)] for part in signs])
 
 
 def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixel: int) -> WeightBlock:

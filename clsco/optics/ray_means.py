@@ -140,9 +140,9 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
 
 
 def _steps(psf: PointSpread, largest: float) -> range:
-    """Indices, by `step_of`, of blur radii up to `largest` px with the signs that `PointSpread.side` allows."""
-    last = ceil(float(step_of(np.asarray(largest)))) + 1
-    return range(-1 if psf.side > 0 else -last, (1 if psf.side < 0 else last) + 1)
+    """Indices, by `step_of`, of blur radii up to `largest` px as far as `PointSpread.most`, and one beyond."""
+    before, last = (ceil(float(step_of(np.asarray(max(min(largest, most), 0.0))))) + 1 for most in psf.most)
+    return range(-before, last + 1)
 
 
 def _half_width(psf: PointSpread, largest: float) -> int:
@@ -160,6 +160,7 @@ def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int,
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
     count = min(max(ceil(PER_PX * reach), FEWEST), MOST)
     (x, y, light), (right, down, *_) = lens_points(opening, count), bends(opening, wavefront, count)
+    light = light * wavefront.grown(x, y)
     at_x, at_y, side = radius * x + right, radius * y + down, 2 * half_width + 1
     column, row = (np.clip(np.floor(at), -half_width, half_width - 1).astype(np.int64) for at in (at_x, at_y))
     below, beside = np.array([[0], [0], [1], [1]]), np.array([[0], [1], [0], [1]])

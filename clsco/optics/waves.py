@@ -62,9 +62,9 @@ def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes
     pupils = {p.upright for spread in spreads if isinstance(p := spread.pupil, FourierDiffracted)}
     seconds = 0.0
     for pupil in pupils:
-        nodes = pupil.NODES / pupil.panel * (1 if pupil.wavefront.is_flat or psf.side else 2)
         for radius in range(int(smallest), int(largest) + 1):
-            seconds += nodes * pupil.seconds(radius + 1.0, 1 + silhouettes**2)
+            signs = 1 if pupil.wavefront.is_flat else sum(radius <= most for most in psf.most)
+            seconds += signs * pupil.NODES / pupil.panel * pupil.seconds(radius + 1.0, 1 + silhouettes**2)
     return seconds
 
 

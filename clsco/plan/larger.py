@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Self
 
 import numpy as np
@@ -105,5 +106,5 @@ def widen_plan(plan: Plan, smallest: float, largest: float) -> Plan:
     if largest > LARGEST_BLUR:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))
-    psf, spreads = plan.psf.of_side(0), tuple(spread.of_side(0) for spread in plan.spreads)
+    psf, spreads = plan.psf.between(-inf, inf), tuple(spread.between(-inf, inf) for spread in plan.spreads)
     return replace(plan, psf=psf, spreads=spreads, smallest_blur=smallest, largest_blur=largest, guard_px=guard)

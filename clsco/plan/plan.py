@@ -385,7 +385,8 @@ def make_plan(
         from clsco.optics.waves import check_waves
 
         check_waves(psf, prediction.largest)
-        psf, spreads = psf.of_side(prediction.side), tuple(spread.of_side(prediction.side) for spread in spreads)
+        ends = prediction.lowest, prediction.highest
+        psf, spreads = psf.between(*ends), tuple(spread.between(*ends) for spread in spreads)
     choices, groups, extents = choose(scene, psf, request, eye, maps, channels, device, prediction)
     blur, alpha = choices.blur.value, "alpha" in request.truth
     guard = prediction.guard + (2 * TAP_LANES if blur == "convolve" else 0)

@@ -232,8 +232,8 @@ class Prediction:
         Range of |R| with a margin, px.
     guard : int
         Width of the guard band for this range, px.
-    side : int
-        Sign of R if all rays agree, else 0.
+    lowest, highest : float
+        Range of R with its sign, with a margin, px.
     """
 
     times: list[float]
@@ -243,7 +243,8 @@ class Prediction:
     smallest: float
     largest: float
     guard: int
-    side: int
+    lowest: float
+    highest: float
 
     @property
     def nearest(self) -> Array:
@@ -344,8 +345,9 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         w = _inverse_depths(scene, samples, maps, guard) if ray_scene is None else _cached_depths(ray_scene, eye, guard)
         rays = _slopes(cameras, guard)
         signed = _radii(scene, lenses, w, rays)
-        radii, side = np.abs(signed), int(np.sign(signed[0])) if signed.size else 0
-        largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
+        signed = signed if signed.size else np.zeros(1)
+        lowest, highest = float(signed.min()), float(signed.max())
+        smallest, largest = float(np.abs(signed).min()), max(-lowest, highest)
         if largest > LARGEST_BLUR:
             nearest, rule = 1.0 / float(w.max()), f"the blur radius must be at most {LARGEST_BLUR:g} px"
             why = f"the surface comes as near as {nearest:.4g} mm; is it in mm, and the focus on it?"
@@ -355,9 +357,10 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         largest_hit = largest
         if not constant:  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
+            lowest, highest = lowest - 0.1 * abs(lowest) - 1.0, highest + 0.1 * abs(highest) + 1.0
         band = guard_band(psf, scene.psf.border, largest)
-        side = side if (signed * side > 0.0).all() else 0
-        return largest_hit, Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, band, side)
+        middle = rays[len(times) // 2]
+        return largest_hit, Prediction(times, poses, w, middle, smallest, largest, band, lowest, highest)
 
     guard = cast(0)[1].guard
     prediction = cast(guard)[1]

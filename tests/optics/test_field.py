@@ -154,7 +154,8 @@ def table_of_last(table: PsfTable) -> PsfTable:
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_tables_of_radii_of_one_sign_have_no_others(side: int) -> None:
-    psf, radius = lens(0.25).of_side(side), 0.3 * side
+    radius = 0.3 * side
+    psf = lens(0.25).between(radius, radius)
     table, both = psf_table(psf, 0.3, 0.3), psf_table(lens(0.25), 0.3, 0.3)
     assert table.coefficients.size * 2 == both.coefficients.size == 25 * both.stride
     assert not (both.coefficients[: both.stride] == both.coefficients[-both.stride :]).all()

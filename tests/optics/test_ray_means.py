@@ -36,7 +36,7 @@ def test_means_are_those_of_a_radius_that_they_are_made_for(means: RayMeans, rad
 
 def test_two_branches_of_rays_in_a_pixel_have_means_of_their_own() -> None:
     """8 r - 5 r^3 = 3 px at r = 0.4 and 1; what lies between goes farther, up to r = 0.73."""
-    psf = PointSpread(Traced(Circle(), wavefront=Wavefront(spherical=-0.625)), side=1)
+    psf = PointSpread(Traced(Circle(), wavefront=Wavefront(spherical=-0.625)), most=(-1.0, 8.0))
     rays = ray_means(psf, 8.0)
     numbers, parts, _ = rays.around(np.array([8.0]), np.zeros((1, 1), np.int64), np.ones((1, 1)))
     planes = rays.lens_points(numbers, parts, np.array([3.0]), np.zeros(1))[:, 0]

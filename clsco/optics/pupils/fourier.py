@@ -30,7 +30,7 @@ OF_FIELD = 0.5  # of samples of the pupil, by which blending weights over a fiel
 PLACES = 2**16  # of sources in a pixel, that are told apart
 SECONDS, PLACE = 2e-9, 16.0  # of a core: a step of a transform, and so many for each place of a source in its pixel
 SPOT_BYTES, WEIGHTS_BYTES = 2**27, 2**27
-_spots, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
+spot_cache, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class FourierDiffracted(Diffracted):
         return np.maximum(weights, 0.0)
 
     def left_out(self, radius: float) -> float:
-        return 1.0 - float(replace(self, keeps=False)._light(radius, abs(radius)).sum())
+        return 1.0 - float(replace(self, keeps=False)._light(radius, abs(radius)).sum()) / self._grown
 
     @property
     def panel(self) -> float:
@@ -146,8 +146,13 @@ class FourierDiffracted(Diffracted):
         width = spots.shape[1] // image_parts(self.narrowest, self.extent)
         return np.stack([pixel_weights(spot, width, place, tent) for spot in spots])
 
+    @property
+    def _grown(self) -> float:
+        """Mean over the opening of the factor of its light by `Wavefront.growth`."""
+        return _mean_grown(self.opening, self.wavefront) if any(self.wavefront.growth) else 1.0
+
     def _cached_spots(self, number: int) -> NDArray[Any]:
-        return _spots.get((self, number), lambda: self._spots(number), lambda spots: spots.nbytes)
+        return spot_cache.get((self, number), lambda: self._spots(number), lambda spots: spots.nbytes)
 
     @property
     def upright(self) -> FourierDiffracted:
@@ -189,7 +194,15 @@ class FourierDiffracted(Diffracted):
         )
         at = (np.arange(parts * width) - parts * width // 2) / parts
         distance, end = np.hypot(at, at[:, None]), np.asarray(abs(radius) * self.extent + self.margin)
-        return self.within(np.ravel(light), distance.ravel(), end, np.asarray(1.0)).reshape(distance.shape)
+        spread = self.within(np.ravel(light), distance.ravel(), end, np.asarray(1.0)).reshape(distance.shape)
+        return spread * self._grown
+
+
+@lru_cache(maxsize=64)
+def _mean_grown(opening: Pupil, wavefront: Wavefront) -> float:
+    light = opening.cells(RIM_CELLS)
+    at = (np.arange(2.0 * RIM_CELLS) + 0.5 - RIM_CELLS) * (opening.extent / RIM_CELLS)
+    return float((light * wavefront.grown(at, at[:, None])).sum() / light.sum())
 
 
 @lru_cache(maxsize=64)

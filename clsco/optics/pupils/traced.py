@@ -16,7 +16,7 @@ import numpy as np
 
 from clsco.constants import POWERS
 from clsco.optics.pupils.diffracted import panel_nodes
-from clsco.optics.pupils.fourier import FourierDiffracted
+from clsco.optics.pupils.fourier import FourierDiffracted, spot_cache
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.wavefront import Wavefront
 
@@ -26,7 +26,8 @@ SPOT = 256
 SHARPER = 1.0 / 12.0
 # Rays of a disc of the size of the spot, and rays per radius of the lens.
 RAYS_PER_CELL, RAYS_PER_PX, FEWEST_RAYS, MOST_RAYS = 1.25, 16.0, 96, 384
-FINE_STEPS, STEPS, FINE_BELOW = 8, 4, 8.0  # intervals of tables per px, the first where rays are bent by less, px
+# Intervals of tables per px, the first where rays are bent by less px; not in a field, whose blending errs by more.
+FINE_STEPS, STEPS, FINE_BELOW = 8, 4, 8.0
 SECONDS, PLACE = 3e-8, 0.07  # of a core: a ray, and the part of it for each place of a source in its pixel
 TOGETHER = 2**14  # rays, whose arrays fit a processor's cache and need no pages of their own
 NO_WAVES = ((1.0, 1.0),)
@@ -64,7 +65,7 @@ class Traced(FourierDiffracted):
 
     @property
     def steps(self) -> int:
-        return FINE_STEPS if self.margin < FINE_BELOW else STEPS
+        return FINE_STEPS if self.margin < FINE_BELOW and not self.steepest else STEPS
 
     @property
     def panel(self) -> float:
@@ -98,7 +99,8 @@ class Traced(FourierDiffracted):
         """Light at the nodes of a panel, in the cells (nodes, y, x) of spots."""
         nodes = panel_nodes(np.array([number]), self.panel, POWERS)[0]
         parts, reach, count = self._sizes(number)
-        rays = *lens_points(self.opening, count), *bends(self.opening, self.wavefront, count)
+        x, y, light = lens_points(self.opening, count)
+        rays = x, y, light * self.wavefront.grown(x, y), *bends(self.opening, self.wavefront, count)
         middle, pitch = parts * reach, parts * self.extent / count
         spots, size = np.zeros((len(nodes), (2 * middle + 1) ** 2)), len(rays[0])
         cell, shares = np.empty(size, np.int64), np.empty((4, size))
@@ -133,11 +135,14 @@ class Traced(FourierDiffracted):
         return min(max(2 ** floor(log2(SPOT / self._reach(radius))), LEAST_PARTS), MOST_PARTS)
 
     def _make_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        spots: Array = self._cached_spots(number)
         parts, *_ = self._sizes(number)
-        for at in place:
-            spots = pixels(spots, response(parts, at, tent), parts).swapaxes(1, 2)
-        return np.maximum(spots, 0.0)
+
+        def columns() -> Array:
+            return pixels(self._cached_spots(number), response(parts, place[0], tent), parts).swapaxes(1, 2)
+
+        # Sub-pixel sources of a column share these.
+        lit = spot_cache.get((self, number, place[0], tent), columns, lambda cells: cells.nbytes)
+        return np.maximum(pixels(lit, response(parts, place[1], tent), parts).swapaxes(1, 2), 0.0)
 
 
 def ends(at: Array, width: Array) -> tuple[Array, Array]:

@@ -33,6 +33,9 @@ class Wavefront:
     bend : tuple of float
         xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature at a position in the
         frame.
+    growth : tuple of float
+        g0, gx and gy of the area 1 + g0 (x^2 + y^2) + gx x + gy y that a small part of the image takes where rays
+        through a lens point arrive: that of terms which change over the frame. Even light stays even by this factor.
 
     Examples
     --------
@@ -46,6 +49,7 @@ class Wavefront:
     spherical: float = 0.0
     coma: tuple[float, float] = (0.0, 0.0)
     bend: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    growth: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def is_flat(self) -> bool:
@@ -60,16 +64,16 @@ class Wavefront:
     @property
     def upright(self) -> Wavefront:
         """The wavefront without Zernike polynomials in a canonical orientation, shared by its mirror images."""
-        (right, down), (xx, xy, yy) = self.coma, self.bend
-        across, along = self.mirrored
-        sign = -1.0 if across != along else 1.0
-        return replace(self, coma=(-right if across else right, -down if along else down), bend=(xx, sign * xy, yy))
+        (right, down), (xx, xy, yy), (even, grows_right, grows_down) = self.coma, self.bend, self.growth
+        x, y = (-1.0 if turned else 1.0 for turned in self.mirrored)
+        growth = even, x * grows_right, y * grows_down
+        return replace(self, coma=(x * right, y * down), bend=(xx, x * y * xy, yy), growth=growth)
 
     @property
     def mirrored(self) -> tuple[bool, bool]:
         """For `upright`: True if it is mirrored horizontally, and vertically."""
-        (right, down), (_, xy, _) = self.coma, self.bend
-        return right < 0.0 or (right == down == 0.0 and xy < 0.0), down < 0.0
+        right, down = self.coma if any(self.coma) else self.growth[1:]
+        return right < 0.0 or (right == down == 0.0 and self.bend[1] < 0.0), down < 0.0
 
     def path(self, x: Array, y: Array) -> Array:
         """Optical path in px at lens points, which broadcast."""
@@ -88,6 +92,11 @@ class Wavefront:
         changes = self._polynomials(x + STEP, y) - self._polynomials(x - STEP, y)
         deeper = self._polynomials(x, y + STEP) - self._polynomials(x, y - STEP)
         return across + changes / (2.0 * STEP), below + deeper / (2.0 * STEP)
+
+    def grown(self, x: Array, y: Array) -> Array:
+        """Factor of the light through lens points by `growth`."""
+        even, right, down = self.growth
+        return np.maximum(1.0 + even * (x * x + y * y) + right * x + down * y, 0.0)
 
     def curvature(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Second derivatives of the path in px per squared radius at lens points: xx, xy and yy, x right and y down."""
