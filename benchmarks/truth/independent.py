@@ -260,11 +260,15 @@ def _shift(index, axis):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _first_hit(numbers, poses, lens_x, lens_y, slope_x, slope_y, point):  # type: ignore[no-untyped-def]
-    """Depth and number of the nearest surface on a ray, -1 for none; `point` (3,) gets the place in its frame."""
+def _first_hit(numbers, poses, lens_x, lens_y, slope_x, slope_y, point, only=-1):  # type: ignore[no-untyped-def]
+    """Depth and number of the nearest surface on a ray, -1 for none; `point` (3,) gets the place in its frame. only: of
+    all surfaces, if it is not -1.
+    """
     nearest, which = np.inf, -1
     o, d = np.empty(3), np.empty(3)
     for n in range(len(numbers)):
+        if only >= 0 and n != only:
+            continue
         m = poses[n]
         x, y, z = lens_x - m[9], lens_y - m[10], -m[11]
         for i in range(3):
@@ -294,7 +298,7 @@ def _trace(points, counts, salt, window, poses, optics, offsets, numbers, images
         shifts = np.empty(8)
         for axis in range(8):
             shifts[axis] = _shift(pixel + salt, axis)
-        point, at = np.empty(3), np.empty(4)
+        point, at_hit, at = np.empty(3), np.empty(3), np.empty(4)
         sums = np.zeros((2, 3))
         for sample in range(2 * counts[row, column]):
             half, s = sample % 2, sample // 2
@@ -305,14 +309,25 @@ def _trace(points, counts, salt, window, poses, optics, offsets, numbers, images
             lens_x, lens_y = radius * u, radius * v
             seen_x, seen_y = column - 0.5 * columns + at[0], 0.5 * rows - row - at[1]
             x, y = straighten(properties, ratio, seen_x, seen_y)
-            chief_x, chief_y, focus, slope_x, slope_y, nearest, which = x, y, 0.0, 0.0, 0.0, np.inf, -1
-            for _ in range(4 if properties[VARIES] > 0.0 else 1):
-                # The point in focus is where the line through the middle of the lens meets the focal distance.
-                focus = focus_at(properties, ratio, on_axis, chief_x, chief_y)
-                right, up = bend(properties, wave, u, v, chief_x, chief_y)
-                slope_x, slope_y = ratio * (x - right) - focus * lens_x, ratio * (y - up) - focus * lens_y
-                nearest, which = _first_hit(numbers, poses[s % len(poses)], lens_x, lens_y, slope_x, slope_y, point)
-                chief_x, chief_y = (lens_x / nearest + slope_x) / ratio, (lens_y / nearest + slope_y) / ratio
+            pose = poses[s % len(poses)]
+            focus, slope_x, slope_y, nearest, which = 0.0, 0.0, 0.0, np.inf, -1
+            # The ray to a source bends by the errors at the place of that source: each surface has a ray of its own,
+            # and so has what is infinitely far away.
+            for own in range(len(numbers), -1, -1) if properties[VARIES] > 0.0 else range(1):
+                depth = pose[own, 11] if own < len(numbers) else np.inf
+                chief_x, chief_y, found_x, found_y, k, hit, number = x, y, 0.0, 0.0, 0.0, np.inf, -1
+                for _ in range(4 if properties[VARIES] > 0.0 else 1):
+                    # The point in focus is where the line through the middle of the lens meets the focal distance.
+                    k = focus_at(properties, ratio, on_axis, chief_x, chief_y)
+                    right, up = bend(properties, wave, u, v, chief_x, chief_y)
+                    found_x, found_y = ratio * (x - right) - k * lens_x, ratio * (y - up) - k * lens_y
+                    if own < len(numbers):
+                        only = own if properties[VARIES] > 0.0 else -1
+                        hit, number = _first_hit(numbers, pose, lens_x, lens_y, found_x, found_y, at_hit, only)
+                    depth = hit if number >= 0 else depth
+                    chief_x, chief_y = (lens_x / depth + found_x) / ratio, (lens_y / depth + found_y) / ratio
+                if hit < nearest or own == len(numbers):
+                    focus, slope_x, slope_y, nearest, which, point[:] = k, found_x, found_y, hit, number, at_hit
             total = sums[half]
             if which < 0 and background < 0:
                 continue

@@ -110,9 +110,9 @@ class SeidelField:
             self.astigmatism * hx * hy,
             self.astigmatism * hy * hy + self.curvature * (hx * hx + hy * hy),
         )
-        # Divergence over the frame of 2 grad W, which rays are displaced by.
-        even, slope = 8.0 * self.coma / self.corner, (12.0 * self.astigmatism + 8.0 * self.curvature) / self.corner
-        return replace(axis, coma=(self.coma * hx, self.coma * hy), bend=bend, growth=(even, slope * hx, slope * hy))
+        coma, astigmatism, curvature = (term / self.corner for term in (self.coma, self.astigmatism, self.curvature))
+        change = coma, astigmatism * hx, astigmatism * hy, curvature * hx, curvature * hy
+        return replace(axis, coma=(self.coma * hx, self.coma * hy), bend=bend, change=change)
 
     def slope(self, axis: Wavefront) -> float:
         """Largest slope of the wavefront at any grid position, px per radius."""

@@ -169,6 +169,7 @@ def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int,
     pixel_light = light * np.maximum(1.0 - np.abs(aside[0]), 0.0) * np.maximum(1.0 - np.abs(aside[1]), 0.0)
     spread = [float((light * at * at).sum() - (light * at).sum() ** 2) for at in (at_x, at_y, x, y)]
     scale = max(((spread[0] + spread[1]) / (spread[2] + spread[3])) ** 0.5, IN_FOCUS)
+    x, y = wavefront.crossings(x, y)
     values: list[Array] = [np.ones_like(x), x, y, x * x, x * y, y * y]
     sums = _sums(cells, pixel_light, values, side * side)
     if bent:

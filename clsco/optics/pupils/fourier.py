@@ -148,8 +148,8 @@ class FourierDiffracted(Diffracted):
 
     @property
     def _grown(self) -> float:
-        """Mean over the opening of the factor of its light by `Wavefront.growth`."""
-        return _mean_grown(self.opening, self.wavefront) if any(self.wavefront.growth) else 1.0
+        """Mean over the opening of the factor of its light by `Wavefront.grown`."""
+        return _mean_grown(self.opening, self.wavefront) if any(self.wavefront.change) else 1.0
 
     def _cached_spots(self, number: int) -> NDArray[Any]:
         return spot_cache.get((self, number), lambda: self._spots(number), lambda spots: spots.nbytes)

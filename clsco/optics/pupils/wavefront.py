@@ -33,9 +33,9 @@ class Wavefront:
     bend : tuple of float
         xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature at a position in the
         frame.
-    growth : tuple of float
-        g0, gx and gy of the area 1 + g0 (x^2 + y^2) + gx x + gy y that a small part of the image takes where rays
-        through a lens point arrive: that of terms which change over the frame. Even light stays even by this factor.
+    change : tuple of float
+        Derivatives over the frame, px per px: of the coma away from the middle, and half of those of astigmatism and of
+        field curvature to the right and down.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class Wavefront:
     spherical: float = 0.0
     coma: tuple[float, float] = (0.0, 0.0)
     bend: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    growth: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    change: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     @property
     def is_flat(self) -> bool:
@@ -64,15 +64,16 @@ class Wavefront:
     @property
     def upright(self) -> Wavefront:
         """The wavefront without Zernike polynomials in a canonical orientation, shared by its mirror images."""
-        (right, down), (xx, xy, yy), (even, grows_right, grows_down) = self.coma, self.bend, self.growth
+        (right, down), (xx, xy, yy), (coma, *others) = self.coma, self.bend, self.change
         x, y = (-1.0 if turned else 1.0 for turned in self.mirrored)
-        growth = even, x * grows_right, y * grows_down
-        return replace(self, coma=(x * right, y * down), bend=(xx, x * y * xy, yy), growth=growth)
+        change = coma, x * others[0], y * others[1], x * others[2], y * others[3]
+        return replace(self, coma=(x * right, y * down), bend=(xx, x * y * xy, yy), change=change)
 
     @property
     def mirrored(self) -> tuple[bool, bool]:
         """For `upright`: True if it is mirrored horizontally, and vertically."""
-        right, down = self.coma if any(self.coma) else self.growth[1:]
+        _, *ways = self.change
+        right, down = next((way for way in (self.coma, ways[:2], ways[2:]) if any(way)), (0.0, 0.0))
         return right < 0.0 or (right == down == 0.0 and self.bend[1] < 0.0), down < 0.0
 
     def path(self, x: Array, y: Array) -> Array:
@@ -94,9 +95,22 @@ class Wavefront:
         return across + changes / (2.0 * STEP), below + deeper / (2.0 * STEP)
 
     def grown(self, x: Array, y: Array) -> Array:
-        """Factor of the light through lens points by `growth`."""
-        even, right, down = self.growth
-        return np.maximum(1.0 + even * (x * x + y * y) + right * x + down * y, 0.0)
+        """Area that a small part of the image takes where rays through lens points arrive: 1 + the divergence over the
+        frame of 2 grad W. Even light stays even by this factor.
+        """
+        coma, right, down, outward, below = self.change
+        along = (12.0 * right + 8.0 * outward) * x + (12.0 * down + 8.0 * below) * y
+        return np.maximum(1.0 + 8.0 * coma * (x * x + y * y) + along, 0.0)
+
+    def crossings(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Where rays through lens points pass an occluder, over (R - R of the occluder) px from their source: the lens
+        point minus the derivative of 2 grad W along it, as the occluder's image is displaced by the wavefront at its
+        own position.
+        """
+        coma, right, down, outward, below = self.change
+        square, along = x * x + y * y, right * x + down * y + 2.0 * (outward * x + below * y)
+        factor = 1.0 - 6.0 * coma * square - 4.0 * along
+        return x * factor - 4.0 * square * right, y * factor - 4.0 * square * down
 
     def curvature(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Second derivatives of the path in px per squared radius at lens points: xx, xy and yy, x right and y down."""
