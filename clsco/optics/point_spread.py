@@ -223,7 +223,8 @@ class PointSpread:
         return reaches.astype(np.int64)
 
     def weights(self, dx: Array, dy: Array, radius: Array) -> Array:
-        """Fraction of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1.
+        """Fraction of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1, or to
+        `Wavefront.grown` in a field.
 
         The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Pillbox (2.26) through its
         pupil, and Gaussian (2.27). A radius of 0 is the limit: all light stays. Validated: sum 1 to 1e-12, quadrature,

@@ -39,7 +39,8 @@ class PsfStack:
     Attributes
     ----------
     weights : ndarray of float32, (channels, places, depths, rows, columns)
-        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns).
+        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns). They sum
+        to 1, or with aberrations that grow over the frame to how much these enlarge its image.
     depth : ndarray of float64, (depths,)
         Depth Z of the source, mm, from near to far.
     radius : ndarray of float64, (channels, places, depths)

@@ -104,6 +104,25 @@ def test_light_stays() -> None:
     assert frame.color.mean() == pytest.approx(plain.color.mean(), rel=1e-5)
 
 
+@pytest.mark.parametrize("model", ["pillbox", "wave"])
+def test_even_light_stays_even(model: str) -> None:
+    """W131 enlarges the image: a frame would lose the fraction 4 Q W131 / corner of its light, 4 %."""
+    wall = {**FACING, "distance": 250.0, "texture": "#ffffff"}
+    psf = {"model": model, "wavelengths": [2500.0] * 3, "seidel": {"W131": 0.4}}
+    frame = clsco.render_frame(scene_from({"psf": psf, "camera": SMALL}, wall), truth=())
+    assert frame.color[8:-8, 8:-8].mean() == pytest.approx(1.0, abs=6e-3)
+
+
+def test_a_card_before_a_wall_of_its_color_is_not_seen_through_aberrations() -> None:
+    """Occluders are displaced by the wavefront at their own position: 3 % of the light would be wrong."""
+    card: Any = {"shape": "rectangle", "size": [2.0, 1.5], "center": [0.0, 0.0, 225.0], "texture": "#ffffff"}
+    wall = {**FACING, "distance": 400.0, "texture": "#ffffff"}
+    camera = {"resolution": [48, 32], "aperture_diameter": 5.0, "pixel_pitch": 0.02, "focus_distance": 250.0}
+    psf = {"wavelengths": [540.0] * 3, "seidel": {"W131": 2.0}}
+    frame = clsco.render_frame(scene_from({"psf": psf, "camera": camera}, card, wall), truth=())
+    assert frame.color[6:-6, 6:-6] == pytest.approx(1.0, abs=0.018)
+
+
 @pytest.mark.parametrize("method", mostly_slow(["auto", "scatter", "tiles"], ["auto"]))
 def test_device_and_reference_agree_by_rays(method: str) -> None:
     wanted = rays(object=[TILTED], camera=SMALL)

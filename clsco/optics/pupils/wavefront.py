@@ -95,22 +95,31 @@ class Wavefront:
         return across + changes / (2.0 * STEP), below + deeper / (2.0 * STEP)
 
     def grown(self, x: Array, y: Array) -> Array:
-        """Area that a small part of the image takes where rays through lens points arrive: 1 + the divergence over the
-        frame of 2 grad W. Even light stays even by this factor.
+        """Area that a small part of the image takes where rays through lens points arrive: the determinant of
+        `_stretch`. Even light stays even by this factor.
         """
-        coma, right, down, outward, below = self.change
-        along = (12.0 * right + 8.0 * outward) * x + (12.0 * down + 8.0 * below) * y
-        return np.maximum(1.0 + 8.0 * coma * (x * x + y * y) + along, 0.0)
+        xx, xy, yx, yy = self._stretch(x, y)
+        return np.maximum(xx * yy - xy * yx, 0.0)
 
     def crossings(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Where rays through lens points pass an occluder, over (R - R of the occluder) px from their source: the lens
-        point minus the derivative of 2 grad W along it, as the occluder's image is displaced by the wavefront at its
-        own position.
+        """Positions where rays through lens points pass an occluder, relative to their source and in (R - R of the
+        occluder) px: the occluder's image is displaced by the wavefront at its own position.
         """
+        xx, xy, yx, yy = self._stretch(x, y)
+        area = xx * yy - xy * yx
+        return (yy * x - xy * y) / area, (xx * y - yx * x) / area
+
+    def _stretch(self, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+        """Derivatives xx, xy, yx, yy over the frame of where rays through lens points arrive: of 1 + 2 grad W."""
         coma, right, down, outward, below = self.change
-        square, along = x * x + y * y, right * x + down * y + 2.0 * (outward * x + below * y)
-        factor = 1.0 - 6.0 * coma * square - 4.0 * along
-        return x * factor - 4.0 * square * right, y * factor - 4.0 * square * down
+        even = 1.0 + 2.0 * coma * (x * x + y * y) + 4.0 * (right * x + down * y)
+        at_x, at_y = 4.0 * (coma * x + right), 4.0 * (coma * y + down)
+        return (
+            even + (at_x + 8.0 * outward) * x,
+            at_x * y + 8.0 * below * x,
+            at_y * x + 8.0 * outward * y,
+            even + (at_y + 8.0 * below) * y,
+        )
 
     def curvature(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Second derivatives of the path in px per squared radius at lens points: xx, xy and yy, x right and y down."""
