@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import io
 import os
 import signal
 import sys
 from types import FrameType
+
+_OBJECTS = 100_000
+"""So many more than there were have Python look for cycles of them: imports make many objects, and no garbage."""
 
 
 def _end(number: int, _: FrameType | None) -> None:
@@ -14,29 +19,21 @@ def _end(number: int, _: FrameType | None) -> None:
     os._exit(128 + number)
 
 
-for _number in (signal.SIGINT, signal.SIGTERM):  # before all other modules, which take most of a short command's time
-    signal.signal(_number, _end)
-
-import gc  # noqa: E402
-import io  # noqa: E402
-
-from clsco.cli.main import main  # noqa: E402
-
-_OBJECTS = 100_000
-"""So many more than there were have Python look for cycles of them: imports make many objects, and no garbage."""
-
-
 def run() -> None:
     """Run the command line.
 
     Modules are imported only when a command needs them. During imports, garbage collection and pydantic's search for
     plug-ins are off, and at exit Python frees no objects: together a fifth of a short command's time (docs/lessons.md).
     """
+    for number in (signal.SIGINT, signal.SIGTERM):  # before all other modules: most of a short command's time
+        signal.signal(number, _end)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what the terminal has no letter for is shown as its escape
             stream.reconfigure(errors="backslashreplace")
     gc.set_threshold(_OBJECTS)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    from clsco.cli.main import main
+
     try:
         main(prog_name="clsco")
     finally:

@@ -186,8 +186,8 @@ class _Pool:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Make SIGTERM end the block, and the code after it, as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
+    """Make SIGTERM end the block, and the code after it, as Ctrl-C does, unless the program has its own way."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
 
