@@ -326,7 +326,7 @@ def _trace(points, counts, salt, window, poses, optics, offsets, numbers, images
                         hit, number = _first_hit(numbers, pose, lens_x, lens_y, found_x, found_y, at_hit, only)
                     depth = hit if number >= 0 else depth
                     chief_x, chief_y = (lens_x / depth + found_x) / ratio, (lens_y / depth + found_y) / ratio
-                if hit < nearest or own == len(numbers):
+                if hit < nearest or own == len(numbers) or properties[VARIES] == 0.0:
                     focus, slope_x, slope_y, nearest, which, point[:] = k, found_x, found_y, hit, number, at_hit
             total = sums[half]
             if which < 0 and background < 0:
