@@ -121,7 +121,9 @@ class Equation:
 
     B, F (N,), C. point (N, 3): times w, in the canonical frame; along_x, along_y (N, 3): displacement of the lens point
     per cell, right and down, scaled by `right` (N,) mm; linear (N,): l . point; sign: factor applied to the surface's
-    own equation; once (N,): True if there is at most one intersection; flat: True if the surface is a plane.
+    own equation; once (N,): True if there is at most one intersection; flat: True if the surface is a plane; grow_x,
+    grow_y (N,): change of the lens point's last homogeneous coordinate per cell: if K changes over the image, an
+    occluder is blurred by that at its own position, as if lines ended at l / (1 + l . grad R).
     """
 
     B: Array
@@ -135,6 +137,8 @@ class Equation:
     sign: float
     once: Mask
     flat: bool
+    grow_x: Array
+    grow_y: Array
 
 
 def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, on_surface: bool) -> Equation:
@@ -142,12 +146,20 @@ def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells
     q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
     p = o * w[:, None] + turned(surface.turn, rays)
     right = lens.radius / cells
-    along_x, along_y = (shift[:, None] * surface.turn[:, i] for i, shift in enumerate((right, -right)))
+    rise = lens.focus_rise((rays[:, :2] ** 2).sum(axis=-1)) if lens.is_curved else np.zeros_like(w)
+    grow_x, grow_y = right * rise * rays[:, 0], -right * rise * rays[:, 1]
+    shifts = (right, grow_x), (-right, grow_y)
+    along_x, along_y = (
+        shift[:, None] * surface.turn[:, i] + grow[:, None] * o for i, (shift, grow) in enumerate(shifts)
+    )
     sign = -1.0 if surface.constant < 0 else 1.0
     f = np.zeros_like(w) if on_surface else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
     b = sign * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
     flat = not q.any()
-    return Equation(b, f, sign * surface.constant, p, along_x, along_y, right, _dot(l, p), sign, f <= 0, flat)
+    linear = _dot(l, p)
+    return Equation(
+        b, f, sign * surface.constant, p, along_x, along_y, right, linear, sign, f <= 0, flat, grow_x, grow_y
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,11 +183,12 @@ class Slopes:
 
 def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
     """Derivatives of the coefficients by the tap; d: D (N,) at the middle of the lens."""
-    q, l, o, side = surface.canonical.q, surface.canonical.l, surface.offset, e.sign  # noqa: E741
-    ex, ey = e.along_x, e.along_y
-    bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u)) for u in (ex, ey))
-    cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u)) for u in (ex, ey))
-    cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
+    q, l, k, o, side = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset, e.sign  # noqa: E741
+    ways = (ex, gx), (ey, gy) = (e.along_x, e.grow_x), (e.along_y, e.grow_y)
+    bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u) + g * (e.linear - k * w)) for u, g in ways)
+    cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u) + g * (l @ o - k)) for u, g in ways)
+    cxx, cyy = (side * (_dot(q, u * u) + g * (2 * _dot(l, u) - k * g)) for u, g in ways)
+    cxy = side * 2 * (_dot(q, ex * ey) + gx * (_dot(l, ey) - k * gy) + gy * _dot(l, ex))
     dx, dy = 2 * e.B * bx - cx * e.F, 2 * e.B * by - cy * e.F
     dxx, dyy, dxy = bx * bx - cxx * e.F, by * by - cyy * e.F, 2 * bx * by - cxy * e.F
     return Slopes(d, bx, by, cx, cy, cxx, cxy, cyy, dx, dy, dxx, dxy, dyy)

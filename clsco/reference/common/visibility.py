@@ -62,10 +62,12 @@ SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
     """Conditions on an intersection: the right nappe, and the bounds."""
     p, e = equation.point, np.stack([equation.right, -equation.right], axis=-1)  # e: mm per cell, right and down
-    limits = []
+    grow, limits = np.stack([equation.grow_x, equation.grow_y], axis=-1), []
     nappe, o = float(surface.canonical.nappe), surface.offset
     if nappe:
-        limits.append(np.stack([p[:, 2], np.full(w.shape, o[2]), *(e * surface.turn[2, :2]).T], axis=-1) * nappe)
+        limits.append(
+            np.stack([p[:, 2], np.full(w.shape, o[2]), equation.along_x[:, 2], equation.along_y[:, 2]], axis=-1) * nappe
+        )
     if bounds is not None:
         own_points = surface.own_offset * w[:, None] + turned(surface.own_turn, rays)
         for axis, (low, high) in enumerate(bounds):
@@ -74,7 +76,7 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
                 if np.isinf(limit):
                     continue
                 head = np.stack([own_points[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
-                limits.append(np.concatenate([head, along], axis=-1) * sign)
+                limits.append(np.concatenate([head, along + (at - limit) * grow], axis=-1) * sign)
     return limits
 
 
@@ -136,7 +138,10 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
     away = np.stack([difference_of_products(d[:, i], o[2], d[:, 2], o[i]) for i in (0, 1)], axis=-1)
     shifts = (e.along_x, e.along_y)
     (r_x, r_y), (a_x, a_y) = (
-        [e.sign * radius * points.w * shift[:, 2] for shift in shifts],
+        [
+            e.sign * radius * (points.w * shift[:, 2] - p[:, 2] * grow)
+            for shift, grow in zip(shifts, (e.grow_x, e.grow_y), strict=True)
+        ],
         [p[:, :2] * shift[:, 2:] - p[:, 2:] * shift[:, :2] for shift in shifts],
     )
     f_x, f_y, f_xy = (2 * (first * second).sum(axis=-1) for first, second in ((away, a_x), (away, a_y), (a_x, a_y)))
