@@ -425,8 +425,9 @@ def check_visibility(
     lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
     return state, edge, Visibility(
         np.where(partly, np.cumsum(partly) - 1, -1), points.radius[partly], division.wide[partly],
-        np.broadcast_to(np.asarray(points.width) < 1.0, partly.shape)[partly], points.x[partly], points.y[partly],
-        occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
+        np.broadcast_to((np.asarray(points.width) < 1.0) | points.shared, partly.shape)[partly],
+        points.x[partly], points.y[partly], occluders, division.extent, psf.lens_cells(),
+        np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
         tuple(circle.select(partly) for circle in circles), psf.diffracted, psf.signed,
         not (psf.signed or psf.diffracted or psf.pupil.edges), psf.pupil if psf.cut_by_chords else None, **taps,
