@@ -91,6 +91,6 @@ def assert_agree(frames: list[Frame], exact: list[Frame], least: float = 0.02) -
     found = [difference for pair in zip(frames, exact, strict=True) for difference in compare(*pair)]
     assert [difference for difference in found if not difference.agrees] == []
     for frame in frames:
-        assert np.ptp(frame.color) > 0.1
+        assert np.ptp(frame.color) > 0.05
         assert frame.mask is not None
         assert frame.mask.mean() >= least

@@ -144,7 +144,7 @@ def test_presets_generated_are_those_of_the_command(tmp_path: Path, name: str) -
 @pytest.mark.parametrize("name", [*truth_formats()])
 def test_all_formats_of_truth_are_written(tmp_path: Path, name: str) -> None:
     session = Document(tmp_path)
-    load_preset(session, "stereo" if name == "kitti_disparity" else "sphere_moving")
+    load_preset(session, {"kitti_disparity": "stereo", "png": "night", "tiff": "night"}.get(name, "sphere_moving"))
     session.patch("camera.resolution", [48, 32])
     rendered(session, Jobs(tmp_path), "out", "--format", name)
     plain = {"frame_0000.png", "frame_0000.json", "frame_0000_left.png", "frame_0000_right.png", "scene.toml"}
