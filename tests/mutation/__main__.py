@@ -68,6 +68,7 @@ TESTS = {
     "common/source_visibility.clh": "kernels/test_visibility pipeline/test_occlusion pipeline/test_occlusion_lenses",
     "common/psf.clh": "kernels/test_blur kernels/test_pupils kernels/test_tiles engine/test_defocus",
     "common/sources.clh": "kernels/test_blur kernels/test_trace kernels/test_visibility pipeline/test_occlusion",
+    "common/equation.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
     "common/visibility.clh": "kernels/test_visibility_occluders kernels/test_visibility kernels/test_blur "
     "pipeline/test_occlusion kernels/test_rims",
     "common/visibility_test.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion "
