@@ -1,6 +1,4 @@
-"""The command `clsco check`: differences of frames from the NumPy reference per output, and of color from rays, as
-tables or a file.
-"""
+"""The command `clsco check`: tables of each output's difference from the NumPy reference and of color's from rays."""
 
 from __future__ import annotations
 

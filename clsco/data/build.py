@@ -199,7 +199,7 @@ def _corner_value(corner: Mapping[str, Any], parameter: Parameter, _: int) -> An
 
 
 def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
-    """Extreme values by parameter name, for each such scene."""
+    """Values by parameter name, for each scene of `corner_faults`."""
     every = [*parts.parameters, *(one for population in parts.populations for one in population.parameters)]
     extremes = {one.name: _some(one.form.extremes()) for one in every}
     counts = {population.count.name: sorted(population.count.form.extremes()) for population in parts.populations}

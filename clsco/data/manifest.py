@@ -84,7 +84,7 @@ class ManifestPart:
 
 
 def line(value: Mapping[str, Any]) -> str:
-    """A line of JSON that depends only on the value."""
+    """A line of JSON that depends only on the value and its order."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 

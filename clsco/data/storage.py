@@ -141,7 +141,7 @@ class _Folder:
 
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
-        """Keys in the folder `prefix`, with their bytes."""
+        """Size in bytes by key in the folder `prefix`."""
         folder, sizes = self.root / checked_key(prefix), dict[str, int]()
         for inside, _, names in os.walk(folder):
             for name in names:

@@ -170,7 +170,7 @@ def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile])
 
 
 def _required(file: TruthFile) -> list[str]:
-    """Arrays in files that a scene must have: those asked for by name, or required by the format."""
+    """Arrays that a scene must have for a file: those asked for by name, or its format's first."""
     truth_format = TRUTH_FORMATS[file.format]
     names = file.names or (truth_format.arrays[:1] if truth_format.per == "array" else ())
     return [name for name in names if name not in ("color", *IMAGE_NAMES)]

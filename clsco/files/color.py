@@ -83,7 +83,7 @@ class Color:
         return len(self.icc) + (0 if self.curve is None else self.curve.radiance.nbytes)
 
     def transfer(self, curve_of_scene: str) -> str | Curve:
-        """Transfer curve of codes for a scene with the curve "srgb" or "linear": its own curve replaces "srgb"."""
+        """The transfer curve of a scene, "srgb" or "linear", but this color space's own, if any, in place of "srgb"."""
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
@@ -205,8 +205,8 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tup
 
 
 def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
-    """Chromaticities of an RGB profile, from its colorants (X, Y and Z under D50) and the white they were adapted from:
-    by the tag chad, or in old profiles the white of the medium.
+    """Chromaticities of an RGB profile from its colorants, which are adapted to D50, and its own white, from the tag
+    `chad`, or `wtpt` in old profiles; None if unknown.
     """
     columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
     if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):

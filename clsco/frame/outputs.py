@@ -121,8 +121,8 @@ OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of outputs besides color from user input: some of `ALL_TRUTH` and `IMAGE_NAMES`, also as in files, in a
-    list or with commas between them, or "all", which is `ALL_TRUTH`. Raises SceneError for other names.
+    """Names of outputs besides color from user input, an iterable or text with commas: of `ALL_TRUTH` or `IMAGE_NAMES`,
+    or of their arrays in files; "all" is `ALL_TRUTH`. Raises SceneError for other names.
     """
     if truth == "all":
         return ALL_TRUTH

@@ -1,6 +1,6 @@
 """Wavefront errors that depend on the position in the frame: Seidel's terms (float64, pure).
 
-Weights are tables at positions on a grid over the frame; the weights of a source are blended from the four positions
+PSF weights are tabulated at the nodes of a grid over the frame; those of a source are blended from the four nodes
 around it.
 """
 

@@ -32,8 +32,8 @@ class Lens:
     detector_power : float
         Inverse distance of the detector, 1/s, in 1/mm.
     sag : float
-        Distance of a plane's image in front of the detector, in sensor distances, per squared slope t^2 of the ray: -c
-        s0^2 / (2 s) with the curvature c of that image.
+        Field curvature, -c s0^2 / (2 s) for a curvature c: the image of a plane lies sag t^2 s in front of the
+        detector on rays of slope t.
     sphere : float
         Inverse radius, K in 1/mm, of the sphere around the lens that is in focus for light of the camera's focal
         length; 0 if a plane is in focus.

@@ -106,10 +106,9 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     -----
     Poses are always computed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
     to one turn before conversion to radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
-    vector instead of its components. With accelerations the angles are w t + a t^2 / 2 in deg: of each Euler angle, or
-    of the rotation vector, whose axis is constant if the acceleration is along the angular velocity. Keyframes that
-    rotate about a single axis have a path of the angle, including whole turns; other keyframes have a path of
-    orientations.
+    vector instead of its components. With accelerations each Euler angle, or component of the rotation vector, is w t +
+    a t^2 / 2 in deg; the vector's axis is constant if the acceleration is along the angular velocity. Between keyframes
+    about a single axis the angle is interpolated, with whole turns; otherwise the orientation.
     """
     if not motion.model_fields_set:
         return AT_REST

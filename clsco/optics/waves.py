@@ -53,10 +53,10 @@ def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
 
 
 def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> float:
-    """CPU seconds to compute tables for |blur radii| from smallest to largest px, which are then cached; 0 for PSFs in
-    closed form.
+    """CPU seconds to compute tables for |blur radii| from smallest to largest px, which are then cached; 0 for PSFs
+    without Fourier transforms or rays.
 
-    silhouettes: sub-pixel sources along an axis, 0 for none.
+    silhouettes: n for n x n sub-pixel sources, 0 for none.
     """
     spreads = psf.places or (psf,)
     pupils = {p.upright for spread in spreads if isinstance(p := spread.pupil, FourierDiffracted)}

@@ -272,7 +272,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Returns
     -------
     dict
-        Sources, a mask of layers, and "blur ..." for a layer's blur.
+        Bytes of sources, of coverage, and of each buffer NAME of a layer's blur as "blur NAME".
     """
     sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
     sizes |= {"open": sizes["covered"]} if spec.occluders else {}

@@ -340,7 +340,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     ray_scene = without_lens(scene) if cacheable else None
 
     def cast(guard: int) -> tuple[float, Prediction]:
-        """Largest |R| within a guard band, and the prediction for that band."""
+        """Largest |R| in frame and guard band, and the prediction for that band."""
         _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if ray_scene is None else _cached_depths(ray_scene, eye, guard)
         rays = _slopes(cameras, guard)

@@ -1,4 +1,4 @@
-"""The studio's server: its page, its routes and a socket per tab, behind the guard."""
+"""The studio's server: page, routes and a WebSocket per tab, wrapped in a `Guard`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """WebDataset: a tar in which the files KEY.ARRAY.EXTENSION of a sample share their key.
 
-Read back with the package `webdataset`, and with `tarfile`, `numpy` and `zstandard` alone.
+Read back with the package `webdataset`, or with `tarfile`, `numpy`, `zstandard` and a PNG decoder.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class HankelDiffracted(Diffracted):
         return np.maximum(weights, 0.0)
 
     def _interpolated(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
-        """Weights at radii, interpolated by polynomials in the radius: within 1e-9 where Q is 0.1 px or more."""
+        """Weights, interpolated by polynomials in the blur radius; exact to 1e-9 for Q of 0.1 px or more."""
         panel = min(PANEL, 2.0 * self.narrowest)
         numbers, which, factors = panels_of(radii, panel)
         nodes = panel_nodes(numbers, panel)

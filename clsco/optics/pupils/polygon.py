@@ -163,8 +163,8 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
 
 
 def _share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Integral of the pixel's response over the polygon, divided by its area: along each edge, split where the response
-    changes its polynomial, the integral of S(x) T(y) dy, with T the response along an axis and S its integral.
+    """Integral of the pixel's response over the polygon, divided by its area: a sum over edges of integrals of
+    S(x) T(y) dy, split at the knots of T. T: response along an axis, a piecewise polynomial; S: integral of T.
     """
     knots = (-1.0, 0.0, 1.0) if tent else (-0.5, 0.5)
     total, area = np.zeros(np.broadcast_shapes(dx.shape, dy.shape, radius.shape)), 0.0

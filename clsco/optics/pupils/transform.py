@@ -38,7 +38,7 @@ def fast_length(least: float, step: int = 1) -> int:
 
 
 def image_parts(unit: float, extent: float) -> int:
-    """Even number of image samples per px that resolve all frequencies of its light for Q of `unit` px or more."""
+    """Even number of samples per px that resolves an image by an aperture of radius `extent`, for Q >= `unit` px."""
     return fast_length(max(2.0 * extent / unit, LEAST_PARTS), 2)
 
 
