@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from fractions import Fraction
 
 import numpy as np
 
@@ -51,7 +52,9 @@ def test_functions_are_within_some_units_of_the_last_place() -> None:
     assert np.abs(log(positive) / np.log(positive) - 1).max() <= 2 * ULP
     near = rng.uniform(0.5, 2.0, 20000)
     assert np.abs(log(near) - np.log(near)).max() <= 2 * ULP
-    assert np.abs(cube_root(positive) / np.cbrt(positive) - 1).max() <= 2 * ULP
+    some = positive[:2000]  # in exact numbers, as NumPy's cube root is itself off by more on some processors
+    cubes = [Fraction(root) ** 3 / Fraction(x) for root, x in zip(cube_root(some).tolist(), some.tolist(), strict=True)]
+    assert max(abs(float(cube - 1)) for cube in cubes) <= 3 * 2 * ULP
     assert exact_log(10.0) == math.log(10.0)
     drawn = rng.integers(0, 2**64, 3000, np.uint64)
     known = statistics.NormalDist()
