@@ -37,7 +37,7 @@ DERIVED = {
     ("camera", "focus_distance"): "depth_quantile",
     ("camera", "f_number"): "largest_blur_px",
 }
-"""Keys that may be derived, each with its one form, in the order in which they are: what is seen, and when, first."""
+"""Keys that may be derived, in the order of derivation, each with the name of the target that its table states."""
 
 
 class UnfitError(SceneError):
@@ -48,10 +48,10 @@ class UnfitError(SceneError):
 class Look:
     """Surfaces in some frames of a sample, seen by RAYS x RAYS rays on a regular grid over each frame.
 
-    For all rays of these frames that meet a surface: inverse depth in 1/mm, |R| in px (the background included), and
-    length of the flow to the next frame in px. `valid`: share of rays that meet a surface, in the frame with the least;
-    `visible`: share of an object's rays that are not occluded, for the object and frame with the least, 0 if an object
-    is outside the frame. A box is one object.
+    For all rays of these frames that meet a surface: inverse depth in 1/mm, blur radius |R| in px (the background
+    included), and length of the flow to the next frame in px. `valid`: smallest share, over frames, of rays that meet a
+    surface; `visible`: smallest share, over objects and frames, of an object's rays that are not occluded, 0 if an
+    object is outside the frame. A box is one object.
     """
 
     inverse_depth: Array

@@ -42,7 +42,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of `dry_run`: forecast of a set of `count` samples, from samples drawn at regular distances in it.
+    """Result of `dry_run`: forecast for a set of `count` samples from `looked_at` of them, evenly spaced.
 
     `splits`: share of each split; `attempts`: number of draws; `failed`: messages of samples that cannot be drawn or
     rendered; `frames`: mean number of frames per sample, over all variants and views. From the rendered samples:

@@ -42,7 +42,7 @@ class Place:
 
 
 Advance = Callable[[int], object]
-"""Takes the number of samples that are done since the last call."""
+"""Takes the number of samples made since its last call."""
 
 
 @dataclass
@@ -186,7 +186,7 @@ class _Pool:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Make SIGTERM end the block, and the code after it, as Ctrl-C does, unless the program has its own way."""
+    """Make SIGTERM end the block, and the code after it, as Ctrl-C does, unless the program handles SIGTERM."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -271,13 +271,13 @@ def _ended(number: int, _: FrameType | None) -> None:
 
 
 RETRIES, RETRIES_OF_ERROR = 3, 2
-"""Processes that try a task: if they end, and if they report an error."""
+"""Number of processes that try a task: if each one dies, and if each reports an error."""
 DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard to make without the samples `failed`, given with their messages; or samples `tried` to find the faulty
+    """A shard to make. failed: samples to skip, with their messages; tried: samples to test instead, to find faulty
     ones.
     """
 

@@ -41,14 +41,14 @@ class Record(Mapping[str, NDArray[Any]]):
     Attributes
     ----------
     key : str
-        Its number in nine digits.
+        Number of the sample in nine digits.
     arrays : mapping of str to ndarray
         By name in files, such as "color" or "coc". Of several frames "f0003.depth", of a stereo pair "left.color", of
         several variants "v01.color", of all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
         floats.
     meta : mapping
-        Content of its JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with dtype,
-        shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
+        Content of the sample's JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with
+        dtype, shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
 
     Examples
     --------

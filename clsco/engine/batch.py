@@ -139,7 +139,7 @@ def prepare_all(
 ) -> list[Job]:  # fmt: skip
     """`prepare` for every scene of several files, each file in its folder of `folders`.
 
-    Raises as these and `frame_range`, and SceneError if `files` name arrays that a scene does not have.
+    Raises as `prepare`, `folders` and `frame_range`, and SceneError if `files` name arrays that a scene does not have.
     """
     _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
@@ -205,7 +205,7 @@ def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterato
 
 
 def _run_together(session: Session, jobs: Sequence[Job], check: bool) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
-    """As `run`, for jobs with the same frames, files and request."""
+    """Render as `run` does, for jobs with the same frames, files and request."""
     left: Frame | None = None
     for number, rendered in render_prepared(session, [job.prepared for job in jobs], jobs[0].frames):
         frame = rendered

@@ -35,7 +35,7 @@ class Child:
     Attributes
     ----------
     pipe : Connection
-        Receives its messages, and raises EOFError after its end.
+        Receives messages of the child, and raises EOFError after the child has ended.
     """
 
     def __init__(self, work: Callable[..., None], *arguments: Any, environ: Mapping[str, str] | None = None) -> None:

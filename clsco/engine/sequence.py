@@ -238,7 +238,7 @@ def render_prepared(
 def _render_scenes(
     session: Session, scenes: Sequence[Scene], request: Request, frames: Sequence[int] | None
 ) -> Iterator[tuple[int, Frame]]:
-    """As `render_prepared`; scenes that share their rays are prepared together, just before they are rendered."""
+    """Render as `render_prepared` does; scenes that share rays are prepared together, just before they are rendered."""
     for group in lens_groups(scenes):
         sweep = Sweep(("",) * len(group), tuple(scenes[k] for k in group))
         for k, frame in render_prepared(session, prepare_sweep(sweep, request, session.device), frames):

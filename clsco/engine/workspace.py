@@ -53,7 +53,7 @@ if TYPE_CHECKING:  # imported where a plan has them
     from clsco.passes.vignetting import Vignetting
 
 Pixels = ForwardWarp | StaticMap | None
-"""Pixels of the reference pose that are moved, or taken as they are."""
+"""Source of pixels in the reference pose: moved by a forward warp, or static; None if rays are cast."""
 Outputs = tuple[Any, ...]
 """Outputs of a pass, in the order of `Pass.gives`."""
 
@@ -274,7 +274,7 @@ class PlaneWorkspace(BlurWorkspace):
     count_missing = fill
 
     def _for_blur(self, job: SceneJob, light: Image | Sources | None) -> Image | Sources | Plane | None:
-        """Turn the light of a pass into what `clsco.plan.image.light_of` names."""
+        """Convert the light of a pass to the kind that `clsco.plan.image.light_of` names."""
         if light is None or self.plan.blur not in ("none", "convolve"):
             return light
         if self.plan.blur == "none":

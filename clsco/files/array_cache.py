@@ -28,8 +28,8 @@ DIGEST = hashlib.sha256().digest_size
 
 
 def user_cache(name: str) -> ArrayCache:
-    """A cache in the user's cache folder; it stores nothing if the folder cannot be made, or others could write to
-    it.
+    """A cache in the user's cache folder; it stores nothing if that folder cannot be made, or other users could write
+    to it.
     """
     try:
         return ArrayCache(private_folder("clsco", name))

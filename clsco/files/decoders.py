@@ -301,8 +301,8 @@ def _exr_size(file: BinaryIO) -> tuple[int, int]:
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
     """Decode channels of an EXR from any of its parts: (rows, columns) of the display window, by name.
 
-    choose: selects from all names, which `full_names` makes. outside: value of pixels of the display window outside a
-    part's data window.
+    choose: selects from the list of all channel names, as `full_names` gives them. outside: value of pixels of the
+    display window outside a part's data window.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(

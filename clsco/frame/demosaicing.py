@@ -79,7 +79,7 @@ def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...
 
 
 def menon_function() -> Any:
-    """The function of colour-demosaicing. Raises MissingDependencyError if it is not installed."""
+    """Demosaicing function of the package colour-demosaicing. Raises MissingDependencyError if it is not installed."""
     with warnings.catch_warnings(), np.printoptions():  # it changes how all arrays are printed
         warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
         return import_extra("sensor.demosaic", "colour_demosaicing", "sensor").demosaicing_CFA_Bayer_Menon2007

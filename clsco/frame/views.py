@@ -26,10 +26,10 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 
 @dataclass(frozen=True)
 class FrameView:
-    """Color display of an array, given by its name in files.
+    """Color display of an array. array: its name in files.
 
-    extent: numbers of an array, whose maxima over a clip make its scale. paint: takes the array and the scale; returns
-    8-bit RGB. label: text that states the scale.
+    extent: returns numbers of one array; their maxima over the arrays of a clip are the scale. paint: takes the array
+    and the scale; returns 8-bit RGB. label: text that states the scale.
     """
 
     array: str
@@ -43,7 +43,7 @@ class FrameView:
 
 
 def _require(array: NDArray[Any], name: str, also: float | None = None) -> NDArray[Any]:
-    """Mask of finite numbers; raises FileError for other numbers than these and `also`."""
+    """Mask of finite numbers. Raises FileError for any other number except `also`."""
     finite: NDArray[Any] = np.isfinite(array)
     if not (finite if also is None else finite | (array == also)).all():
         raise FileError(f"view: {name} must be finite{'' if also is None else f' or {also}'}; got other numbers")
@@ -103,7 +103,7 @@ VIEWS = {
         lambda scale: f"flow: Middlebury color wheel, white for none to full color for {scale[0]:.6g} px",
     ),
 }
-"""By name."""
+"""Displays by name of the view."""
 
 
 def viridis(values: NDArray[Any], low: float, high: float) -> Picture:

@@ -75,9 +75,9 @@ class ApproximationReport:
     samples, scene_samples : int
         Time samples used, and those of the scene.
     silhouette_samples, scene_silhouette_samples : int
-        The same for sub-pixel sources along an axis of a pixel, 1 for none.
+        Sub-pixel sources along an axis of a pixel: used, and of the scene; 1 for none.
     merged : float
-        |R| in px from which partly hidden sources may be merged, 0 for none.
+        Blur radius |R| in px from which partly hidden sources may be merged, 0 for none.
     """
 
     tolerance: float

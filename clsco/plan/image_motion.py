@@ -83,8 +83,8 @@ class ImagePath:
 
     @property
     def variation(self) -> float:
-        """Half of the total variation of a point's velocity, from rest to rest, px per exposure: the speed of a uniform
-        motion.
+        """Half of the total variation of a point's velocity, from rest to rest, px per exposure; equals the speed of a
+        uniform motion.
         """
         velocity = self.steps / np.diff(self.times)[:, None, None]
         changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)

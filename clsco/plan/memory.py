@@ -60,7 +60,7 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
 
 
 def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
-    """Buffers on the device while a plan's frame is rendered in the plan's strips.
+    """Size in bytes by name of the buffers on the device while a plan's frame is rendered in strips.
 
     Buffers "truth ..." exist only while ground truth is computed.
     """

@@ -73,7 +73,7 @@ def squared_errors(
     exact : int
         Sub-pixel sources along an axis.
     counts : sequence of int
-        Smaller numbers, 1 for one source per pixel.
+        Smaller numbers of sources along an axis, 1 for one source per pixel.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> 
 
 
 Kind = tuple[Array, int]
-"""Footprint (right or down, 2) and number of RADII of pixels that are alike."""
+"""Kind of pixels: their footprint (right or down, 2) and the index of their disc's radius in RADII."""
 Spectrum = tuple[Array, Array, Array]
 """Power of a texture, white^2, and its cycles per texel along columns and rows, all of one shape."""
 
