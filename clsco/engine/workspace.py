@@ -334,7 +334,7 @@ class SceneWorkspace(Workspace):
         return self.planes[step.color or 0].run_pass(job, step, *inputs)
 
     def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[LayerBounds, ...] | None:
-        """As `BlurWorkspace.find_layers`, for all colors, or for red, green and blue; None without layers."""
+        """Bounds by `BlurWorkspace.find_layers`, for all colors or for each of three; None without layers."""
         strips, bounds = tuple(jobs), list[LayerBounds]()
         for plane in self.planes:
             bounds += plane.find_layers([step for step in passes if step.color == plane.plan.only], strips)

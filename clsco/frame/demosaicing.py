@@ -27,8 +27,8 @@ KERNELS: dict[str, tuple[Array, Array, Array]] = {
         np.array([[0, 0, -3, 0, 0], [0, 4, 0, 4, 0], [-3, 0, 12, 0, -3], [0, 4, 0, 4, 0], [0, 0, -3, 0, 0]]) / 16,
     ),
 }
-"""Weights of neighbors for green where red or blue is measured, for a color whose pixels are in the same row as a green
-one, and for red where blue is measured and the other way round."""
+"""Weights of neighbors, by method: for green at red or blue pixels; at green pixels, for the color of the other pixels in
+their row; for red at blue pixels and blue at red ones."""
 
 
 def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -> Array:

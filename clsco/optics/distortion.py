@@ -125,7 +125,7 @@ class Distortion:
         return at_x, at_y
 
     def _step(self, x: Array, y: Array, target_x: Array, target_y: Array) -> tuple[Array, Array]:
-        """Step of Newton's method from (x, y) towards the distorted slopes `there`."""
+        """Step of Newton's method from (x, y) towards the target's distorted slopes."""
         across, up = self._polynomial(x, y)
         return self.solved(x, y, target_x - across, target_y - up)
 
@@ -198,7 +198,7 @@ class DistortedCamera(Camera):
     """A camera whose lens distorts the image."""
 
     distortion: Distortion
-    """Acts on the slopes of its rays."""
+    """Distortion of the slopes of the camera's rays."""
 
 
 def with_distortion(camera: Camera, lens: Lens | None) -> Camera:

@@ -44,9 +44,9 @@ class Lines:
     times : ndarray of float64, (lines,)
         Seconds since the reference pose.
     cameras : tuple of Camera
-        Camera at each of them.
+        Camera at each time.
     poses : tuple of tuple of Pose
-        Poses of all objects at each of them.
+        Poses of all objects at each time.
     """
 
     by_columns: bool
@@ -83,7 +83,7 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
 def _first_crossing(
     at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
 ) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """As `LinePoints._positions`, for points that several lines may show: the first line that they reach.
+    """Positions as by `LinePoints._positions`, on the first line that shows each point, if several lines may.
 
     at: returns the positions of the points at a line's time, and a mask of points in front of the lens.
     """

@@ -50,8 +50,8 @@ def render_frames(
 ) -> CommandJob:
     """Write a scene into a folder below the root, and render it there by `clsco render` with these options.
 
-    table: of another scene than the session's. Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there are
-    invalid values in boxes.
+    table: scene to render; by default the session's. Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there
+    are invalid values in boxes.
     """
     if session.refused:
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")

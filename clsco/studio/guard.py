@@ -31,7 +31,7 @@ HEADER_SECONDS = 10.0  # from the connection, or the end of the request before, 
 MOST_WAITING = 64  # connections whose header has not come
 TICK = 0.5  # s between looks at them
 PROOF, MAX_NUMBER = "/prove", 64
-"""Path at which the server proves who it is, and characters of the number that it proves it for."""
+"""Path at which the server proves its identity to a page, and most characters of the number that it signs."""
 
 # The one script in a page is that which goes from the first address to the next; others are files of ours.
 _POLICY = (

@@ -61,8 +61,8 @@ class Inpainting:
     Parameters
     ----------
     root : Path
-        Folder with all files that may be read and written.
-    Folder of all files that may be read and written.
+        Folder of all files that may be read and written.
+    device : str, optional
         As for `clsco.inpaint`.
 
     Attributes

@@ -151,7 +151,7 @@ def point_spread(
     slopes : tuple of float
         X / Z and Y / Z of the source, for rims and for aberrations that vary over the frame.
     inverse : float
-        Its 1 / Z, 1/mm.
+        1 / Z of the source, 1/mm.
 
     Returns
     -------

@@ -73,7 +73,7 @@ class CommandJob:
 class Jobs:
     """The commands of a studio, which end with it.
 
-    root: working folder of all; listed: latest first.
+    root: working folder of all commands; listed: jobs, latest first.
     """
 
     def __init__(self, root: Path) -> None:

@@ -19,7 +19,7 @@ from clsco.studio.tables import SHAPE_LABELS, Table, at, with_value, without, wo
 LATEST = 1e9  # s, of a keyframe
 LENS = "lens.keyframe"
 _OF_LENS = {"focal_length": "focal_length", "focus_distance": "focused_distance", "f_number": "opening"}
-"""Quantities of a keyframe of the lens, and what the camera calls them."""
+"""Attribute of the camera for each key of a lens keyframe."""
 _FIRST_OF_LENS = ("focus_distance", "f_number")
 _TURN = 90.0  # deg from key to key at most, where velocities that turn about several axes become keys
 

@@ -89,7 +89,7 @@ def _pixels(work: float, eighths: int) -> float:
 class Ladders:
     """Previews of similar scenes: a `Ladder` for each of WAYS.
 
-    of: by omitted features.
+    of: ladders by omitted features.
     """
 
     def __init__(self) -> None:
@@ -160,7 +160,7 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
 def unblurred(scene: Scene) -> Scene:
     """The scene with the same depth, normals and objects, without blur: one time sample and almost no aperture.
 
-    Validated: the same bits as with it (tests/studio/test_renderer.py).
+    Validated: the same bits as with blur (tests/studio/test_renderer.py).
     """
     psf = scene.psf.model_copy(update={"silhouette_samples": 1, "occlusion": "none"})
     camera = scene.camera.model_copy(update={"aperture_diameter": 1e-9 * scene.camera.aperture_diameter})

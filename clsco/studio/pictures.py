@@ -35,14 +35,14 @@ VIEWS = {
     "raw": "raw",
     "noise": "noise_sigma",
 }
-"""Attributes of a frame, by what the studio calls them, in the order of the tabs."""
+"""Attribute of `Frame` for each view by name, in the order of the tabs."""
 
 UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
-"""Names of the header's numbers: sizes of the picture, and of the frame. static/protocol.js is made of all these."""
+"""Names of the numbers in a picture's header; width and height are the picture's, columns and rows the frame's."""
 
 NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats

@@ -172,4 +172,4 @@ REMOVALS = {
     "rope": Removal("Rope, as in figure 5.19", _rope),
     "scratches": Removal("Scratched photograph", _scratches),
 }
-"""By name."""
+"""Images to inpaint, by name."""

@@ -252,7 +252,7 @@ def _work(pipe: Connection, device: str | None) -> None:
 
 
 def _needed(job: PictureJob) -> Scene:
-    """The scene of a job, without blur, the slowest feature, if its view does not show it."""
+    """The scene of a job; without blur, the slowest feature, if the job's view does not show blur."""
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 

@@ -430,7 +430,7 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     ----------
     studio : Studio
     host : str
-        Address to listen on; "" for `own_address`, or with a port 127.0.0.1.
+        Address to listen on; "" for `own_address`, or for 127.0.0.1 if a port is given.
     port : int
         0 for any free port.
     draw : function

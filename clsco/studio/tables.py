@@ -94,7 +94,7 @@ OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "fa
 
 
 def pose_label(path: str) -> str:
-    """Label of a key of a static rotation, "" for other keys: "Rotation" by itself is a motion's."""
+    """Label of a key of a static rotation, "" for other keys: the label "Rotation" is that of a motion."""
     _, _, key = path.rpartition("rotation")
     labels = {
         "": "Pose",
@@ -113,7 +113,7 @@ def keyframe_label(path: str) -> str:
 
 
 def words(key: Any) -> str:
-    """A key with spaces, as text."""
+    """A key as words, with spaces for underscores."""
     if key in WORDS:
         return WORDS[key]
     text = str(key).replace("_", " ")
