@@ -217,6 +217,6 @@ def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
 
 
 def _some(values: tuple[Any, ...]) -> list[Any]:
-    """At most MAX_EXTREMES of the values, including the first and the last."""
+    """Selection of at most MAX_EXTREMES values, including the first and the last."""
     count = min(len(values), MAX_EXTREMES)
     return [values[(len(values) - 1) * k // max(1, count - 1)] for k in range(count)]

@@ -43,8 +43,8 @@ class Record(Mapping[str, NDArray[Any]]):
     key : str
         Number of the sample in nine digits.
     arrays : mapping of str to ndarray
-        By name in files, such as "color" or "coc". Of several frames "f0003.depth", of a stereo pair "left.color", of
-        several variants "v01.color", of all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
+        By name in files, such as "color" or "coc". With several frames "f0003.depth", with a stereo pair "left.color",
+        with variants "v01.color", with all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
         floats.
     meta : mapping
         Content of the sample's JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with

@@ -31,7 +31,7 @@ def remove_path(path: Path) -> None:
 
 
 def checked_key(key: str) -> str:
-    """A key inside its storage; raises FileError for others, which an untrusted file may contain."""
+    """The key, if it is inside its storage; raises FileError for other keys, as in untrusted files."""
     parts = key.split("/")
     if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
         raise FileError(f"{key!a}: a file of a data set must lie in its folder; got another place")

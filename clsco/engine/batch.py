@@ -36,7 +36,7 @@ TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the devic
 
 @dataclass(frozen=True)
 class Job:
-    """One scene to render: entries of its frames' JSON files, its folder, and the frames still to render.
+    """One scene to render: its entries for JSON files (`record`), its folder, and the frames still to render.
 
     files: files to write besides PNG and JSON.
     """

@@ -224,7 +224,7 @@ def render_prepared(
     """`render_sweep` for prepared scenes in a session, all with one request.
 
     keeps_rays: keep ray hits in the session, for later renderings of the same objects. Plans made for a processor
-    before a device was opened are made again if the device is not one.
+    before a device was opened are made again if the device is no processor.
     """
     if any(entry.plan.device.kind != session.device.kind for entry in prepared):
         sweep = Sweep(("",) * len(prepared), tuple(entry.scene for entry in prepared))

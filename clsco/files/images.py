@@ -196,10 +196,10 @@ def write_exr(
 ) -> None:  # fmt: skip
     """Write named channels (rows, columns) in an OpenEXR file with lossless compression.
 
-    float16 is stored as such, uint16 becomes uint32, all other types float32. names: of the views, "left" and "right"
-    for stereo pairs, () for a single view; views: channels of each view; several views are parts with the attribute
-    `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as {"aperture": 2.8}.
-    Raises MissingDependencyError, FileError.
+    float16 is stored as such, uint16 becomes uint32, all other types float32. names: names of the views, "left" and
+    "right" for stereo pairs, () for a single view; views: channels of each view; several views are parts with the
+    attribute `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as
+    {"aperture": 2.8}. Raises MissingDependencyError, FileError.
     """
     exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}

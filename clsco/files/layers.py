@@ -13,7 +13,7 @@ SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """For each part (its name, its channels): full names of channels by their names within the part.
+    """Full names of channels by their names within the part, for each part, given as (name, channels).
 
     In a file with one part both names are the same.
     """

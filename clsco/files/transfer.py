@@ -148,7 +148,7 @@ def _bin_of(radiance: NDArray[np.floating], top: int) -> NDArray[np.intp]:
 
 @functools.cache
 def _bins(bits: int, transfer: str, dtype: str) -> tuple[NDArray[np.unsignedinteger], NDArray[np.floating]]:
-    """For each bin its smallest code; for each code the radiance at which the next one starts, rounded up."""
+    """Smallest code of each bin, and for each code the radiance at which the next code starts, rounded up."""
     top = 2**bits - 1
     exact = _radiance_of((np.arange(top) + 0.5) / top, transfer)
     start = exact.astype(dtype)

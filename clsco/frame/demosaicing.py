@@ -27,7 +27,7 @@ KERNELS: dict[str, tuple[Array, Array, Array]] = {
         np.array([[0, 0, -3, 0, 0], [0, 4, 0, 4, 0], [-3, 0, 12, 0, -3], [0, 4, 0, 4, 0], [0, 0, -3, 0, 0]]) / 16,
     ),
 }
-"""Weights of neighbors, by method: for green at red or blue pixels; at green pixels, for the color of the other pixels in
+"""Weights of neighbors, by method: for green at red or blue pixels; at green pixels, for the color of other pixels in
 their row; for red at blue pixels and blue at red ones."""
 
 

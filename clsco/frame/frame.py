@@ -44,7 +44,7 @@ class Frame:
         Signed blur radius R, positive behind the focus; `coc` in files. One for each of red, green and blue if the
         lens has longitudinal color.
     mask : bool (rows, columns)
-        A surface is there.
+        True if a surface is visible.
     filled : uint8 (rows, columns)
         0 known, 1 filled, 2 could not be filled.
     missing : bool (rows, columns)

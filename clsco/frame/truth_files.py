@@ -110,8 +110,8 @@ def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Stored types of arrays, by name.
 
-    text: such as "color=float32,depth=float16"; "all=float16" applies to every array that is not named and can have it.
-    known: types that each array can have. Raises SceneError with a message for each fault.
+    text: such as "color=float32,depth=float16"; "all=float16" applies to every array that is not named and can have
+    this type. known: types that each array can have. Raises SceneError with a message for each fault.
     """
     types: dict[str, str] = {}
     faults = []
@@ -136,9 +136,9 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
 def choose_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
     """Files of ground truth from options; empty without truth and formats.
 
-    truth: such as "depth,coc"; "all", or "" with formats, means every array that they can hold. formats: with options,
-    such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as for `parse_types`. Raises SceneError
-    for unknown words, an array that no format can hold, and a format that can hold none of the arrays.
+    truth: such as "depth,coc"; "all", or "" with formats, means every array that the formats can hold. formats: names
+    and options, such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as for `parse_types`. Raises
+    SceneError for unknown words, an array that no format can hold, and a format that can hold none of the arrays.
     """
     if not (truth or formats):
         if types:

@@ -67,7 +67,7 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     Parameters
     ----------
     scene : Scene
-        With its resolution, if rows or columns are exposed one after another.
+        Scene with a resolution, if rows or columns are exposed one after another.
     frame : int
     samples : int
         Number N of time samples while a line of the frame is exposed. "midpoint": t = (i + 1/2) T / N after the shutter
@@ -110,7 +110,7 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     """Exposure of a frame whose lines are exposed one after another.
 
     Lines that are open at the same time share their time samples, which divide the frame's whole exposure into equal
-    intervals of at most shutter / samples; if none are, each line has its own samples.
+    intervals of at most shutter / samples; if no lines overlap in time, each has its own samples.
     """
     sequence, opens = scene.sequence, line_openings(scene)
     (begins, _), curve, shutter = shutter_span(sequence, frame), sequence.shutter_curve, sequence.shutter

@@ -83,7 +83,7 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
 def _first_crossing(
     at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
 ) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """Positions as by `LinePoints._positions`, on the first line that shows each point, if several lines may.
+    """Positions as by `LinePoints._positions`, for points that several lines may show: on the first such line.
 
     at: returns the positions of the points at a line's time, and a mask of points in front of the lens.
     """

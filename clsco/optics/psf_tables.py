@@ -244,7 +244,7 @@ def _counts(psf: PointSpread, span: range, subpixel: int) -> tuple[int, int]:
 
 
 def _intervals(psf: PointSpread, widths: NDArray[np.int32], span: range, subpixel: int) -> NDArray[np.int32]:
-    """`PsfTable.intervals`. An interval without weights is the last that has some, of the other sign if none has."""
+    """Value of `PsfTable.intervals`. An interval without weights gets the last with some, else of the other sign."""
     counts = _counts(psf, span, subpixel) if psf.signed else (len(widths),)
     numbers = np.concatenate([np.arange(count) for count in counts])  # of what is stored
     sizes = _interval_size(psf, widths.astype(np.int64), subpixel)[numbers]

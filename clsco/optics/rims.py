@@ -51,7 +51,7 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
     Parameters
     ----------
     scene : Scene
-        With a resolution.
+        Scene with a resolution.
     time : float
         s.
     psf : PointSpread

@@ -56,7 +56,7 @@ class Stencil:
 
     @property
     def pairs(self) -> NDArray[np.int32]:
-        """Evaluation of the union from a summed-area table: int32 (count, 4), (dy, dx) of the +1 and of the -1."""
+        """Terms of the union in a summed-area table: int32 (count, 4), (dy, dx) to add and (dy, dx) to subtract."""
         pairs, inner = list[tuple[int, int, int, int]](), -1
         for a, b in self.rectangles:
             pairs += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]

@@ -236,9 +236,9 @@ class _Part:
     """Statistics of an object in the frame.
 
     travel: path of its image and of its blur's edge while the shutter is open, px along x and y; radius, widest:
-    smallest and largest |R|, px, the latter 0 if no object is nearer; light: mean squared radiance, times its share of
-    the frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length times
-    squared contrast per px^2, of outlines across x and y.
+    smallest and largest |R|, px, but widest is 0 if no object is nearer; light: mean squared radiance, times its share
+    of the frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length
+    times squared contrast per px^2, of outlines across x and y.
     """
 
     travel: tuple[float, float]

@@ -65,7 +65,7 @@ class Plan:
     Attributes
     ----------
     scene : Scene
-        With its resolution.
+        Scene with a resolution.
     psf : PointSpread
         Point spread function (PSF) of the scene's lens.
     device : DeviceFacts
@@ -350,7 +350,7 @@ def make_plan(
     Parameters
     ----------
     scene : Scene
-        With a resolution (`clsco.inputs.textures.load_scene_textures`).
+        Scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
     channels : int
         Channels of its textures.
     request : Request, optional

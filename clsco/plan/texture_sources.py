@@ -64,7 +64,7 @@ def squared_errors(
     Parameters
     ----------
     scene : Scene
-        With its resolution.
+        Scene with a resolution.
     psf : PointSpread
     textures : sequence of Texture
         Textures of all objects.

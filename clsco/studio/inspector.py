@@ -33,7 +33,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     Parameters
     ----------
     frame : Frame
-        With its ground truth.
+        Frame with all ground truth.
     scene : Scene
     x, y : int
         Column and row.

@@ -33,7 +33,7 @@ class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
     The time has a constant part, and one proportional to pixels times time samples: a line through the latest
-    measurements. If all of these had one size, changes are attributed to the pixels.
+    measurements. If all measurements had one size, changes are attributed to the pixels.
 
     fixed: constant time of a picture, s; ns: time per pixel and time sample.
     """
