@@ -177,7 +177,7 @@ def _first(key: str, value: Any) -> Any:
 
 
 MAX_CORNERS = 400
-MAX_EXTREMES = 48  # of one distribution
+MAX_EXTREMES = 48  # extreme values of one distribution that are tested
 
 
 def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:

@@ -27,7 +27,7 @@ from clsco.scene.text import shown
 if TYPE_CHECKING:
     from clsco.data.shards import SetJob
 
-WORKER_SHARE = 0.5  # of the machine's memory, for all processes together
+WORKER_SHARE = 0.5  # fraction of the machine's memory for all processes together
 TRUTH = ("sharp", "depth", "coc")
 MOST_SAMPLES = 10**12
 

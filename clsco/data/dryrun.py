@@ -25,7 +25,7 @@ from clsco.scene.model import Scene
 
 MOST_DRAWN = 128  # samples that are drawn, and at which rays are cast
 MOST_RENDERED, RENDER_S = 16, 30.0  # samples that are rendered, and s after which no further one is
-VALUES = 8  # of a choice that are listed
+VALUES = 8  # values of a choice that are listed
 _MEMBER = re.compile(r"^(object\.[^.]+\.)\d+\.")  # name of a parameter of an object of a population
 
 

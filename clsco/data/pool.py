@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from clsco.opencl.device import Device
 
 _LOG = logging.getLogger("clsco")
-RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
-END_S = 20.0  # until a process that was asked to end is killed
+RECYCLED_SHARDS = 32  # shards after which a process is replaced, because drivers leak memory
+END_S = 20.0  # s after which a process that was asked to end is killed
 THREADS = "POCL_MAX_PTHREAD_COUNT"
 """Variable that the wheel of PoCL 3.0 reads; later ones read the other name."""
 _THREAD_VARIABLES = (THREADS, "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -207,7 +207,7 @@ def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
         environ.setdefault(name, str(count))
 
 
-REPORT_S = 0.2  # between reports of how far a shard has come
+REPORT_S = 0.2  # s between reports on the progress of a shard
 
 DeviceName = str | int | None
 """Part of a name as for `clsco.render`, or the number of a device among all, where several have one name."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from clsco.data.distribution import Sample
 
 CODES = {"uint8": 8, "uint16": 16}
-PICTURES = ("color", "sharp")  # what codes can hold
+PICTURES = ("color", "sharp")  # arrays that can be stored as codes
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
 _OF_FRAMES = (
     "frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities",

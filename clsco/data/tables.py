@@ -21,7 +21,7 @@ from clsco.scene.text import shown
 OWN = ("base", "vary", "accept", "derive", "check")
 MAX_BASES = 8
 EVERY = 1000  # samples of which one is compared with rays
-MAX_DEPTH = 12  # tables and lists in each other
+MAX_DEPTH = 12  # nested tables and lists
 
 
 @dataclass(frozen=True)

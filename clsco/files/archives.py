@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import zipfile  # 3 ms
 
 HEADER = 2**14  # bytes of the header of an NPY at most; numpy takes 10000
-MOST_DIRECTORY = 2**22  # bytes of what an archive says of its members: 40,000 or more of them
-_END = b"PK\x05\x06"  # of an archive: 22 bytes and a comment of up to 65535
+MOST_DIRECTORY = 2**22  # bytes of an archive's directory, enough for 40,000 members
+_END = b"PK\x05\x06"  # start of an archive's end record: 22 bytes and a comment of up to 65535
 
 
 class NpyHeader(NamedTuple):

@@ -32,7 +32,7 @@ from clsco.files.transfer import CODES, Curve, decode
 
 LARGEST_PROFILE = 2**22  # bytes
 MOST_TAGS = 256
-LARGEST_FALL = 1e-3  # of radiance, by rounding where two parts of a curve meet
+LARGEST_FALL = 1e-3  # largest decrease in radiance, by rounding where two parts of a curve meet
 SRGB_LIKE = 2e-4  # largest difference in radiance from sRGB; half a code of 8 bits next to black is 1.5e-4
 _CHANNELS = {b"GRAY": 1, b"RGB ": 3}
 # Of a curve (a x + b)^g + e from d on, and c x + f below it.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-MAIN_LAYERS = ("beauty", "color", "combined", "rgb", "rgba")  # as renderers call the image itself
+MAIN_LAYERS = ("beauty", "color", "combined", "rgb", "rgba")  # names that renderers give to the image itself
 SHOWN = 20
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 TRANSFERS = ("srgb", "linear")
-AT_A_TIME = 2**20  # values, which bounds the memory of intermediate results
+AT_A_TIME = 2**20  # values processed at once, to bound the memory of intermediate results
 CODES = np.arange(2**16, dtype=np.uint16)
 
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _CORNERS = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]) / 4
 _CROSS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]) / 4
 _ROW = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]]) / 2
-_GREEN, _APRON = 1, 8  # an even number of pixels around a mosaic
+_GREEN, _APRON = 1, 8  # channel; px around a mosaic, an even number
 
 KERNELS: dict[str, tuple[Array, Array, Array]] = {
     "bilinear": (_CROSS, _ROW, _CORNERS),

@@ -12,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.frame.demosaicing import demosaic, menon_function
 from clsco.optics.sensor import SensorModel, noise_variance
 
-LEAST_SIDE = 2  # px, of frames that can be demosaiced
+LEAST_SIDE = 2  # px, smallest side of a frame that can be demosaiced
 
 
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:

@@ -43,8 +43,8 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 
     path: path of a `Track`; time: s. Raises SceneError: there is no such track; the time is invalid, or has a keyframe.
 
-    A motion with velocities is converted to keyframes at t = 0, at `time` and at the end of the sequence, with the
-    poses that it has then; there are more keyframes if it rotates about several axes.
+    A motion with velocities is converted to keyframes at t = 0, at `time` and at the end of the sequence, each with the
+    pose at its time; there are more of them if the motion rotates about several axes.
     """
     _known(session, path)
     if not abs(time) <= LATEST:
