@@ -14,7 +14,7 @@ import click
 if TYPE_CHECKING:
     from clsco.opencl.session import Progress
 
-FORM = "clsco.progress"  # in what a command knows of its options
+FORM = "clsco.progress"  # key of the form of progress in a command's context
 LINES_S = 0.2  # between lines of JSON
 
 

@@ -28,7 +28,7 @@ from clsco.scene.text import shown
 Array = NDArray[np.float64]
 RAYS = 64  # per axis
 DIGITS = 6  # of a derived value: rounding of the last bits, which machines may differ in, does not show
-MOMENT = 1e-6  # s, first interval of the search for one
+MOMENT = 1e-6  # s, first value of the search for an interval
 STEPS, LONGEST = 60, 1e6  # steps of that search, and its longest interval in s
 MEASURES = ("max_blur_px", "max_flow_px", "visible_fraction", "valid_fraction")
 DERIVED = {

@@ -44,8 +44,8 @@ def name_hash(name: str) -> tuple[int, int]:
 def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
     """Words (count,) of a parameter of a sample, or of one element of a population.
 
-    They are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element + 2^32
-    attempt, hash of the name).
+    The words are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element +
+    2^32 attempt, hash of the name).
     """
     first, second = name_hash(name)
     counter = (element + (attempt << 32)) << 64 | first << 128 | second << 192

@@ -105,8 +105,8 @@ def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapp
 
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
-    """Note that an untagged file is taken to be upright, if of an image and its mask or depth map only one has an
-    orientation tag, and equal sizes do not prove it; else "". Parameters and errors as for `check_same_size`.
+    """Note that the untagged one of an image and its mask or depth map is taken to be upright, if only the other has an
+    orientation tag, and their sizes do not prove it; else "". Parameters and errors as for `check_same_size`.
     """
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)

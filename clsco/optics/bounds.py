@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 TOUCHING = 1e-7  # of the largest bound: nearer is a touch, as of bounds that were rounded to float32
-FAR = 1e3  # of the largest bound: where there is none
-NULL = 1e-13  # of the largest coefficient: none
+FAR = 1e3  # multiple of the largest bound, in place of an infinite one
+NULL = 1e-13  # fraction of the largest coefficient that counts as 0
 Interval = tuple[float, float]
 Bounds = tuple[Interval, Interval, Interval]
 Matrix = NDArray[np.float64]

@@ -20,7 +20,7 @@ LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls 
 MOST_STEPS = 30  # of Newton's method
 CLOSE = 1e-14  # slope: by which the last step may change a place
 NEARLY = 1e-7  # slope: a step after one of this size changes a place by its square
-NODES = 64  # places that the start is fitted at
+NODES = 64  # positions at which the start is fitted
 
 
 @dataclass(frozen=True)

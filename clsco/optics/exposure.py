@@ -22,7 +22,7 @@ from clsco.scene.sequence import CURVES, ShutterCurve
 
 Array = NDArray[np.float64]
 PREDICTED_TIMES = 33  # of the whole sequence at most
-AT_AN_END = 1e-9  # of an exposure: a jump that is as near to its end is there
+AT_AN_END = 1e-9  # fraction of an exposure: a jump as near to its end counts as at the end
 
 
 @dataclass(frozen=True, eq=False)

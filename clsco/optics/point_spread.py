@@ -227,7 +227,7 @@ class PointSpread:
         `Wavefront.grown` in a field.
 
         The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Pillbox (2.26) through its
-        pupil, and Gaussian (2.27). A radius of 0 is the limit: all light stays. Validated: sum 1 to 1e-12, quadrature,
+        pupil, and Gaussian (2.27). At radius 0 all light stays in its pixel. Validated: sum 1 to 1e-12, quadrature,
         continuity.
         """
         tent = self.edge == "integrated"

@@ -79,7 +79,7 @@ EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
 
 @dataclass(frozen=True)
 class PlacedSurface:
-    """A surface at one time in the camera's frame: the point at depth Z on ray d has X = offset + Z turn d.
+    """A surface at one time in the camera's frame; the point at depth Z on ray d has canonical X = offset + Z turn d.
 
     Attributes
     ----------

@@ -32,9 +32,9 @@ from clsco.studio.tables import Table, sparse, with_value
 
 MOST_LOOKED_AT = 64  # frames of a stack
 LARGEST_SHARD = 256  # samples, as of `clsco dataset make`
-STEPS = 16  # at which the progress of a data set is seen, at least
+STEPS = 16  # least number of steps in which the progress of a data set is shown
 _LARGEST = 2**20  # bytes of a file that may be a distribution
-_SETS = "sets"  # folder of the distributions that are shipped, and of their copies
+_SETS = "sets"  # folder of shipped distributions, and of their copies
 
 
 def free_folder(session: Document, kind: str = "frames") -> str:

@@ -24,7 +24,7 @@ from clsco.scene.model import Scene
 from clsco.studio.lens import lens_figures
 from clsco.studio.pictures import eye_of
 
-PLOTTED = 32  # px from the center of the plot to its border
+PLOTTED = 32  # px from the center of a plot to its border
 
 
 def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = False) -> dict[str, Any]:
