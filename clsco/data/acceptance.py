@@ -81,8 +81,8 @@ class _Frame:
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
-    """Cast rays at the variants of a sample: scenes of analytic objects with a resolution; for stereo pairs the left
-    views.
+    """Cast rays at the variants of a sample, analytic scenes with a resolution; a stereo pair is seen from the left
+    view.
 
     One cast serves all lenses. Validated against the ground truth of the reference.
     """
@@ -114,8 +114,8 @@ def _cast_rays(scene: Scene, number: int) -> _Frame:
 
 
 def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
-    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 where no surface is seen or it moves behind the
-    lens.
+    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 where no surface is seen, or the surface moves
+    behind the lens.
     """
     time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)

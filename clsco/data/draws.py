@@ -191,7 +191,7 @@ def _parsed_split(part: str) -> tuple[str, float]:
 
 
 def positions(splits: Splits, place: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Positions of the splits that contain the numbers `place` of [0, 1); 0 without splits."""
+    """Position of the split whose part of [0, 1) contains each number in `place`; 0 without splits."""
     ends = [math.fsum(share for _, share in splits[: k + 1]) for k in range(len(splits) - 1)]
     return np.searchsorted(ends, place, side="right")
 

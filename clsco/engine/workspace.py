@@ -157,7 +157,7 @@ class BlurWorkspace(Workspace):
             self._composite = DepthLayers(self._blurred, kernels, tallest, behind_rims)
 
     def find_layers(self, passes: Iterable[Pass], jobs: Iterable[Any]) -> tuple[LayerBounds, ...]:
-        """Bounds of depth layers over several strips, which one strip cannot find; empty without layers."""
+        """Bounds of depth layers, from the discontinuities in all strips together; empty without layers."""
         if not self.spec.layered:
             return ()
         before = tuple(takewhile(lambda step: step.kind != "cluster", passes))

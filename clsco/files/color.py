@@ -79,7 +79,7 @@ class Color:
 
     @property
     def size(self) -> int:
-        """Bytes in memory."""
+        """Size in memory, bytes."""
         return len(self.icc) + (0 if self.curve is None else self.curve.radiance.nbytes)
 
     def transfer(self, curve_of_scene: str) -> str | Curve:

@@ -89,7 +89,7 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Out
 
     function: "module:name" of a function that takes an open file and JSON-compatible `options`, and returns a
     JSON-compatible mapping and arrays. The process opens the same file again, at its first byte. most: bytes of all
-    arrays; the process may use four times as many and 256 MiB of memory, and 20 s of CPU time plus 1 s per 32 MiB.
+    arrays; the process may use 256 MiB plus four times this memory, and 20 s of CPU time plus 1 s per 32 MiB.
 
     Raises ValueError if the function fails, crashes the process, or exceeds a limit; the message says which.
     """

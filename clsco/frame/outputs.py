@@ -1,4 +1,4 @@
-"""Outputs of a frame: a table with a row for each.
+"""Outputs of a frame: a table with one row per output.
 
 To add one, add a row here, an attribute of `clsco.frame.frame.Frame`, and its computation in kernels/trace/truth.cl
 (`by_rays`) or clsco/passes/truth.py.

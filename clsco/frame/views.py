@@ -56,7 +56,7 @@ def _depth_extent(depth: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _paint_depth(depth: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Near depths dark, far ones bright; black without a surface."""
+    """Colors of depth: near is dark, far is bright; black without a surface."""
     seen = np.isfinite(depth)
     painted = viridis(np.where(seen, depth, 0.0), -scale[0], scale[1])
     return np.where(seen[..., None], painted, np.uint8(0))
@@ -74,7 +74,7 @@ def _radius_extent(radius: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _paint_radius(radius: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Radii before the focus dark, behind it bright; black without a surface."""
+    """Colors of blur radii: dark in front of the focus, bright behind it; black without a surface."""
     seen = np.isfinite(radius)
     painted = viridis(np.where(seen, radius, 0.0), -scale[0], scale[0])
     return np.where(seen[..., None], painted, np.uint8(0))

@@ -150,7 +150,7 @@ def _all_jumps(scene: Scene) -> Array:
 
 
 def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, Any]:
-    """Times between which a jump is strictly inside the exposure of one frame, or of each of several."""
+    """Times between which a jump counts as inside the exposure of a frame; arrays for several frames."""
     begin = frame * sequence.interval + sequence.shutter_start
     slack = AT_AN_END * (sequence.shutter + sequence.readout)
     return begin + slack, begin + sequence.shutter + sequence.readout - slack

@@ -51,10 +51,10 @@ def table_steps(psf: PointSpread, subpixel: bool) -> int:
 
 
 def octaves_from(psf: PointSpread) -> float:
-    """Inverse offset of the radii of a table, 1 / px; a float32.
+    """Inverse of the offset that is added to radii before taking their logarithm, 1 / px; a float32.
 
-    For a Gaussian, OFFSET or less of its extent: for sub-pixel sources pixel edges are at multiples of 1 / alignment
-    px, and an interval must begin where the cut reaches one.
+    For a Gaussian, the offset is at most OFFSET over its extent: with sub-pixel sources, pixel edges are at multiples
+    of 1 / alignment px, and an interval must begin where the cut-off reaches one.
     """
     if not psf.alignment:
         return 1.0 / OFFSET

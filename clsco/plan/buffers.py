@@ -108,12 +108,12 @@ def _in_parts(reach: int) -> bool:
 
 
 def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
-    """Bytes of the ends of runs of a band, see kernels/blur/cpu/spans.clh."""
+    """Size in bytes of the ends of runs of a band, see kernels/blur/cpu/spans.clh."""
     return 8 * BAND * (columns + 1) * (1 + spec.tilt) * (4 if channels == 3 else channels)
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
-    """Bytes of the planes of sources.clh; marked: True if there are sub-pixel sources or occluders."""
+    """Size in bytes of the planes in sources.clh; marked: True if there are sub-pixel sources or occluders."""
     return 4 * (1 + 2 * tilt + marked) * sources
 
 

@@ -48,7 +48,7 @@ def guard_band(psf: PointSpread, border: str, largest: float) -> int:
 
 
 def check_keyframes(scene: Scene) -> None:
-    """Raise SceneError if keyframes do not cover all exposures that they must cover."""
+    """Raise SceneError if keyframes with outside = "error" do not cover all exposures."""
     keyed: list[tuple[str, ObjectMotion | Lens]] = [("camera.motion", scene.camera.motion)]
     keyed += [(f"group[{k}].motion", group.motion) for k, group in enumerate(scene.groups)]
     keyed += [(f"object[{k}].motion", item.motion) for k, item in enumerate(scene.objects)]

@@ -185,7 +185,7 @@ def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[
 
 
 def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Array, Array]:
-    """Power of a texture in the frame by cycles per px along x and y, without the constant, after averaging over
+    """Power of a texture in the frame by cycles per px along x and y, without the constant term, after averaging over
     pixels.
 
     across: footprints (right or down, 2, n).

@@ -99,7 +99,7 @@ def block_size(layout: Layout) -> int:
 
 
 def record_bytes(layout: Layout) -> int:
-    """Bytes of the arrays of a record."""
+    """Size in bytes of all arrays of a record."""
     return sum(prod(shape) * dtype.itemsize for dtype, shape in layout.values())
 
 
