@@ -29,7 +29,7 @@ _LOG = logging.getLogger("clsco")
 RECYCLED_SHARDS = 32  # shards after which a process is replaced, because drivers leak memory
 END_S = 20.0  # s after which a process that was asked to end is killed
 THREADS = "POCL_MAX_PTHREAD_COUNT"
-"""Variable that the wheel of PoCL 3.0 reads; later ones read the other name."""
+"""Environment variable that the wheel of PoCL 3.0 reads; later versions read another name."""
 _THREAD_VARIABLES = (THREADS, "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

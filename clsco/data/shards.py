@@ -80,7 +80,7 @@ def device_family(device: Device) -> str:
 
 
 class SampleRenderer:
-    """Renders samples one after the other on one device; data that they share stay in memory.
+    """Renders samples one after the other on one device; data that samples share stay in memory.
 
     arrays: names as in files; without "color" no image is rendered. precision: of the geometry.
     """

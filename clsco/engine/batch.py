@@ -1,4 +1,4 @@
-"""Scenes to folders of files: selects the frames, skips existing ones, and renders the others."""
+"""Renders scenes to folders of files: selects the frames, and skips existing ones."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Job:
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
-    """Folder of each scene's frames: `out`, or for several scenes a folder per scene in it.
+    """Folder of each scene's frames: `out`, or if there are several scenes, one folder in `out` for each.
 
     Raises SceneError if two scenes would share a folder, or a folder is outside of `out`.
     """

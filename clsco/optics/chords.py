@@ -21,7 +21,7 @@ DISC = np.array([1.0, 0.0, 1.0])
 FLAT = 1.5
 """Least distance in px from both ends of an opening at which columns can be flat, with FLAT_CHORDS chords."""
 UPRIGHT, FAR = 1e-6, 1e6
-"""Edges whose normal has a smaller |y| are ends of an opening; a distance in px beyond all openings."""
+"""UPRIGHT: edges whose normal has a smaller |y| are ends of an opening. FAR: a distance beyond all openings, px."""
 FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
 """Numbers of chords: between two columns if flat, and otherwise; and for the area of half an opening."""
 
