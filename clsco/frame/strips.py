@@ -44,7 +44,7 @@ def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -
 def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
     """The strip from row `top` to before row `end`; the other arguments as for `cut_strips`.
 
-    Its pixels equal those of the whole frame, bit by bit, if `top` and `end` are multiples of BAND or `end` is `rows`.
+    Its pixels equal those of the whole frame, bit by bit, if `top` is a multiple of BAND, and `end` is one or `rows`.
     """
     above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
     return Strip(top, end - top, above + (top + guard - above) % step, below)

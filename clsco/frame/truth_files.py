@@ -100,8 +100,8 @@ class TruthFormat:
 
 
 def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of arrays in files, in the order of files; "blur_radius" becomes "coc", and "all" all ground truth of a
-    scene. Raises SceneError for other names.
+    """Names of arrays in files, in their fixed order; "blur_radius" becomes "coc", and "all" all names of ground truth.
+    Raises SceneError for other names.
     """
     attributes = attributes_of(ALL_TRUTH if truth == ALL else truth, [*OUTPUTS])
     return tuple(name for name, attribute in ATTRIBUTES.items() if attribute in attributes)

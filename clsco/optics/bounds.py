@@ -66,7 +66,7 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
 def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
     """Candidates for the ends of a surface along an axis, in both directions; infinite where it has no end.
 
-    matrix: (M, L; L, K); box: (3, 2), low and high; it cuts the other axes, and finite candidates lie within all three.
+    matrix: (M, L; L, K); box: (3, 2), low and high; it limits the other axes, and finite candidates lie inside it.
     """
     order = [axis, *(k for k in range(3) if k != axis), 3]
     m, (axis_interval, *sides) = matrix[np.ix_(order, order)], box[order[:3]]

@@ -227,8 +227,8 @@ class PointSpread:
         `Wavefront.grown` in a field.
 
         The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Pillbox (2.26) through its
-        pupil, and Gaussian (2.27). At radius 0 all light stays in its pixel. Validated: sum 1 to 1e-12, quadrature,
-        continuity.
+        pupil, and Gaussian (2.27). At radius 0 all light stays, unless `diffracted`. Validated: sum 1 to 1e-12,
+        quadrature, continuity.
         """
         tent = self.edge == "integrated"
         if self.signed or self.diffracted:
