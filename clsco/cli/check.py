@@ -1,4 +1,4 @@
-"""The command `clsco check`: tables of each output's difference from the NumPy reference and of color's from rays."""
+"""The command `clsco check`: tables of differences, of all outputs from the NumPy reference, of color from rays."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def _judged_tables(judgement: Judgement) -> list[RenderableType]:
 
 
 def require_report(out: Path) -> None:
-    """Raise ClscoError if `out` is not a type of file that a report can have."""
+    """Raise ClscoError if `out` does not end in .json or .png, the formats of a report."""
     if out.suffix.lower() not in (".json", ".png"):
         raise ClscoError(f"-o: must be a file .json or .png; got {out}")
 

@@ -52,7 +52,7 @@ def focus_files(
 ) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
     """Scenes with the lens focused as asked; without `focus`, and for files with faults, they stay unchanged.
 
-    A scene that cannot be focused is replaced by a SceneError, as of `clsco.inputs.focus.focus_scene`; so is a file
+    A scene that cannot be focused is replaced by a SceneError, as from `clsco.inputs.focus.focus_scene`; so is a file
     whose scenes have several focus distances.
     """
     if focus is None:

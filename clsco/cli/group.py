@@ -20,8 +20,8 @@ ENDINGS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 @contextmanager
 def _end_by_signals() -> Iterator[list[int]]:
-    """Make signals raise KeyboardInterrupt in the block, so that no file is left half-written; returns the signals that
-    have arrived: modules that are being imported may raise another error instead.
+    """Make signals raise KeyboardInterrupt in the block, so that no file is left half-written; yields the signals that
+    have arrived, because an import may replace KeyboardInterrupt by another error.
     """
     arrived = list[int]()
     if threading.current_thread() is not threading.main_thread():
@@ -65,8 +65,8 @@ class Commands(click.Group):
 
 
 def _ending(error: BaseException, signals: Sequence[int]) -> tuple[list[str], int] | None:
-    """Lines and exit status for an error of the user or the machine, or after signals. None for other errors, and where
-    nobody reads the output any more, which click takes for an end.
+    """Lines and exit status for an error of the user or the machine, or after signals. None for other errors, and for a
+    closed pipe of the output, which click handles.
     """
     if signals or isinstance(error, KeyboardInterrupt):
         number = signal.Signals(signals[0]) if signals else signal.SIGINT

@@ -31,7 +31,7 @@ COMMANDS = {
     "validate": ("scenes", "Check scene files and their textures without rendering."),
     "video": ("video", "Make a clip of the frames in DIR, which clsco render wrote."),
 }
-"""Module of each command, which is imported where the command is called, and its line in the list of commands."""
+"""Module of each command, imported when the command is called, and the command's line in the list of commands."""
 
 
 class _LazyCommands(Commands):

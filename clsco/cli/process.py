@@ -10,11 +10,11 @@ import sys
 from types import FrameType
 
 _OBJECTS = 100_000
-"""So many more than there were have Python look for cycles of them: imports make many objects, and no garbage."""
+"""Number of new objects at which Python collects garbage: imports make many objects, and no garbage."""
 
 
 def _end(number: int, _: FrameType | None) -> None:
-    """End the process, while modules are imported and nothing is written that could be left behind."""
+    """End the process at once; a signal handler during imports, when no file can be left half-written."""
     os.write(2, b"interrupted\n" if number == signal.SIGINT else b"terminated\n")
     os._exit(128 + number)
 

@@ -14,7 +14,7 @@ import click
 if TYPE_CHECKING:
     from clsco.opencl.session import Progress
 
-FORM = "clsco.progress"  # in what a command knows of its options
+FORM = "clsco.progress"  # key of the form of progress in a command's context
 LINES_S = 0.2  # between lines of JSON
 
 
@@ -53,7 +53,7 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
 
 
 def position(here: Progress, done: float, total: int, elapsed: float) -> str:
-    """Text of the position: frame, share of it if it takes long, time sample, and time left.
+    """Text of the position: frame, fraction of the frame if it takes long, time sample, and time left.
 
     done: finished frames of `total`; elapsed: seconds. The time left is known after the first time sample.
     """

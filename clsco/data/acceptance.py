@@ -28,8 +28,8 @@ from clsco.scene.text import shown
 Array = NDArray[np.float64]
 RAYS = 64  # per axis
 DIGITS = 6  # of a derived value: rounding of the last bits, which machines may differ in, does not show
-MOMENT = 1e-6  # s, with which the search for an interval begins
-STEPS, LONGEST = 60, 1e6  # of it, and s
+MOMENT = 1e-6  # s, first value of the search for an interval
+STEPS, LONGEST = 60, 1e6  # steps of that search, and its longest interval in s
 MEASURES = ("max_blur_px", "max_flow_px", "visible_fraction", "valid_fraction")
 DERIVED = {
     ("sequence", "interval"): "largest_flow_px",
@@ -37,7 +37,7 @@ DERIVED = {
     ("camera", "focus_distance"): "depth_quantile",
     ("camera", "f_number"): "largest_blur_px",
 }
-"""Keys that may be derived, each with its one form, in the order in which they are: what is seen, and when, first."""
+"""Keys that may be derived, in the order of derivation, each with the name of the target that its table states."""
 
 
 class UnfitError(SceneError):
@@ -48,10 +48,10 @@ class UnfitError(SceneError):
 class Look:
     """Surfaces in some frames of a sample, seen by RAYS x RAYS rays on a regular grid over each frame.
 
-    For all rays of these frames that meet a surface: inverse depth in 1/mm, |R| in px (the background included), and
-    length of the flow to the next frame in px. `valid`: share of rays that meet a surface, in the frame with the least;
-    `visible`: share of an object's rays that are not occluded, for the object and frame with the least, 0 if an object
-    is outside the frame. A box is one object.
+    For all rays of these frames that meet a surface: inverse depth in 1/mm, blur radius |R| in px (the background
+    included), and length of the flow to the next frame in px. `valid`: smallest share, over frames, of rays that meet a
+    surface; `visible`: smallest share, over objects and frames, of an object's rays that are not occluded, 0 if an
+    object is outside the frame. A box is one object.
     """
 
     inverse_depth: Array
@@ -81,8 +81,8 @@ class _Frame:
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
-    """Cast rays at the variants of a sample: scenes of analytic objects with a resolution; for stereo pairs the left
-    views.
+    """Cast rays at the variants of a sample, analytic scenes with a resolution; a stereo pair is seen from the left
+    view.
 
     One cast serves all lenses. Validated against the ground truth of the reference.
     """
@@ -114,8 +114,8 @@ def _cast_rays(scene: Scene, number: int) -> _Frame:
 
 
 def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
-    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 where no surface is seen or it moves behind the
-    lens.
+    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 where no surface is seen, or the surface moves
+    behind the lens.
     """
     time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)

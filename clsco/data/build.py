@@ -23,7 +23,7 @@ from clsco.scene.sweep import Sweep, parse_sweep
 from clsco.scene.text import key_name, shown
 
 ValueOf = Callable[[Parameter, int], Any]
-"""Gives the value of a parameter; of those of a population for each of its objects, by its number."""
+"""Gives the value of a parameter; in a population, that for the object with the given number."""
 
 
 class Builder:
@@ -42,8 +42,8 @@ class Builder:
     ) -> tuple[dict[str, Any], dict[str, Any], Sweep]:
         """Build a sample from its values: content of its scene file, parameters by name, and scenes.
 
-        derive: add keys that are derived from its scenes; noise_seed: seed of a sensor without one. Raises SceneError,
-        whose messages do not name the file, and UnfitError.
+        derive: add keys that are derived from its scenes; noise_seed: used for a sensor that has no seed. Raises
+        SceneError, whose messages do not name the file, and UnfitError.
         """
         parts = self._parts
         try:
@@ -126,7 +126,7 @@ class Builder:
                 raise SceneError(f"object[0].texture: {error}") from None
 
     def _place(self) -> None:
-        """Compute points in the frustum from the camera, that of the first variant."""
+        """Compute points in the frustum of the camera of the first variant."""
         section = self._table["camera"]
         if not isinstance(section, dict):
             raise SceneError(f"camera: must be a table; got {shown(section)}")
@@ -177,7 +177,7 @@ def _first(key: str, value: Any) -> Any:
 
 
 MAX_CORNERS = 400
-MAX_EXTREMES = 48  # of one distribution
+MAX_EXTREMES = 48  # extreme values of one distribution that are tested
 
 
 def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
@@ -217,6 +217,6 @@ def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
 
 
 def _some(values: tuple[Any, ...]) -> list[Any]:
-    """At most MAX_EXTREMES of the values, including the first and the last."""
+    """Selection of at most MAX_EXTREMES values, including the first and the last."""
     count = min(len(values), MAX_EXTREMES)
     return [values[(len(values) - 1) * k // max(1, count - 1)] for k in range(count)]

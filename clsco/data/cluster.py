@@ -22,9 +22,9 @@ from clsco.resources import processors
 if TYPE_CHECKING:
     from clsco.data.shards import SetJob, ShardMaker
 
-WORKERS_S = 600.0  # until a cluster has a worker, which may wait in a queue
-LOOK_S = 1.0  # between looks at the workers there are
-RESOURCE = "device"  # what workers of a cluster say they have, where they say anything
+WORKERS_S = 600.0  # s to wait for a cluster's first worker, which may be in a queue
+LOOK_S = 1.0  # s between queries of the list of workers
+RESOURCE = "device"  # resource that workers of a cluster declare, if they declare any
 _lock = threading.Lock()  # a process has one device, however many threads take tasks
 _makers: dict[str, ShardMaker] = {}
 

@@ -26,7 +26,7 @@ MOVING = ("camera", "object", "group")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value that varies: its name, which selects its random stream, its key, and its distribution."""
+    """A value that varies: name (which selects the random stream), location of the key, and distribution."""
 
     name: str
     location: Location
@@ -52,15 +52,15 @@ class Population:
 
 @dataclass(frozen=True)
 class VariedKeys:
-    """All of a distribution except its rules."""
+    """Content of a distribution except [accept] and splits."""
 
     scene: dict[str, Any]
     parameters: tuple[Parameter, ...]
     populations: tuple[Population, ...]
     derived: tuple[tuple[tuple[str, ...], Any], ...]
-    """Keys with the measure that they have to give, a number or the parameter that has it."""
+    """Derived keys, each with its target: a number, or the parameter that draws it."""
     sized: bool
-    """True if samples need a resolution: rays are cast at them, or points placed in the view."""
+    """True if samples need a resolution, because rays are cast at them or points are placed in their view."""
 
 
 class Reader:
@@ -266,7 +266,7 @@ class Reader:
         return None
 
     def _check_files(self, table: Mapping[str, Any], start: Location = ()) -> None:
-        """Register the files that the content of a scene file names; start: replaces the location of its object."""
+        """Register the files that the content of a scene file names; start: location of the object, for messages."""
         for place, name in named_files(table):
             self._check_file(name, (*start, place[-1]) if start else place)
 
@@ -290,7 +290,7 @@ def _is_table(location: Location) -> bool:
 
 
 def copied(value: Any) -> Any:
-    """Copy tables and lists; other values are shared, except inf, which is text in JSON."""
+    """Copy tables and lists; other values are shared, but inf becomes "inf", because JSON has no infinity."""
     if isinstance(value, dict):
         return {key: copied(entry) for key, entry in value.items()}
     if isinstance(value, list):

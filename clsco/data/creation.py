@@ -27,14 +27,14 @@ from clsco.scene.text import shown
 if TYPE_CHECKING:
     from clsco.data.shards import SetJob
 
-WORKER_SHARE = 0.5  # of the machine's memory, for all processes together
+WORKER_SHARE = 0.5  # fraction of the machine's memory for all processes together
 TRUTH = ("sharp", "depth", "coc")
 MOST_SAMPLES = 10**12
 
 DistributionLike = str | os.PathLike[str] | Mapping[str, Any] | DrawScene
 """A distribution file, its content, or a function that draws scenes."""
 Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
-"""Takes the number of samples that are to be made; what it opens takes numbers of samples that are done."""
+"""Takes the number of samples to make; its context manager gives a function of the number just made."""
 
 
 class FailedSamplesError(ClscoError):
@@ -101,7 +101,7 @@ def make(  # noqa: PLR0913, a parameter for each option
     color : bool
         True by default. False makes only the arrays of `truth`: the image, most of the work, is skipped.
     types : str or mapping
-        Such as {"color": "float32"}, linear instead of codes of 16 bits, or "depth=float16".
+        Stored types by array: {"color": "float32"} stores linear radiance, not 16-bit codes; or "depth=float16".
     splits : str or mapping, optional
         Shares of the splits, such as {"train": 0.9, "test": 0.1}.
     format : str

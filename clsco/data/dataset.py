@@ -221,7 +221,7 @@ class Dataset(Sequence[Record]):
         -------
         Dataset
             Images are linear float32 (3, rows, columns), gray ones (1, rows, columns); other arrays are float32, bool
-            or int64, as they are stored, also with their components first.
+            or int64, depending on their stored type, also with components first.
 
         Raises
         ------

@@ -43,8 +43,8 @@ class Sample:
 
     split: "" without splits. attempts: number of draws until it was accepted, from 1. parameters: values by name, such
     as "camera.focus_distance", of types that JSON has. table: content of a scene file that renders the sample by
-    itself, in the folder of the distribution file. labels: of the variants, as of a sweep; ("",) for one. scenes: one
-    for each label.
+    itself, in the folder of the distribution file. labels: one for each variant, as in a sweep; ("",) for a single
+    scene. scenes: one for each label.
     """
 
     number: int
@@ -83,7 +83,7 @@ class Distribution:
     def draw(self, seed: int, number: int) -> Sample:
         """Draw a sample; seed: 0 to 2^64 - 1; number: 0 to 2^63 - 1.
 
-        It is the same for the same file, files that it names, seed, number and version of this package. Raises
+        The sample depends only on the file, the files that it names, seed, number and version of this package. Raises
         SceneError: the sample is no valid scene, or none of 100 attempts is accepted.
         """
         check_numbers(seed, number)
@@ -135,8 +135,8 @@ def load_distribution(
 ) -> Distribution:
     """Read a distribution: a .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
 
-    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. splits: their shares, such as
-    "train=0.9,val=0.05,test=0.05". folder: start of the paths of a mapping, by default the current folder. Raises
+    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. splits: share of each split, such
+    as "train=0.9,val=0.05,test=0.05". folder: start of the paths of a mapping, by default the current folder. Raises
     SceneError with one message per fault, `file: key: rule; got value`; scenes of extreme values are validated as well.
     """
     content = distribution if isinstance(distribution, Mapping) else None

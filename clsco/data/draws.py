@@ -44,8 +44,8 @@ def name_hash(name: str) -> tuple[int, int]:
 def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
     """Words (count,) of a parameter of a sample, or of one element of a population.
 
-    They are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element + 2^32
-    attempt, hash of the name).
+    The words are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element +
+    2^32 attempt, hash of the name).
     """
     first, second = name_hash(name)
     counter = (element + (attempt << 32)) << 64 | first << 128 | second << 192
@@ -191,7 +191,7 @@ def _parsed_split(part: str) -> tuple[str, float]:
 
 
 def positions(splits: Splits, place: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Positions of the splits that contain the numbers `place` of [0, 1); 0 without splits."""
+    """Position of the split whose part of [0, 1) contains each number in `place`; 0 without splits."""
     ends = [math.fsum(share for _, share in splits[: k + 1]) for k in range(len(splits) - 1)]
     return np.searchsorted(ends, place, side="right")
 

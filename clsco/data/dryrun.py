@@ -25,7 +25,7 @@ from clsco.scene.model import Scene
 
 MOST_DRAWN = 128  # samples that are drawn, and at which rays are cast
 MOST_RENDERED, RENDER_S = 16, 30.0  # samples that are rendered, and s after which no further one is
-VALUES = 8  # of a choice that are listed
+VALUES = 8  # values of a choice that are listed
 _MEMBER = re.compile(r"^(object\.[^.]+\.)\d+\.")  # name of a parameter of an object of a population
 
 
@@ -42,7 +42,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of `dry_run`: forecast of a set of `count` samples, from samples drawn at regular distances in it.
+    """Result of `dry_run`: forecast for a set of `count` samples from `looked_at` of them, evenly spaced.
 
     `splits`: share of each split; `attempts`: number of draws; `failed`: messages of samples that cannot be drawn or
     rendered; `frames`: mean number of frames per sample, over all variants and views. From the rendered samples:

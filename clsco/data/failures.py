@@ -13,7 +13,7 @@ _ERRNOS_OF_MACHINE = {
 
 
 def failure_of(error: BaseException) -> tuple[str, str]:
-    """Class of an error: "fatal" if the machine or the store failed, as it would other shards too, else "failed"."""
+    """Class of an error: "fatal" if the machine or store failed, so that other shards would too, else "failed"."""
     text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
     is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
     return "fatal" if is_fatal else "failed", text

@@ -13,8 +13,8 @@ from clsco.scene.text import shown
 
 MAX_NAME = 1024
 MAX_FILES = 100_000
-MAX_LOOKED_AT = 1_000_000  # of folders that a pattern makes us look at
-MAX_DEEP = 32  # folders in each other
+MAX_LOOKED_AT = 1_000_000  # entries of folders that a pattern may visit
+MAX_DEEP = 32  # nested folders
 MAX_BYTES = 2**31  # of a file
 MAX_TOTAL = 2**37
 

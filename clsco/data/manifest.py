@@ -26,7 +26,7 @@ UNSPLIT = "data"  # folder of the shards of a set without splits
 class Identity:
     """Everything that decides the bytes of a set except its number of samples.
 
-    distribution: its digest; first: number of the first sample; arrays: names as in files; precision: of the geometry,
+    distribution: digest; first: number of the first sample; arrays: names as in files; precision: of the geometry,
     "double" or "single"; version: of clsco; types: of arrays that are not stored in their default type.
     """
 
@@ -65,7 +65,7 @@ class Identity:
 class ManifestPart:
     """A shard's part of the manifest, for `count` samples from number `first`.
 
-    identity: digest of the set's `Identity`; files: bytes and SHA-256 by key; rows: SHA-256 of the lines that follow.
+    identity: digest of the set's `Identity`; files: (size, SHA-256) by key; rows: SHA-256 of the lines that follow.
     """
 
     shard: int

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from clsco.opencl.device import Device
 
 _LOG = logging.getLogger("clsco")
-RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
-END_S = 20.0  # until a process that was asked to end is killed
+RECYCLED_SHARDS = 32  # shards after which a process is replaced, because drivers leak memory
+END_S = 20.0  # s after which a process that was asked to end is killed
 THREADS = "POCL_MAX_PTHREAD_COUNT"
-"""Variable that the wheel of PoCL 3.0 reads; later ones read the other name."""
+"""Environment variable that the wheel of PoCL 3.0 reads; later versions read another name."""
 _THREAD_VARIABLES = (THREADS, "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -42,7 +42,7 @@ class Place:
 
 
 Advance = Callable[[int], object]
-"""Takes the number of samples that are done since the last call."""
+"""Takes the number of samples made since its last call."""
 
 
 @dataclass
@@ -186,7 +186,7 @@ class _Pool:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Make SIGTERM end the block, and the code after it, as Ctrl-C does, unless the program has its own way."""
+    """Make SIGTERM end the block, and the code after it, as Ctrl-C does, unless the program handles SIGTERM."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -207,7 +207,7 @@ def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
         environ.setdefault(name, str(count))
 
 
-REPORT_S = 0.2  # between reports of how far a shard has come
+REPORT_S = 0.2  # s between reports on the progress of a shard
 
 DeviceName = str | int | None
 """Part of a name as for `clsco.render`, or the number of a device among all, where several have one name."""
@@ -271,13 +271,13 @@ def _ended(number: int, _: FrameType | None) -> None:
 
 
 RETRIES, RETRIES_OF_ERROR = 3, 2
-"""Processes that try a task: if they end, and if they report an error."""
+"""Number of processes that try a task: if each one dies, and if each reports an error."""
 DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard to make without the samples `failed`, given with their messages; or samples `tried` to find the faulty
+    """A shard to make. failed: samples to skip, with their messages; tried: samples to test instead, to find faulty
     ones.
     """
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from clsco.data.distribution import Sample
 
 CODES = {"uint8": 8, "uint16": 16}
-PICTURES = ("color", "sharp")  # what codes can hold
+PICTURES = ("color", "sharp")  # arrays that can be stored as codes
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
 _OF_FRAMES = (
     "frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities",
@@ -41,14 +41,14 @@ class Record(Mapping[str, NDArray[Any]]):
     Attributes
     ----------
     key : str
-        Its number in nine digits.
+        Number of the sample in nine digits.
     arrays : mapping of str to ndarray
-        By name in files, such as "color" or "coc". Of several frames "f0003.depth", of a stereo pair "left.color", of
-        several variants "v01.color", of all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
+        By name in files, such as "color" or "coc". With several frames "f0003.depth", with a stereo pair "left.color",
+        with variants "v01.color", with all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
         floats.
     meta : mapping
-        Content of its JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with dtype,
-        shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
+        Content of the sample's JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with
+        dtype, shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
 
     Examples
     --------

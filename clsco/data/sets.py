@@ -119,7 +119,7 @@ class DataSet:
         return ([], []) if data is None else rows_of(data)
 
     def write(self, about: Mapping[str, Any]) -> None:
-        """Write the card, before any shard is made. about: its other entries."""
+        """Write the card, before any shard is made. about: other entries of the card."""
         card = {"identity": self.identity.record(), "samples": [self.samples.start, self.samples.stop], **about}
         self.storage.write(CARD, f"{json.dumps(card, indent=2, allow_nan=False)}\n".encode())
 

@@ -36,7 +36,7 @@ from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
 
-CACHE_BYTES = 2**28  # on the device, and as many on the host
+CACHE_BYTES = 2**28  # size of the cache on the device, and of that on the host
 MEASURED = ("depth", "coc", "flow")
 MOST_MEASURED = 4096  # pixels of an array of which quantiles are taken
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -80,7 +80,7 @@ def device_family(device: Device) -> str:
 
 
 class SampleRenderer:
-    """Renders samples one after the other on one device; data that they share stay in memory.
+    """Renders samples one after the other on one device; data that samples share stay in memory.
 
     arrays: names as in files; without "color" no image is rendered. precision: of the geometry.
     """

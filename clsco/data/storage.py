@@ -31,7 +31,7 @@ def remove_path(path: Path) -> None:
 
 
 def checked_key(key: str) -> str:
-    """A key inside its storage; raises FileError for others, which an untrusted file may contain."""
+    """The key, if it is inside its storage; raises FileError for other keys, as in untrusted files."""
     parts = key.split("/")
     if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
         raise FileError(f"{key!a}: a file of a data set must lie in its folder; got another place")
@@ -39,7 +39,7 @@ def checked_key(key: str) -> str:
 
 
 def _failing(function: Call) -> Call:
-    """Raise errors of a storage as a FileError with its place, in one line."""
+    """Turn errors of a storage's method into a FileError in one line, with the place of the storage."""
 
     @wraps(function)
     def call(self: Any, *args: Any) -> Any:
@@ -83,7 +83,7 @@ class _Folder:
         self.where = str(self.root)
 
     def _path(self, key: str) -> Path:
-        """Path of a key. Raises FileError if a link leads out of the set, as one from a stranger may."""
+        """Path of a key. Raises FileError if a link leads out of the set, as may happen in an untrusted set."""
         path = self.root / checked_key(key)
         if not path.parent.resolve().is_relative_to(self.root.resolve()):
             raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")

@@ -21,7 +21,7 @@ from clsco.scene.text import shown
 OWN = ("base", "vary", "accept", "derive", "check")
 MAX_BASES = 8
 EVERY = 1000  # samples of which one is compared with rays
-MAX_DEPTH = 12  # tables and lists in each other
+MAX_DEPTH = 12  # nested tables and lists
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class DistributionTables:
     is_joined: bool = False  # with those of a base
 
     def content(self) -> dict[str, Any]:
-        """Content of one file without a base that gives the same samples."""
+        """Content of a single file, without a base, that gives the same samples."""
         own = {"vary": self.vary, "accept": self.accept, "derive": self.derive, "check": self.check}
         return self.scene | {name: table for name, table in own.items() if table}
 

@@ -126,7 +126,7 @@ def _compared(where: str, data_set: DataSet, row: Mapping[str, Any], record: Rec
 
 
 def _differing(hashes: Mapping[str, str], others: Mapping[str, str]) -> list[str]:
-    """Names of arrays whose hash differs, or that only one side has."""
+    """Names of arrays whose hashes differ, or that only one mapping has."""
     return sorted(name for name in hashes.keys() | others.keys() if hashes.get(name) != others.get(name))
 
 

@@ -1,4 +1,4 @@
-"""Scenes to folders of files: selects the frames, skips existing ones, and renders the others."""
+"""Renders scenes to folders of files: selects the frames, and skips existing ones."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the devic
 
 @dataclass(frozen=True)
 class Job:
-    """One scene to render: entries of its frames' JSON files, its folder, and the frames still to render.
+    """One scene to render: its entries for JSON files (`record`), its folder, and the frames still to render.
 
     files: files to write besides PNG and JSON.
     """
@@ -51,7 +51,7 @@ class Job:
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
-    """Folder of each scene's frames: `out`, or for several scenes a folder per scene in it.
+    """Folder of each scene's frames: `out`, or if there are several scenes, one folder in `out` for each.
 
     Raises SceneError if two scenes would share a folder, or a folder is outside of `out`.
     """
@@ -139,7 +139,7 @@ def prepare_all(
 ) -> list[Job]:  # fmt: skip
     """`prepare` for every scene of several files, each file in its folder of `folders`.
 
-    Raises as these and `frame_range`, and SceneError if `files` name arrays that a scene does not have.
+    Raises as `prepare`, `folders` and `frame_range`, and SceneError if `files` name arrays that a scene does not have.
     """
     _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
@@ -205,7 +205,7 @@ def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterato
 
 
 def _run_together(session: Session, jobs: Sequence[Job], check: bool) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
-    """As `run`, for jobs with the same frames, files and request."""
+    """Render as `run` does, for jobs with the same frames, files and request."""
     left: Frame | None = None
     for number, rendered in render_prepared(session, [job.prepared for job in jobs], jobs[0].frames):
         frame = rendered

@@ -12,7 +12,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-ORPHAN_S = 10.0  # for the end of a process whose parent was killed
+ORPHAN_S = 10.0  # s after which a process whose parent was killed is ended by force
 _LARGEST = 31 << 20  # B, of the blocks that glibc learns from
 _end_actions: list[Callable[[], object]] = []
 
@@ -35,7 +35,7 @@ class Child:
     Attributes
     ----------
     pipe : Connection
-        Receives its messages, and raises EOFError after its end.
+        Receives messages of the child, and raises EOFError after the child has ended.
     """
 
     def __init__(self, work: Callable[..., None], *arguments: Any, environ: Mapping[str, str] | None = None) -> None:

@@ -17,7 +17,7 @@ from clsco.inpainting.rules import MeanMedian, as_stored, value_span
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 
-LARGEST = 2.0**60  # in size: squares of differences are then finite in float32
+LARGEST = 2.0**60  # largest |value|: squares of differences are then finite in float32
 
 
 @overload

@@ -18,9 +18,9 @@ from clsco.plan.prepare import Prepared
 
 SECONDS = 0.5  # s, after which no further step is run
 BY_HEIGHT: frozenset[Kind] = frozenset({"trace", "silhouettes"})
-"""Passes whose time goes by the rows of a strip and of the sources around it; that of the others by its own rows."""
+"""Passes whose time is proportional to the rows of a strip's source grid; that of others, to the strip's rows."""
 
-GOLDEN = 0.618034  # of which multiples are spread evenly between whole numbers
+GOLDEN = 0.618034  # whose multiples, modulo 1, are spread evenly
 _Part = tuple[Kind, bool | None]  # a kind of pass, for still sources, for the others, or for all
 
 

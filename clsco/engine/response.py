@@ -30,8 +30,8 @@ from clsco.scene.text import shown
 from clsco.scene.texture_keys import SixSided, Textured
 
 BLACK = "#000000"
-GRID = 33  # points per axis at which motions are looked at
-TIMES = 9  # of an exposure
+GRID = 33  # points per axis at which motions are evaluated
+TIMES = 9  # times of an exposure at which motions are evaluated
 FILTER_REACH = 2  # texels of a bicubic filter
 
 

@@ -224,7 +224,7 @@ def render_prepared(
     """`render_sweep` for prepared scenes in a session, all with one request.
 
     keeps_rays: keep ray hits in the session, for later renderings of the same objects. Plans made for a processor
-    before a device was opened are made again if the device is not one.
+    before a device was opened are made again if the device is no processor.
     """
     if any(entry.plan.device.kind != session.device.kind for entry in prepared):
         sweep = Sweep(("",) * len(prepared), tuple(entry.scene for entry in prepared))
@@ -238,7 +238,7 @@ def render_prepared(
 def _render_scenes(
     session: Session, scenes: Sequence[Scene], request: Request, frames: Sequence[int] | None
 ) -> Iterator[tuple[int, Frame]]:
-    """As `render_prepared`; scenes that share their rays are prepared together, just before they are rendered."""
+    """Render as `render_prepared` does; scenes that share rays are prepared together, just before they are rendered."""
     for group in lens_groups(scenes):
         sweep = Sweep(("",) * len(group), tuple(scenes[k] for k in group))
         for k, frame in render_prepared(session, prepare_sweep(sweep, request, session.device), frames):

@@ -10,7 +10,7 @@ from clsco.errors import DeviceError
 from clsco.opencl.session import Session
 from clsco.plan.memory import Limit
 
-F = TypeVar("F")  # what fits: plans, or the height of strips
+F = TypeVar("F")  # work that fits a limit: plans, or the height of strips
 T = TypeVar("T")
 
 

@@ -22,7 +22,7 @@ from clsco.plan.prepare import Prepared, prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
 
-SIDE = 16  # px, of the frames that have the kernels run
+SIDE = 16  # px, side of the frames for which kernels are run
 
 
 def warm(session: Session, scene: Scene, files: InputFiles) -> None:

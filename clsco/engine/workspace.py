@@ -53,7 +53,7 @@ if TYPE_CHECKING:  # imported where a plan has them
     from clsco.passes.vignetting import Vignetting
 
 Pixels = ForwardWarp | StaticMap | None
-"""Pixels of the reference pose that are moved, or taken as they are."""
+"""Source of pixels in the reference pose: moved by a forward warp, or static; None if rays are cast."""
 Outputs = tuple[Any, ...]
 """Outputs of a pass, in the order of `Pass.gives`."""
 
@@ -157,7 +157,7 @@ class BlurWorkspace(Workspace):
             self._composite = DepthLayers(self._blurred, kernels, tallest, behind_rims)
 
     def find_layers(self, passes: Iterable[Pass], jobs: Iterable[Any]) -> tuple[LayerBounds, ...]:
-        """Bounds of depth layers over several strips, which one strip cannot find; empty without layers."""
+        """Bounds of depth layers, from the discontinuities in all strips together; empty without layers."""
         if not self.spec.layered:
             return ()
         before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
@@ -274,7 +274,7 @@ class PlaneWorkspace(BlurWorkspace):
     count_missing = fill
 
     def _for_blur(self, job: SceneJob, light: Image | Sources | None) -> Image | Sources | Plane | None:
-        """Turn the light of a pass into what `clsco.plan.image.light_of` names."""
+        """Convert the light of a pass to the kind that `clsco.plan.image.light_of` names."""
         if light is None or self.plan.blur not in ("none", "convolve"):
             return light
         if self.plan.blur == "none":
@@ -334,7 +334,7 @@ class SceneWorkspace(Workspace):
         return self.planes[step.color or 0].run_pass(job, step, *inputs)
 
     def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[LayerBounds, ...] | None:
-        """As `BlurWorkspace.find_layers`, for all colors, or for red, green and blue; None without layers."""
+        """Bounds by `BlurWorkspace.find_layers`, for all colors or for each of three; None without layers."""
         strips, bounds = tuple(jobs), list[LayerBounds]()
         for plane in self.planes:
             bounds += plane.find_layers([step for step in passes if step.color == plane.plan.only], strips)

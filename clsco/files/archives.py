@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     import zipfile  # 3 ms
 
 HEADER = 2**14  # bytes of the header of an NPY at most; numpy takes 10000
-MOST_DIRECTORY = 2**22  # bytes of what an archive says of its members: 40,000 or more of them
-_END = b"PK\x05\x06"  # of an archive: 22 bytes and a comment of up to 65535
+MOST_DIRECTORY = 2**22  # bytes of an archive's directory, enough for 40,000 members
+_END = b"PK\x05\x06"  # start of an archive's end record: 22 bytes and a comment of up to 65535
 
 
 class NpyHeader(NamedTuple):
-    """Header of an NPY: type and shape of its array, and the offset of its first byte."""
+    """Header of an NPY: shape, order and type of the array, and the offset of the array's first byte."""
 
     shape: tuple[int, ...]
     fortran: bool
@@ -57,14 +57,14 @@ def npy_bytes(array: NDArray[Any]) -> bytes:
 
 
 def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
-    """Largest size in bytes of an NPY file of such an array."""
+    """Largest size in bytes of an NPY file with an array of this type and shape."""
     return math.prod(shape) * dtype.itemsize + HEADER
 
 
 def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     """The array of an NPY file, which must have this type and shape; sizes in its header are not trusted.
 
-    It shares the memory of `content` if that is writable.
+    The array shares the memory of `content` if `content` is writable.
     """
     header = npy_header(io.BytesIO(content[:HEADER]))
     if header.dtype.hasobject or (header.dtype.newbyteorder("="), header.shape) != (dtype, shape):
@@ -92,7 +92,7 @@ def open_archive(file: BinaryIO) -> zipfile.ZipFile:
 
 
 def open_member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
-    """Open a stored or deflated member; for other methods Python unpacks more than each read asks for."""
+    """Open a stored or deflated member. Raises ValueError for other methods, which may unpack more than is read."""
     import zipfile
 
     about = archive.getinfo(name)

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from clsco.resources import ExposedFolderError, open_regular, private_folder
 
 SUFFIX = ".arrays"
-MOST_BYTES = 2**29  # of a folder; then the files that were used longest ago go
-SCANS = 16  # of the folder while this process writes so much
+MOST_BYTES = 2**29  # of a folder; beyond it, the least recently used files are deleted
+SCANS = 16  # number of scans of the folder while this process writes MOST_BYTES
 LARGEST = 2**27  # bytes of a file
 DIGEST = hashlib.sha256().digest_size
 
 
 def user_cache(name: str) -> ArrayCache:
-    """A cache in the user's cache folder; it stores nothing if the folder cannot be made, or others could write to
-    it.
+    """A cache in the user's cache folder; it stores nothing if that folder cannot be made, or other users could write
+    to it.
     """
     try:
         return ArrayCache(private_folder("clsco", name))

@@ -107,7 +107,7 @@ def sha256(path: Path) -> str:
 
 
 def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
-    """Bytes and SHA-256 of a file, or of each file in a folder; their keys begin with `key` in place of the path.
+    """Size in bytes and SHA-256 by key: `key` for a file, and `key`/NAME for each file NAME in a folder.
 
     Raises OSError.
     """

@@ -51,9 +51,9 @@ def _quaternion(rotation: Array) -> Array:
 def colmap_texts(images: Iterable[tuple[str, Pinhole]]) -> dict[str, bytes]:
     """A sparse model of COLMAP without points: content of cameras.txt, images.txt and points3D.txt.
 
-    images: name and camera of each image. In COLMAP pixel centers are at halves, so its principal point is half a pixel
-    farther right and down. Lengths are in mm, as COLMAP has no unit. A camera with distortion is written as FULL_OPENCV
-    with k4 to k6 = 0. Validated by pycolmap, and by points projected into the frame.
+    images: name and camera of each image. COLMAP has pixel centers at halves, so the principal point is written half a
+    pixel farther right and down. Lengths are in mm, as COLMAP has no unit. A camera with distortion is written as
+    FULL_OPENCV with k4 to k6 = 0. Validated by pycolmap, and by points projected into the frame.
     """
     cameras: dict[str, int] = {}
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from world to camera, mm; then a line of no points"]

@@ -1,4 +1,4 @@
-"""Color spaces of image files: the curves that decode their codes, and the profiles that outputs need to look the same.
+"""Color spaces of image files: curves that decode codes, and profiles with which an output looks like its input.
 
 Codes become linear radiance in the primaries of their own profile. Outputs get codes of the same curve, and the same
 profile, so unchanged pixels keep their codes and their look. If images with several profiles meet, a matrix converts
@@ -32,7 +32,7 @@ from clsco.files.transfer import CODES, Curve, decode
 
 LARGEST_PROFILE = 2**22  # bytes
 MOST_TAGS = 256
-LARGEST_FALL = 1e-3  # of radiance, by rounding where two parts of a curve meet
+LARGEST_FALL = 1e-3  # largest decrease in radiance, by rounding where two parts of a curve meet
 SRGB_LIKE = 2e-4  # largest difference in radiance from sRGB; half a code of 8 bits next to black is 1.5e-4
 _CHANNELS = {b"GRAY": 1, b"RGB ": 3}
 # Of a curve (a x + b)^g + e from d on, and c x + f below it.
@@ -68,7 +68,7 @@ class Color:
 
     @cached_property
     def to_srgb(self) -> Matrix | None:
-        """Matrix (3, 3) from its linear red, green and blue to those of sRGB; None if no conversion is needed or
+        """Matrix (3, 3) from linear values in this color space to those of sRGB; None if no conversion is needed or
         known.
         """
         return None if self.chromaticities is None else chromaticities_to_srgb(self.chromaticities)
@@ -79,16 +79,16 @@ class Color:
 
     @property
     def size(self) -> int:
-        """Bytes in memory."""
+        """Size in memory, bytes."""
         return len(self.icc) + (0 if self.curve is None else self.curve.radiance.nbytes)
 
     def transfer(self, curve_of_scene: str) -> str | Curve:
-        """The transfer curve of a scene, "srgb" or "linear", but this color space's own, if any, in place of "srgb"."""
+        """Transfer curve of codes: a scene's "srgb" or "linear"; a curve of this color space replaces "srgb"."""
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile of red, green and blue, for codes or for linear values: its own, or one made from its primaries;
-        b"" if none is needed.
+        """ICC profile for red, green and blue, as codes or as linear values: the profile from the file, or one made
+        from the primaries; b"" if none is needed.
         """
         if self.icc or self.chromaticities is None:
             return self.icc
@@ -181,7 +181,7 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
     """Name, channels, radiance of 2^16 codes per channel, and chromaticities, from an ICC profile (ICC.1:2022).
 
-    None without curves, and None without a matrix.
+    Radiance is None without curves, chromaticities are None without a matrix.
     """
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
@@ -205,8 +205,8 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tup
 
 
 def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
-    """Chromaticities of an RGB profile from its colorants, which are adapted to D50, and its own white, from the tag
-    `chad`, or `wtpt` in old profiles; None if unknown.
+    """Chromaticities of an RGB profile; None if unknown. The colorants in the profile are adapted to D50; the white
+    before adaptation is in the tag `chad`, or in `wtpt` of old profiles.
     """
     columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
     if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):

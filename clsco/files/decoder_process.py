@@ -27,14 +27,14 @@ from clsco.resources import open_regular
 if TYPE_CHECKING:
     import subprocess
 
-MEMORY = 2**28  # bytes that a decoder may take
-FACTOR = 4  # and so many times what it may give
-SECONDS, RATE = 20.0, 2**25  # of the processor's time that a decoder may take, and bytes that it gives in one more
-PATIENCE = 6  # times that, by the clock: the processor may have other work
-_ROOT = Path(__file__).resolve().parents[2]  # the folder of this very package, whatever the current folder has
+MEMORY = 2**28  # bytes of memory that any decoder may use
+FACTOR = 4  # further memory, as a multiple of the bytes of its arrays
+SECONDS, RATE = 20.0, 2**25  # s of CPU time for any decoder, and bytes of arrays for each further second
+PATIENCE = 6  # limit by the clock, as a multiple of the CPU time: the processor may have other work
+_ROOT = Path(__file__).resolve().parents[2]  # folder of this package; the current folder may hold another
 _COMMAND = "from clsco.files.decoder_process import serve; serve()"
-_PIPE = 2**20  # bytes, where the system lets a user choose
-_MOST_LINE = 2**24  # bytes of a reply beside its arrays
+_PIPE = 2**20  # bytes of a pipe's buffer, if the system supports it
+_MOST_LINE = 2**24  # bytes of a reply without its arrays
 
 Output = tuple[dict[str, Any], list[NDArray[Any]]]
 
@@ -89,7 +89,7 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Out
 
     function: "module:name" of a function that takes an open file and JSON-compatible `options`, and returns a
     JSON-compatible mapping and arrays. The process opens the same file again, at its first byte. most: bytes of all
-    arrays; the process may use four times as many and 256 MiB of memory, and 20 s of CPU time plus 1 s per 32 MiB.
+    arrays; the process may use 256 MiB plus four times this memory, and 20 s of CPU time plus 1 s per 32 MiB.
 
     Raises ValueError if the function fails, crashes the process, or exceeds a limit; the message says which.
     """

@@ -28,11 +28,11 @@ MAX_PIXELS = 2**27
 MAX_SIDE = 65536
 LARGEST_EXR = 2**29  # values in all channels, which are decoded together
 DENSEST_EXR = 2**15  # values of a byte: a chunk of one color by DWAB, the densest of the compressions, has half as many
-MOST_WINDOW = 4  # times the pixels of an EXR's display window that a part of it may have
-MOST_SCANS = 100  # of a JPEG, each of which goes over all pixels; encoders make up to about 20
-PIXEL_BYTES = 32  # of a file for each pixel, four of float64
+MOST_WINDOW = 4  # largest data window of a part of an EXR, in pixels of the display window
+MOST_SCANS = 100  # scans of a JPEG, each of which processes all pixels; encoders make about 20 at most
+PIXEL_BYTES = 32  # largest size of a file per pixel: four float64
 MOST_TAG = 2**24  # bytes of a color profile in a TIFF, of which larger ones than those of PNG are refused later
-OTHER_BYTES = 2**26  # of a file beside its pixels
+OTHER_BYTES = 2**26  # largest size of a file besides its pixels
 
 IMAGE_FORMATS = {
     ".png": "PNG",
@@ -301,8 +301,8 @@ def _exr_size(file: BinaryIO) -> tuple[int, int]:
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
     """Decode channels of an EXR from any of its parts: (rows, columns) of the display window, by name.
 
-    choose: selects from all names, which `full_names` makes. outside: value of pixels of the display window outside a
-    part's data window.
+    choose: selects from the list of all channel names, as `full_names` gives them. outside: value of pixels of the
+    display window outside a part's data window.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(

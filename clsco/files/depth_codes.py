@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clsco.files.ranges import check_values, raise_shape_error
 
 MM_PER_M = 1000.0
-KITTI_STEPS = 256  # per m of depth, and per px of disparity
+KITTI_STEPS = 256  # codes per m of depth, and per px of disparity
 
 
 def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: str, unit: str) -> NDArray[np.uint16]:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from clsco.files.ranges import check_values, raise_shape_error
 
 TAG = struct.pack("<f", 202021.25)
-LARGEST_FLO = 1e9  # px, at which Middlebury's readers take a vector for unknown
-UNKNOWN_FLO = 1e10  # what Middlebury's writers put there
+LARGEST_FLO = 1e9  # px, from which on Middlebury's readers treat a vector as unknown
+UNKNOWN_FLO = 1e10  # value of unknown vectors in files of Middlebury's writers
 KITTI_STEPS = 64  # per px
 KITTI_ZERO = 32768  # code of 0 px
 

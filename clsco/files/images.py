@@ -55,8 +55,8 @@ def read_image(
 ) -> Picture:  # fmt: skip
     """Read a gray or RGB image: PNG, JPEG, TIFF, EXR, PFM or NPY.
 
-    hidden: pixels (rows, columns) that may hold any floats; none by default. layer: of an EXR with several, as for
-    `clsco.files.layers.image_channels`.
+    hidden: pixels (rows, columns) whose floats need not be finite; none by default. layer: of an EXR with several, as
+    for `clsco.files.layers.image_channels`.
 
     Raises FileError, in one line, for everything that is not exactly one such image: no readable file, wrong extension,
     damaged, over 2^27 pixels or 65536 a side (refused from the header), transparent, CMYK, several pages, values that
@@ -65,8 +65,8 @@ def read_image(
     8 and 16 bits come as stored; palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become
     float32. Axes of length 1 before and behind the image in an NPY are dropped. PNG, JPEG and TIFF are turned upright
     by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B or Y of one layer are read, in its
-    display window: pixels outside of the data window are 0. The color space is given and not applied; neither is the
-    scale of a PFM. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
+    display window: pixels outside of the data window are 0. The color space is returned, not applied; the scale of a
+    PFM is ignored. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
     with open_format(path) as (file, kind):
         data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
@@ -85,7 +85,7 @@ def check_sizes(
 ) -> None:  # fmt: skip
     """Raise FileError if a mask or a depth map differs from its image in size (columns, rows).
 
-    image, other: their names. hint: text added if rows and columns are exchanged.
+    image, other: names of the image and of the mask or depth map; right, size: their sizes. hint: for exchanged sides.
     """
     if size != right:
         sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
@@ -105,8 +105,8 @@ def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapp
 
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
-    """One line if only one of an image and its mask or depth map has an orientation tag, and their sizes do not show
-    whether the other is upright; else "". Parameters and errors as for `check_same_size`.
+    """Note that the untagged one of an image and its mask or depth map is taken to be upright, if only the other has an
+    orientation tag, and their sizes do not prove it; else "". Parameters and errors as for `check_same_size`.
     """
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)
@@ -116,8 +116,8 @@ def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORM
 
 
 def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[int, str, str]:
-    """The orientation that only one of two files has, that file, and the other one; 1 and "" if both or neither have
-    one.
+    """Orientation from the only one of two files that has a tag, that file, and the other; 1, "", "" if both or neither
+    have one.
     """
     if image == other:
         return 1, "", ""
@@ -196,10 +196,10 @@ def write_exr(
 ) -> None:  # fmt: skip
     """Write named channels (rows, columns) in an OpenEXR file with lossless compression.
 
-    float16 is stored as such, uint16 becomes uint32, all other types float32. names: of the views, "left" and "right"
-    for stereo pairs, () for a single view; views: channels of each view; several views are parts with the attribute
-    `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as {"aperture": 2.8}.
-    Raises MissingDependencyError, FileError.
+    float16 is stored as such, uint16 becomes uint32, all other types float32. names: names of the views, "left" and
+    "right" for stereo pairs, () for a single view; views: channels of each view; several views are parts with the
+    attribute `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as
+    {"aperture": 2.8}. Raises MissingDependencyError, FileError.
     """
     exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}

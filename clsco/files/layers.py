@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-MAIN_LAYERS = ("beauty", "color", "combined", "rgb", "rgba")  # as renderers call the image itself
+MAIN_LAYERS = ("beauty", "color", "combined", "rgb", "rgba")  # names that renderers give to the image itself
 SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """For each part (its name, its channels): full names of channels by their names within the part.
+    """Full names of channels by their names within the part, for each part, given as (name, channels).
 
-    In a file with one part they are the same.
+    In a file with one part both names are the same.
     """
     if len(parts) == 1:
         return [{name: name for name in parts[0][1]}]
@@ -37,8 +37,8 @@ def list_names(names: Iterable[str]) -> str:
 def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     """The channels of an image: R G B or Y, and A if there is one.
 
-    layer: its layer, or the end of the layer's name; by default the only layer, the one without a name, or one named in
-    `MAIN_LAYERS`. Raises LookupError with the rule, and a description of the layers instead.
+    layer: name of the layer, or its last words; by default the only layer, the one without a name, or one named in
+    `MAIN_LAYERS`. Raises LookupError(rule, description of the file's layers).
     """
     layers = _layers(names)
     images = [name for name, own in layers.items() if {"R", "G", "B"} <= own or ("Y" in own and not own & {"RY", "R"})]
@@ -64,7 +64,7 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     """The channels that may be the depth: all of the most likely kind, or none.
 
     Likely kinds in order: Z; a channel of a layer called depth; another Z or V that is not a third vector component; R
-    G B or Y; the only channel. layer: its layer, the end of the layer's name, or the channel's name; by default any.
+    G B or Y; the only channel. layer: name of a layer, its last words, or name of the channel; by default any layer.
     """
     if layer is not None:
         if layer in names:

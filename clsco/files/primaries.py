@@ -52,7 +52,7 @@ def colorants_to_srgb(xyz: Matrix) -> Matrix:
 def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
     """x and y of white, red, green and blue of primaries whose X, Y and Z under D50 are the columns of a matrix.
 
-    white: X, Y and Z of the white that they were adapted from, by Bradford's method.
+    white: X, Y and Z of the white from which the primaries were adapted to D50, by Bradford's method.
     """
     with np.errstate(all="ignore"):  # numbers that are none span no colors
         native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])

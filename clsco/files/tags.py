@@ -29,8 +29,8 @@ _ORIENTATION, _ICC = 0x0112, 0x8773  # in EXIF and TIFF
 class Tags:
     """Tags of an image file.
 
-    orientation: 1 to 8, as in EXIF and TIFF. icc: its ICC profile, or b"". chunks: kind and content of PNG chunks that
-    act as a profile. chromaticities: the attribute of an EXR, or ().
+    orientation: 1 to 8, as in EXIF and TIFF. icc: ICC profile, or b"". chunks: kind and content of PNG chunks that act
+    as a profile. chromaticities: the attribute of an EXR, or ().
     """
 
     orientation: int = 1
@@ -117,7 +117,7 @@ def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 
 def tiff_tags(values: Any) -> Tags:
-    """Tags of a page of a TIFF; values: `tifffile.TiffTags`."""
+    """Tags of a page of a TIFF from its `tifffile.TiffTags`."""
     orientation, icc = values.valueof(_ORIENTATION, default=1), values.valueof(_ICC, default=b"")
     return Tags(orientation if orientation in range(1, 9) else 1, icc if isinstance(icc, bytes) else b"")
 

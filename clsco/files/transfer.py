@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 TRANSFERS = ("srgb", "linear")
-AT_A_TIME = 2**20  # values, which bounds the memory of intermediate results
+AT_A_TIME = 2**20  # values processed at once, to bound the memory of intermediate results
 CODES = np.arange(2**16, dtype=np.uint16)
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A transfer curve other than `TRANSFERS`, such as that of a color profile.
+    """A transfer curve that is not in `TRANSFERS`, such as that of a color profile.
 
     radiance: (1 or 3, 65536), linear radiance of each 16-bit code, not decreasing: for all channels, or for red, green
     and blue.
@@ -30,7 +30,7 @@ class Curve:
         return self.radiance[:, :: 257 if bits == 8 else 1]
 
     def starts(self, bits: int) -> NDArray[np.float64]:
-        """Radiance (1 or 3, 2^bits - 1) from which each code, except the first, is the nearest: that of half codes."""
+        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts: that of the half code below it."""
         return self._starts_8 if bits == 8 else self._starts_16
 
     @cached_property
@@ -42,8 +42,8 @@ class Curve:
         return self._above_codes(0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:]), 16)
 
     def _above_codes(self, starts: NDArray[np.float64], bits: int) -> NDArray[np.float64]:
-        """Starts of codes; on flat parts of the curve moved above the code below, so that each code encodes to
-        itself.
+        """Starts of codes, moved above the radiance of the code below on flat parts of the curve, so that each code
+        encodes to itself.
         """
         below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
         return np.where(starts > below, starts, np.maximum(0.5 * (below + above), np.nextafter(below, 2.0)))
@@ -88,7 +88,7 @@ def encode_channels(linear: NDArray[np.floating], bits: int, transfer: Transfer)
 
 
 def has_alpha(image: NDArray[np.generic]) -> bool:
-    """True for gray or RGB with one more channel, alpha."""
+    """True for an image of 2 or 4 channels: gray or RGB, and alpha."""
     return image.ndim == 3 and image.shape[2] in (2, 4)
 
 
@@ -148,7 +148,7 @@ def _bin_of(radiance: NDArray[np.floating], top: int) -> NDArray[np.intp]:
 
 @functools.cache
 def _bins(bits: int, transfer: str, dtype: str) -> tuple[NDArray[np.unsignedinteger], NDArray[np.floating]]:
-    """For each bin its smallest code; for each code the radiance at which the next one starts, rounded up."""
+    """Smallest code of each bin, and for each code the radiance at which the next code starts, rounded up."""
     top = 2**bits - 1
     exact = _radiance_of((np.arange(top) + 0.5) / top, transfer)
     start = exact.astype(dtype)

@@ -161,8 +161,8 @@ def write_clip(
     """Write frames as a video file, atomically.
 
     frames: (rows, columns[, 3]) of one shape and type: codes (uint8, uint16) or linear radiance (floats, 1 = white),
-    which is clipped. rate: frames per second. preset: one of `PRESETS`. transfer: "srgb" or "linear", of the codes, and
-    for floats. comment: for the file's metadata, where the container has any.
+    which is clipped. rate: frames per second. preset: one of `PRESETS`. transfer: curve of the codes, "srgb" or
+    "linear"; floats are encoded by it. comment: for the file's metadata, where the container has any.
 
     Returns notes on changes: 16 bits reduced to 8, padded sizes, a rate that Matroska readers round. Raises
     MissingDependencyError without PyAV, and FileError if there are no frames, frames differ or are not finite, or an

@@ -1,4 +1,4 @@
-"""The cameras of a scene for files: pinholes with poses, attributes of EXR, and a COLMAP model."""
+"""Cameras of a scene as files describe them: pinholes with poses (for a COLMAP model), and attributes of an EXR."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, 
 def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
     """The camera of a frame at the middle of its shutter, the time of its ground truth.
 
-    scene: with its resolution. The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of
+    scene: one with a resolution. The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of
     the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; with a
     zoom, at the middle of the shutter. Validated by surface points projected to the next frame and the other view,
     against flow and disparity.
@@ -53,9 +53,8 @@ def eye_of(frame: Frame) -> Eye:
 def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     """Mask of surface points that are behind the lens at the middle of the shutter `step` frames later.
 
-    scene: with its resolution. frame: with `depth`, `object_id`, and the flow to that frame. step: 1 for `flow`, -1 for
-    `flow_backward`. The flow of these points is 0, as no pixel shows them. Validated by a camera that flies past a
-    sphere.
+    scene: one with a resolution. frame: one with `depth`, `object_id`, and `flow` for step 1 or `flow_backward` for
+    step -1. Points behind the lens have flow 0, as no pixel shows them. Validated by a camera that flies past a sphere.
     """
     flow = frame.flow if step == 1 else frame.flow_backward
     assert flow is not None

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _CORNERS = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]) / 4
 _CROSS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]) / 4
 _ROW = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]]) / 2
-_GREEN, _APRON = 1, 8  # an even number of pixels around a mosaic
+_GREEN, _APRON = 1, 8  # channel; px around a mosaic, an even number
 
 KERNELS: dict[str, tuple[Array, Array, Array]] = {
     "bilinear": (_CROSS, _ROW, _CORNERS),
@@ -27,8 +27,8 @@ KERNELS: dict[str, tuple[Array, Array, Array]] = {
         np.array([[0, 0, -3, 0, 0], [0, 4, 0, 4, 0], [-3, 0, 12, 0, -3], [0, 4, 0, 4, 0], [0, 0, -3, 0, 0]]) / 16,
     ),
 }
-"""Weights of neighbors for green where red or blue is measured, for a color whose pixels are in the same row as a green
-one, and for red where blue is measured and the other way round."""
+"""Weights of neighbors, by method: for green at red or blue pixels; at green pixels, for the color of other pixels in
+their row; for red at blue pixels and blue at red ones."""
 
 
 def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -> Array:
@@ -79,7 +79,7 @@ def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...
 
 
 def menon_function() -> Any:
-    """The function of colour-demosaicing. Raises MissingDependencyError if it is not installed."""
+    """Demosaicing function of the package colour-demosaicing. Raises MissingDependencyError if it is not installed."""
     with warnings.catch_warnings(), np.printoptions():  # it changes how all arrays are printed
         warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
         return import_extra("sensor.demosaic", "colour_demosaicing", "sensor").demosaicing_CFA_Bayer_Menon2007

@@ -1,4 +1,4 @@
-"""Developing of sensor codes to the image, and ground truth of their noise."""
+"""Development of sensor codes to an image, and ground truth of the sensor: electrons, noise, saturation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.frame.demosaicing import demosaic, menon_function
 from clsco.optics.sensor import SensorModel, noise_variance
 
-LEAST_SIDE = 2  # px, of frames that can be demosaiced
+LEAST_SIDE = 2  # px, smallest side of a frame that can be demosaiced
 
 
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
@@ -34,7 +34,7 @@ def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.fl
 
 
 def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
-    """For each pixel the value of the channel that it measures, (rows, columns, planes); size: this shape."""
+    """Value of the channel that each pixel measures, an array of shape `size` = (rows, columns, planes)."""
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
     return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)

@@ -33,7 +33,7 @@ from clsco.scene.model import Scene
 
 
 def _single(shot: Shot, file: TruthFile) -> NDArray[Any]:
-    """The array of a file that holds a single one."""
+    """The array of a shot that a file of a single array holds."""
     (frame,) = shot.views
     (array,) = file.arrays(frame).values()
     return array
@@ -112,7 +112,7 @@ def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
 
 
 def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
-    """Mask of known pixels of a flow or a disparity: on surfaces, and for flow on those that stay in front of the
+    """Mask of pixels with known flow or disparity: those that show a surface, which for flow stays in front of the
     lens.
     """
     (frame,), (name,) = shot.views, file.names
@@ -146,8 +146,8 @@ TRUTH_FORMATS = {
 
 
 def files_of(truth: str, formats: str = "", types: str = "") -> tuple[TruthFile, ...]:
-    """Files of ground truth for options: arrays in `truth`, each format in `formats`. Raises SceneError as
-    `choose_files`.
+    """Files of ground truth that options ask for: the arrays in `truth`, in each format of `formats`. Raises SceneError
+    as `choose_files`.
     """
     return choose_files(truth, formats, types, TRUTH_FORMATS)
 
@@ -182,7 +182,7 @@ def _pictures(stem: str, subframes: int) -> list[str]:
 def _truth_names(
     index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
 ) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
-    """Name of each file of ground truth, with the eyes and the outputs that it holds.
+    """Name of each file that `file` stands for, with the eyes and the outputs that the file holds.
 
     held: arrays that the frame has, named as in files.
     """
@@ -228,7 +228,7 @@ def write_frame(
     of the textures, 8, 16 or 32; for 32 the PNG has 16. transfer: curve of the PNG, which clips radiance to 0 to 1; the
     other files are not clipped. truth: each file holds the color and all ground truth of the frame, or the arrays that
     it names, linear; files written once per scene (`write_scene_files`) are skipped. about: additional content of the
-    JSON file. scene: with its resolution; gives an EXR the attributes of its camera. color: color space of the PNG,
+    JSON file. scene: one with a resolution; its camera gives the attributes of an EXR. color: color space of the PNG,
     whose curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its chromaticities.
 
     Returns the content of the JSON file: `about`, the metadata (of a stereo pair in `views`), `truth` if a ground-truth
@@ -261,7 +261,7 @@ def write_frame(
 
 
 def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Sequence[TruthFile]) -> None:
-    """Write ground-truth files that a scene, with its resolution, has once for all frames. Raises FileError."""
+    """Write the ground-truth files that cover all frames of a scene; it must have a resolution. Raises FileError."""
     for file in truth:
         known = TRUTH_FORMATS[file.format]
         if known.per == "scene":

@@ -16,7 +16,7 @@ from clsco.frame.channels import exr_channels
 from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
 from clsco.frame.outputs import FILE_NAMES
 
-GREEN = 1  # channel that stands for all, where one must
+GREEN = 1  # channel that represents all, if only one is used
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,8 +34,8 @@ class Frame:
     index : int
         Number of the frame in its sequence, from 0.
     color : float32 (rows, columns[, 3])
-        Linear radiance, 1 = white: blurred by defocus and motion. None with `color=False`. With a sensor the light of
-        its codes, noise included, demosaiced if the sensor does.
+        Linear radiance, 1 = white: blurred by defocus and motion. None with `color=False`. With a sensor, radiance
+        computed from its codes, with their noise, demosaiced if the sensor is.
     sharp : float32 (rows, columns[, 3])
         Linear radiance: all in focus.
     depth : float32 (rows, columns), mm
@@ -44,7 +44,7 @@ class Frame:
         Signed blur radius R, positive behind the focus; `coc` in files. One for each of red, green and blue if the
         lens has longitudinal color.
     mask : bool (rows, columns)
-        A surface is there.
+        True if a surface is visible.
     filled : uint8 (rows, columns)
         0 known, 1 filled, 2 could not be filled.
     missing : bool (rows, columns)
@@ -59,12 +59,12 @@ class Frame:
     hidden : bool (rows, columns)
         The point is hidden in the reference pose, so its radiance is extrapolated.
     flow_backward : float32 (rows, columns, 2), px
-        x right, y down, to the frame before. Only if something moves, as for `flow_occluded`.
+        x right, y down, to the frame before. Only if something moves, as `flow_occluded`.
     flow_occluded : bool (rows, columns)
         The point is not visible in the next frame: a surface hides it, or it is outside the frame.
     uv : float32 (rows, columns, 2)
-        Position of the surface point in the image of its texture, right and up from the lower left corner, in copies of
-        the image; for a cube map in a row of its six images. Only with textures on surfaces.
+        Position of the surface point in its texture, right and up from the lower left corner, in units of the image's
+        size; for a cube map, in its six images side by side. Only with textures on surfaces.
     disparity : float32 (rows, columns), px
         Column of the surface point in the left view less that in the right one; 0 without a surface. Only of stereo
         pairs, as `occluded`.

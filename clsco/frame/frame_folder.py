@@ -26,7 +26,7 @@ MOST_FAULTS = 20
 _CHANNELS = {
     "color": "R G B", "sharp": "sharp.R sharp.G sharp.B", "depth": "Z", "coc": "coc", "flow": "flow.u flow.v",
 }  # fmt: skip
-"""Channels of an EXR, by the names that arrays have in an NPZ."""
+"""Channels in an EXR of each array, by the name of the array in an NPZ."""
 _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flow": ((2,),)}
 
 
@@ -34,7 +34,7 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 class FrameFolder:
     """Frames of one scene.
 
-    numbers: of the frames, consecutive. eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between
+    numbers: frame numbers, consecutive. eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between
     frames. transfer: curve of the PNG files, "srgb" or "linear". of: number of frames of the scene. scenes: hashes of
     scenes; a single one if all frames were rendered from the same file.
     """
@@ -85,7 +85,7 @@ class FrameFolder:
 
 
 def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
-    """Channels of an array; for blur radii those of three colors, if they exist. Raises FileError."""
+    """Planes of an array's channels; for blur radii, one for each color if the file has them. Raises FileError."""
     try:
         return read_exr(path, _CHANNELS[name].split(), eye)
     except FileError as error:

@@ -1,4 +1,4 @@
-"""Outputs of a frame: a table with a row for each.
+"""Outputs of a frame: a table with one row per output.
 
 To add one, add a row here, an attribute of `clsco.frame.frame.Frame`, and its computation in kernels/trace/truth.cl
 (`by_rays`) or clsco/passes/truth.py.
@@ -22,11 +22,11 @@ class Output:
     """An array of a frame.
 
     name: attribute of `Frame`. dtype: type. components: numbers per pixel; 0: the channels of the image. unit, about:
-    unit and description. group: scenes that have it (`clsco.plan.decisions.POSSIBLE`); "image": only made if asked for
-    by name. empty: value without a surface; None: the background has values. by_rays: True if `ground_truth` of the
-    kernels makes it. figure: largest difference, by `measure`, at which two of them agree: rounding of float32 at the
-    size of its values, and for color far below an 8-bit code (1/255 is 400 times more). in_file: its name in files.
-    layer: layer in an EXR, by default that name; letters: of its components there.
+    unit and description. group: key in `clsco.plan.decisions.POSSIBLE` of the scenes that have it; "image": only made
+    if asked for by name. empty: value without a surface; None: the background has values. by_rays: True if the kernel
+    `ground_truth` computes it. figure: largest difference, by `measure`, at which two such arrays agree: float32
+    rounding at the size of the values; for color 1/400 of an 8-bit code. in_file: name in files. layer: layer in an
+    EXR, by default the name in files; letters: channels of that layer.
     """
 
     name: str
@@ -121,8 +121,8 @@ OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of outputs besides color from user input, an iterable or text with commas: of `ALL_TRUTH` or `IMAGE_NAMES`,
-    or of their arrays in files; "all" is `ALL_TRUTH`. Raises SceneError for other names.
+    """Names of outputs besides color from user input, an iterable or a comma-separated text: members of `ALL_TRUTH` or
+    `IMAGE_NAMES`, or names in files; "all" is `ALL_TRUTH`. Raises SceneError for other names.
     """
     if truth == "all":
         return ALL_TRUTH
@@ -132,7 +132,7 @@ def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 
 
 def attributes_of(names: str | Iterable[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Attributes of `Frame` for names of outputs, or of arrays in files, if they are in `known`. Raises SceneError."""
+    """Attributes of `Frame` for names of outputs or of arrays in files. Raises SceneError if one is not in `known`."""
     listed = [name for name in names.split(",") if name] if isinstance(names, str) else [*names]
     attributes = [ATTRIBUTES.get(name, name) for name in listed]
     for name, attribute in zip(listed, attributes, strict=True):

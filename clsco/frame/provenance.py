@@ -49,7 +49,7 @@ def units(scene: Scene) -> dict[str, str]:
 
 
 def _record_units(scene: Scene) -> dict[str, str]:
-    """Units of the entries that a frame's JSON file has besides the scene's parameters, per view for a stereo pair."""
+    """Units of the entries in a frame's JSON file that are not parameters of the scene, per view for a stereo pair."""
     places = [""] if scene.stereo is None else [f"views.{view}." for view in views(scene)]
     return DERIVED_UNITS | {place + key: unit for place in places for key, unit in FRAME_UNITS.items()}
 

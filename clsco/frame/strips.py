@@ -44,7 +44,7 @@ def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -
 def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
     """The strip from row `top` to before row `end`; the other arguments as for `cut_strips`.
 
-    Its bits equal those of the whole frame if it begins at a multiple of BAND, and ends at one or at the frame's end.
+    Its pixels equal those of the whole frame, bit by bit, if `top` is a multiple of BAND, and `end` is one or `rows`.
     """
     above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
     return Strip(top, end - top, above + (top + guard - above) % step, below)
@@ -65,7 +65,7 @@ def with_apron(
 
 @dataclass(frozen=True)
 class Grid:
-    """Sizes that buffers are allocated for: of a frame, or of its tallest strip, with the apron of sources.
+    """Sizes for which buffers are allocated: a frame or its tallest strip, and the apron around its source grid.
 
     rows, columns: of the frame or strip, px. guard: width of the apron, px. height: rows of the tallest source grid.
     """

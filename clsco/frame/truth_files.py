@@ -27,7 +27,7 @@ FLOATS = ("float32", "float16")  # types of an array of floats
 
 @dataclass(frozen=True)
 class TruthFile:
-    """A file of ground truth, or one per array, as a user asks for it.
+    """Ground-truth file that a user asks for; in some formats, one file per array.
 
     format: key of `clsco.frame.files.TRUTH_FORMATS`. names: its arrays, named as in files; () for all. float16: arrays
     stored as float16 (11 significant bits, values up to 65504); ("all",) for all arrays. compressed: also compress
@@ -71,7 +71,7 @@ def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
 class Shot:
     """Content of a file of ground truth.
 
-    views: a frame, or both views of a stereo pair. scene: with its resolution. color: color space of the radiance.
+    views: a frame, or both views of a stereo pair. scene: one with a resolution. color: color space of the radiance.
     """
 
     views: tuple[Frame, ...]
@@ -84,8 +84,8 @@ class TruthFormat:
     """A format of ground truth.
 
     name: pattern of file names, "{stem}_{array}.flo", or the folder of files of a whole scene. write: takes a path, the
-    content, and the file that a user asked for; if `per` is "array", this has a single name. per: content of one file:
-    both views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: arrays that it can
+    content, and the file that a user asked for, with a single name if `per` is "array". per: content of one file: both
+    views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: arrays that it can
     hold. besides: other attributes of a frame that it needs, to mark known pixels. options: "compressed" if its floats
     can be compressed, "float16" if they can have 16 bits. needs: a module, and the extra of clsco that installs it.
     """
@@ -100,7 +100,7 @@ class TruthFormat:
 
 
 def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of arrays in files, in their order; "blur_radius" is "coc", and "all" is all ground truth of the scene.
+    """Names of arrays in files, in their fixed order; "blur_radius" becomes "coc", and "all" all names of ground truth.
     Raises SceneError for other names.
     """
     attributes = attributes_of(ALL_TRUTH if truth == ALL else truth, [*OUTPUTS])
@@ -110,8 +110,8 @@ def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Stored types of arrays, by name.
 
-    text: such as "color=float32,depth=float16"; "all=float16" applies to every array that is not named and can have it.
-    known: types that each array can have. Raises SceneError with a message for each fault.
+    text: such as "color=float32,depth=float16"; "all=float16" applies to every array that is not named and can have
+    this type. known: types that each array can have. Raises SceneError with a message for each fault.
     """
     types: dict[str, str] = {}
     faults = []
@@ -136,9 +136,9 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
 def choose_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
     """Files of ground truth from options; empty without truth and formats.
 
-    truth: such as "depth,coc"; "all", or "" with formats, means every array that they can hold. formats: with options,
-    such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as for `parse_types`. Raises SceneError
-    for unknown words, an array that no format can hold, and a format that can hold none of the arrays.
+    truth: such as "depth,coc"; "all", or "" with formats, means every array that the formats can hold. formats: names
+    and options, such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as for `parse_types`. Raises
+    SceneError for unknown words, an array that no format can hold, and a format that can hold none of the arrays.
     """
     if not (truth or formats):
         if types:
@@ -157,7 +157,7 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
-    """A file of a format, given with its options, with those of the named arrays that it can hold."""
+    """Ground-truth file of a format, such as "npz+compressed", with the arrays in `names` that it can hold."""
     form, *options = text.split("+")
     if form not in known:
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")

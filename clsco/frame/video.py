@@ -134,8 +134,8 @@ def write_folder_clip(
 ) -> list[str]:
     """Write the frames of a folder as a clip.
 
-    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side
-    (compare); depth, coc or flow as colors, on one scale for the clip. advance: called after each frame.
+    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color (the PNG files), sharp, compare (sharp and color
+    side by side), or depth, coc or flow as colors on one scale for the clip. advance: called after each frame.
 
     Returns notes for users: the rate, the scale of colors, and changes made by `write_clip`. Raises FileError as
     `write_clip`, and if files are missing or damaged.
@@ -164,8 +164,8 @@ def write_folder_clip(
 
 
 def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
-    """An array of each frame; blur radii (green if there are several colors) become +inf where no surface is, if the
-    folder also has the depth.
+    """The array `name` of each frame. Blur radii (those of green if there are several colors) become +inf without a
+    surface if the folder also has the depth.
     """
     arrays = frames.arrays(name, eye)
     if name == "coc":
@@ -187,7 +187,7 @@ def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]
 
 
 def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
-    """Two images side by side; the left one is linear, and encoded as the right one."""
+    """Two images side by side: linear radiance on the left, encoded in the bits and curve of the codes on the right."""
     if left.shape[:2] != right.shape[:2]:
         raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     left = encode(left, 8 * right.dtype.itemsize, transfer)

@@ -26,10 +26,10 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 
 @dataclass(frozen=True)
 class FrameView:
-    """Color display of an array, given by its name in files.
+    """Color display of an array. array: its name in files.
 
-    extent: numbers of an array, whose maxima over a clip make its scale. paint: takes the array and the scale; returns
-    8-bit RGB. label: text that states the scale.
+    extent: returns numbers of one array; their maxima over the arrays of a clip are the scale. paint: takes the array
+    and the scale; returns 8-bit RGB. label: text that states the scale.
     """
 
     array: str
@@ -43,7 +43,7 @@ class FrameView:
 
 
 def _require(array: NDArray[Any], name: str, also: float | None = None) -> NDArray[Any]:
-    """Mask of finite numbers; raises FileError for other numbers than these and `also`."""
+    """Mask of finite numbers. Raises FileError for any other number except `also`."""
     finite: NDArray[Any] = np.isfinite(array)
     if not (finite if also is None else finite | (array == also)).all():
         raise FileError(f"view: {name} must be finite{'' if also is None else f' or {also}'}; got other numbers")
@@ -56,7 +56,7 @@ def _depth_extent(depth: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _paint_depth(depth: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Near depths dark, far ones bright; black without a surface."""
+    """Colors of depth: near is dark, far is bright; black without a surface."""
     seen = np.isfinite(depth)
     painted = viridis(np.where(seen, depth, 0.0), -scale[0], scale[1])
     return np.where(seen[..., None], painted, np.uint8(0))
@@ -74,7 +74,7 @@ def _radius_extent(radius: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _paint_radius(radius: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Radii before the focus dark, behind it bright; black without a surface."""
+    """Colors of blur radii: dark in front of the focus, bright behind it; black without a surface."""
     seen = np.isfinite(radius)
     painted = viridis(np.where(seen, radius, 0.0), -scale[0], scale[0])
     return np.where(seen[..., None], painted, np.uint8(0))
@@ -103,7 +103,7 @@ VIEWS = {
         lambda scale: f"flow: Middlebury color wheel, white for none to full color for {scale[0]:.6g} px",
     ),
 }
-"""By name."""
+"""Displays by name of the view."""
 
 
 def viridis(values: NDArray[Any], low: float, high: float) -> Picture:

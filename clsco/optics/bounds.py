@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 TOUCHING = 1e-7  # of the largest bound: nearer is a touch, as of bounds that were rounded to float32
-FAR = 1e3  # of the largest bound: where there is none
-NULL = 1e-13  # of the largest coefficient: none
+FAR = 1e3  # multiple of the largest bound, in place of an infinite one
+NULL = 1e-13  # fraction of the largest coefficient that counts as 0
 Interval = tuple[float, float]
 Bounds = tuple[Interval, Interval, Interval]
 Matrix = NDArray[np.float64]
@@ -66,7 +66,7 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
 def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
     """Candidates for the ends of a surface along an axis, in both directions; infinite where it has no end.
 
-    matrix: (M, L; L, K); box: (3, 2), low and high, which applies to the other axes, and for finite roots to all.
+    matrix: (M, L; L, K); box: (3, 2), low and high; it limits the other axes, and finite candidates lie inside it.
     """
     order = [axis, *(k for k in range(3) if k != axis), 3]
     m, (axis_interval, *sides) = matrix[np.ix_(order, order)], box[order[:3]]

@@ -1,5 +1,5 @@
-"""Weights of apertures by chords: of the ellipses in a distorted image, and of the part that rims leave open of round
-lenses or lenses with `Borders` (float64, pure).
+"""PSF weights as integrals along chords: of ellipses in a distorted image, and of lenses, round or with `Borders`, that
+rims cut (float64, pure).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Circle = tuple[Array, Array, Array]
 DISC = np.array([1.0, 0.0, 1.0])
 """Shape of a disc, see `clsco.optics.ellipses.shape_of`."""
 FLAT = 1.5
-"""Distance, px, of columns from the ends of an opening from which on chords between them are FLAT_CHORDS."""
+"""Least distance in px from both ends of an opening at which columns can be flat, with FLAT_CHORDS chords."""
 UPRIGHT, FAR = 1e-6, 1e6
-"""Edges whose normals are flatter are ends of an opening; px, beyond all openings."""
+"""UPRIGHT: edges whose normal has a smaller |y| are ends of an opening. FAR: a distance beyond all openings, px."""
 FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
-"""Chords between two columns: where flat, and else; and for the area of half an opening."""
+"""Numbers of chords: between two columns if flat, and otherwise; and for the area of half an opening."""
 
 
 @cache
@@ -184,7 +184,7 @@ class _Opening:
     ) -> Iterator[tuple[Array, Array]]:  # fmt: skip
         """Positions (count, ...) of chords from `start` to `end`, and their quadrature weights in px.
 
-        axes: of weights, before which the first one is added.
+        axes: number of axes of the weights, to which a first axis is added.
 
         Chords grow with the square root of the distance from an end of the opening: where they are not flat, nodes are
         placed by that root from the nearer end; a column over the middle has nodes from both.

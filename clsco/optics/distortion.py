@@ -20,7 +20,7 @@ LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls 
 MOST_STEPS = 30  # of Newton's method
 CLOSE = 1e-14  # slope: by which the last step may change a place
 NEARLY = 1e-7  # slope: a step after one of this size changes a place by its square
-NODES = 64  # places that the start is fitted at
+NODES = 64  # positions at which the start is fitted
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Distortion:
         return at_x, at_y
 
     def _step(self, x: Array, y: Array, target_x: Array, target_y: Array) -> tuple[Array, Array]:
-        """Step of Newton's method from (x, y) towards the distorted slopes `there`."""
+        """Step of Newton's method from (x, y) towards the target's distorted slopes."""
         across, up = self._polynomial(x, y)
         return self.solved(x, y, target_x - across, target_y - up)
 
@@ -198,7 +198,7 @@ class DistortedCamera(Camera):
     """A camera whose lens distorts the image."""
 
     distortion: Distortion
-    """Acts on the slopes of its rays."""
+    """Distortion of the slopes of the camera's rays."""
 
 
 def with_distortion(camera: Camera, lens: Lens | None) -> Camera:

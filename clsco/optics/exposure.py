@@ -22,7 +22,7 @@ from clsco.scene.sequence import CURVES, ShutterCurve
 
 Array = NDArray[np.float64]
 PREDICTED_TIMES = 33  # of the whole sequence at most
-AT_AN_END = 1e-9  # of an exposure: a jump that is as near to its end is there
+AT_AN_END = 1e-9  # fraction of an exposure: a jump as near to its end counts as at the end
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     Parameters
     ----------
     scene : Scene
-        With its resolution, if rows or columns are exposed one after another.
+        Scene with a resolution, if rows or columns are exposed one after another.
     frame : int
     samples : int
         Number N of time samples while a line of the frame is exposed. "midpoint": t = (i + 1/2) T / N after the shutter
@@ -110,7 +110,7 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     """Exposure of a frame whose lines are exposed one after another.
 
     Lines that are open at the same time share their time samples, which divide the frame's whole exposure into equal
-    intervals of at most shutter / samples; if none are, each line has its own samples.
+    intervals of at most shutter / samples; if no lines overlap in time, each has its own samples.
     """
     sequence, opens = scene.sequence, line_openings(scene)
     (begins, _), curve, shutter = shutter_span(sequence, frame), sequence.shutter_curve, sequence.shutter
@@ -150,7 +150,7 @@ def _all_jumps(scene: Scene) -> Array:
 
 
 def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, Any]:
-    """Times between which a jump is strictly inside the exposure of one frame, or of each of several."""
+    """Times between which a jump counts as inside the exposure of a frame; arrays for several frames."""
     begin = frame * sequence.interval + sequence.shutter_start
     slack = AT_AN_END * (sequence.shutter + sequence.readout)
     return begin + slack, begin + sequence.shutter + sequence.readout - slack

@@ -100,8 +100,8 @@ class Lens:
         return np.asarray(by_field + self.sphere / np.sqrt(1.0 + squared_slope))
 
     def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
-        """The lens for rays of slopes x and y only, with the distortion's scale there included; its numbers become
-        arrays of that shape.
+        """The lens for rays of slopes x and y only, including the scale of the distortion there; its attributes become
+        arrays of the shape of x and y.
         """
         if self.distortion is None:
             return self

@@ -18,7 +18,7 @@ from clsco.scene.camera import FollowedDistance
 from clsco.scene.model import Camera, Scene
 from clsco.scene.model import Lens as SceneLens
 
-DENSE = 33  # places between two keyframes at which the widest aperture is looked for
+DENSE = 33  # positions between two keyframes at which the widest aperture is searched
 WIDER = 1.01
 
 

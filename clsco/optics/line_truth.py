@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
 STEPS, CLOSE = 24, 1e-9  # of Newton's method at most, and lines by which the last one may change
 STEEP = 0.5  # lines from line to line: several lines may show points that move by more
-SAMPLED = 64  # points of an object, and lines, that are tested for this
-NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor is that of another point
+SAMPLED = 64  # points of an object, and lines, that are tested for STEEP
+NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor belongs to another point
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +44,9 @@ class Lines:
     times : ndarray of float64, (lines,)
         Seconds since the reference pose.
     cameras : tuple of Camera
-        Camera at each of them.
+        Camera at each time.
     poses : tuple of tuple of Pose
-        Poses of all objects at each of them.
+        Poses of all objects at each time.
     """
 
     by_columns: bool
@@ -83,7 +83,7 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
 def _first_crossing(
     at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
 ) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """As `LinePoints._positions`, for points that several lines may show: the first line that they reach.
+    """Positions as by `LinePoints._positions`, for points that several lines may show: on the first such line.
 
     at: returns the positions of the points at a line's time, and a mask of points in front of the lens.
     """
@@ -190,8 +190,8 @@ class LinePoints:
         return positions, valid
 
     def _project(self, point: Array, then: Lines, line: Pixels | int) -> tuple[Array, NDArray[np.bool_]]:
-        """Positions (points, 2) in px, column and row, of points in mm at the time of one line or of a line each, and a
-        mask of points in front of the lens.
+        """Positions (points, 2) in px, column and row, of points in mm, at the time of one line or each at that of its
+        own, and a mask of points in front of the lens.
         """
         before, (rows, columns) = point[:, 2] > 0.0, self.shape
         ahead = np.where(before, point[:, 2], 1.0)

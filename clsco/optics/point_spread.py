@@ -59,7 +59,7 @@ class Rim:
 class PointSpread:
     """Point spread function (PSF) of a lens: the pupil, and the evaluation on pixels. Made by `point_spread`.
 
-    Equal instances have equal weights apart from rims, so tables are cached by it.
+    Equal instances have equal weights apart from rims, so they are the keys of cached tables.
 
     Attributes
     ----------
@@ -130,11 +130,11 @@ class PointSpread:
 
     @property
     def blended(self) -> int:
-        """Number of tables that a weight is blended from."""
+        """Number of tables from which a weight is blended."""
         return 1 if self.varying is None else 4
 
     def at(self, hx: float, hy: float) -> PointSpread:
-        """The PSF at a position (hx, hy), constant over the frame."""
+        """The PSF at a position (hx, hy), as a PSF that is constant over the frame."""
         if self.varying is None:
             return self
         from clsco.optics.pupils.fourier import FourierDiffracted
@@ -227,8 +227,8 @@ class PointSpread:
         `Wavefront.grown` in a field.
 
         The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Pillbox (2.26) through its
-        pupil, and Gaussian (2.27). A radius of 0 is the limit: all light stays. Validated: sum 1 to 1e-12, quadrature,
-        continuity.
+        pupil, and Gaussian (2.27). At radius 0 all light stays, unless `diffracted`. Validated: sum 1 to 1e-12,
+        quadrature, continuity.
         """
         tent = self.edge == "integrated"
         if self.signed or self.diffracted:
@@ -281,7 +281,7 @@ class PointSpread:
         return self.extent**2
 
     def _sampled_weights(self, dx: Array, dy: Array, r: Array) -> Array:
-        """Pixel centers inside the circle, normalized, as in the thesis; no blur below half a pixel."""
+        """Equal weights of all pixel centers inside the circle, as in the thesis; no blur below half a pixel."""
         square = dx * dx + dy * dy
         key = np.where(r < MINIMUM_BLUR, 0.0, self.key * r * r)
         value = (square <= key).astype(np.float64)

@@ -48,7 +48,7 @@ class WeightBlock:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
+        """Size in bytes of all arrays."""
         return sum(array.nbytes for array in vars(self).values())
 
 

@@ -33,8 +33,8 @@ BLOCK = 64  # intervals of a sampled Gaussian, or of waves, that are computed to
 
 
 def sampled_steps(psf: PointSpread) -> tuple[int, int]:
-    """For sampled PSFs: intervals per unit of dx^2 + dy^2 at first, and the number of units with these; 1 per unit
-    beyond.
+    """Intervals of a sampled PSF per unit of dx^2 + dy^2 near 0, and the number of such units; beyond, 1 interval per
+    unit.
     """
     return (1, 0) if psf.uniform else (FINE_STEPS, FINE_UNTIL)
 
@@ -51,10 +51,10 @@ def table_steps(psf: PointSpread, subpixel: bool) -> int:
 
 
 def octaves_from(psf: PointSpread) -> float:
-    """Inverse offset of the radii of a table, 1 / px; a float32.
+    """Inverse of the offset that is added to radii before taking their logarithm, 1 / px; a float32.
 
-    For a Gaussian, OFFSET or less of its extent: for sub-pixel sources pixel edges are at multiples of 1 / alignment
-    px, and an interval must begin where the cut reaches one.
+    For a Gaussian, the offset is at most OFFSET over its extent: with sub-pixel sources, pixel edges are at multiples
+    of 1 / alignment px, and an interval must begin where the cut-off reaches one.
     """
     if not psf.alignment:
         return 1.0 / OFFSET
@@ -105,8 +105,8 @@ def half_width(psf: PointSpread, index: int, subpixel: bool) -> int:
 
 
 def block_intervals(psf: PointSpread, subpixel: bool) -> int:
-    """Number of intervals computed together: half an octave, or a quarter for sub-pixel sources; BLOCK, or a px for
-    Fourier transforms.
+    """Number of intervals computed together: half an octave, or a quarter for sub-pixel sources; BLOCK for sampled
+    PSFs, waves and aberrations, but those of 1 px if their layout is "general".
     """
     if psf.diffracted and psf.layout == "general":
         return max(table_steps(psf, subpixel), TAP_LANES)

@@ -29,9 +29,9 @@ from clsco.optics.ray_means import has_ray_means, ray_floats
 LARGEST_TABLES = 2**30  # bytes
 SHARED_BYTES = 2**26  # up to which a table has whole blocks, for other ranges as well
 Blocks = Callable[[PointSpread, int, int], WeightBlock]
-"""Gives the block of a PSF that begins with an interval, for so many sub-pixel sources, as `weight_block`."""
+"""Function like `weight_block`: takes a PSF, the first interval and sub-pixel sources per axis; returns the block."""
 Join = Callable[[list[NDArray[np.float32]]], NDArray[np.float32]]
-"""Puts arrays one after the other."""
+"""Function that concatenates arrays."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,12 @@ def psf_features(psf: PointSpread) -> dict[str, int]:
 
 @lru_cache(maxsize=256)
 def table_sizes(psf: PointSpread, smallest: float, largest: float, subpixel: int = 0) -> Mapping[str, int]:
-    """Bytes of each array of `psf_table` with the same arguments, by name."""
+    """Size in bytes of each array of `psf_table` with the same arguments, by name."""
     return span_sizes(psf, rounded_span(psf, smallest, largest, subpixel), subpixel)
 
 
 def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
-    """Bytes of each array of `table_of` with the same arguments, by name."""
+    """Size in bytes of each array of `table_of` with the same arguments, by name."""
     if psf.layout == "disc" and not subpixel:
         size = 4 * len(span)
         return {"intervals": 2 * size, "coefficients": size, "taps": size, "outlines": 4 * span.stop}
@@ -227,7 +227,7 @@ def table_of(
 
 
 def _of_block(psf: PointSpread, start: int, subpixel: int) -> PointSpread:
-    """The PSF for a block that begins with an interval: it has all radii of a sign or none."""
+    """The PSF for a block that begins with interval `start`: for each sign, `most` allows all radii or none."""
     if psf.most == (inf, inf):
         return psf
     least = float(table_radius(psf, np.array(start), subpixel > 0))
@@ -244,7 +244,7 @@ def _counts(psf: PointSpread, span: range, subpixel: int) -> tuple[int, int]:
 
 
 def _intervals(psf: PointSpread, widths: NDArray[np.int32], span: range, subpixel: int) -> NDArray[np.int32]:
-    """`PsfTable.intervals`. An interval without weights is the last that has some, of the other sign if none has."""
+    """Value of `PsfTable.intervals`. An interval without weights gets the last with some, else of the other sign."""
     counts = _counts(psf, span, subpixel) if psf.signed else (len(widths),)
     numbers = np.concatenate([np.arange(count) for count in counts])  # of what is stored
     sizes = _interval_size(psf, widths.astype(np.int64), subpixel)[numbers]

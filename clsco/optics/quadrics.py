@@ -79,7 +79,7 @@ EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
 
 @dataclass(frozen=True)
 class PlacedSurface:
-    """A surface at one time in the camera's frame: the point at depth Z on ray d has X = offset + Z turn d.
+    """A surface at one time in the camera's frame; the point at depth Z on ray d has canonical X = offset + Z turn d.
 
     Attributes
     ----------
@@ -264,8 +264,8 @@ def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
 
 
 def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector, Vector]:
-    """For rays of slopes x and y (any one shape): approximate distance from the midline of the two lines that outline a
-    cylinder or a cone, and half of the distance between the lines there; infinite where it is large.
+    """Approximate distance of rays with slopes x and y (any one shape) from the midline of the two lines that outline a
+    cylinder or a cone, and half of the distance between these lines; infinite where it is large.
     """
     form = outline_form(surface)
     bend = -float(form[0, 0] + form[1, 1])

@@ -18,7 +18,7 @@ def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array
     Parameters
     ----------
     camera : Camera
-        With its resolution.
+        Camera with a resolution.
     row, column : array_like
         px, may be fractional and outside of the frame; they broadcast.
 

@@ -51,7 +51,7 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
     Parameters
     ----------
     scene : Scene
-        With a resolution.
+        Scene with a resolution.
     time : float
         s.
     psf : PointSpread
@@ -82,7 +82,7 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
 def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:
     """Fraction (N,) of the light through the aperture that passes all rims; arguments as for `rim_circle`.
 
-    By area if the aperture has borders; else by summing over cells of the lens, to 0.5 %.
+    Computed by area if the aperture has borders, else by summing over cells of the lens, to 0.5 %.
     """
     shares = np.ones(w.shape)
     parts = [slice(start, start + POINTS) for start in range(0, w.size, POINTS)]

@@ -18,11 +18,11 @@ from clsco.scene.sensor import MOSAICS, Sensor
 
 GRAY = 1  # gray light is taken for green
 PLANES = 3
-STREAM_BITS = 8  # of a word that has the stream of a plane, and above it the upper bits of noise_seed
+STREAM_BITS = 8  # lower bits of a word, for the stream of a plane; above are the upper bits of noise_seed
 LEAST_DARK_NOISE = 0.4  # DN rms, below which rounding no longer adds 1/12 DN^2 (EMVA 1288)
 MOST_MEAN = 2.0**24  # electrons of a pixel, beyond any full well
 MOST_SCALE = 1e30  # electrons of white, within float32
-MOST_DOUBLINGS = 100.0  # of the dark current, where any pixel is full
+MOST_DOUBLINGS = 100.0  # doublings of the dark current, at which any pixel is full
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class Stencil:
 
     @property
     def pairs(self) -> NDArray[np.int32]:
-        """Evaluation of the union from a summed-area table: int32 (count, 4), (dy, dx) of the +1 and of the -1."""
+        """Terms of the union in a summed-area table: int32 (count, 4), (dy, dx) to add and (dy, dx) to subtract."""
         pairs, inner = list[tuple[int, int, int, int]](), -1
         for a, b in self.rectangles:
             pairs += [(b, a, b, -a - 1), (-b - 1, -a - 1, -b - 1, a)]
@@ -122,9 +122,9 @@ def stencils(psf: PointSpread, radius: float) -> tuple[Stencil, ...]:
 def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Rectangle, ...]:
     """Rectangles for a quadrant of a disc with a constant weight in its middle, chosen to minimize time.
 
-    same: mask of pixels with that weight; half: mask of pixels with at least half of it. Rectangles may cover the
-    latter, because runs that subtract the excess are needed anyway. The optimum is a shortest path over the rows where
-    a rectangle ends.
+    same: mask of pixels with that weight; half: mask of pixels with at least half of it. Rectangles may cover `half`,
+    because runs that subtract the excess are needed anyway. The optimum is a shortest path over the rows where a
+    rectangle ends.
     """
     filled, allowed = same.sum(axis=1), half.sum(axis=1)
     count = int((allowed > 0).sum())

@@ -60,7 +60,7 @@ class StillSplit:
         ----------
         group : OcclusionGroup
         camera : Camera
-            With its resolution.
+            Camera with a resolution.
         reach : float
             Extent of the lens in lens radii.
         guard : int

@@ -20,7 +20,7 @@ def throughput(camera: Camera, vignetting: Vignetting) -> Array:
     Parameters
     ----------
     camera : Camera
-        With a resolution.
+        Camera with a resolution.
     vignetting : {"none", "natural"} or tuple of float
         Key of the scene.
 

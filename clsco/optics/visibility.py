@@ -43,9 +43,9 @@ NO_GROUP = OcclusionGroup(0, 0)  # if objects are not distinguished
 
 @lru_cache(maxsize=16)
 def lens_floats(psf: PointSpread) -> Array:
-    """Lens data for kernels, read-only: its cells; then, for a `signed` lens, mirrored cells and its straight edges,
-    for others the factors by which the mean of the part of each cell inside a round edge moves inwards; then, if rims
-    cut it by chords, squeeze and light, the sizes of the lists of its borders, and these lists.
+    """Read-only lens data for kernels: cells; then, for a `signed` lens, mirrored cells and straight edges, for other
+    lenses the factors by which the mean of the part of each cell inside a round edge moves inwards; then, if rims cut
+    the lens by chords, squeeze and light, the sizes of the lists of borders, and these lists.
 
     An edge at the distance s from the middle of a cell leaves a part whose mean is (s - 1/2) / 2 from the middle.
     """

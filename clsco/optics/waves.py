@@ -17,7 +17,7 @@ ADEQUATE, PER_DECADE = 29.3, 20.5  # dB: PSNR of a disc instead of waves is abou
 
 
 def disc_psnr(unit: float) -> float:
-    """PSNR in dB, to 1.5 dB, of an image of black and white squares blurred by a disc instead of waves; unit: Q in px.
+    """PSNR in dB, to 1.5 dB, of black and white squares blurred by a disc instead of waves; unit: `diffraction_unit`.
 
     Notes
     -----

@@ -75,9 +75,9 @@ class ApproximationReport:
     samples, scene_samples : int
         Time samples used, and those of the scene.
     silhouette_samples, scene_silhouette_samples : int
-        The same for sub-pixel sources along an axis of a pixel, 1 for none.
+        Sub-pixel sources along an axis of a pixel: used, and of the scene; 1 for none.
     merged : float
-        |R| in px from which partly hidden sources may be merged, 0 for none.
+        Blur radius |R| in px from which partly hidden sources may be merged, 0 for none.
     """
 
     tolerance: float
@@ -236,9 +236,9 @@ class _Part:
     """Statistics of an object in the frame.
 
     travel: path of its image and of its blur's edge while the shutter is open, px along x and y; radius, widest:
-    smallest and largest |R|, px, the latter 0 if no object is nearer; light: mean squared radiance, times its share of
-    the frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length times
-    squared contrast per px^2, of outlines across x and y.
+    smallest and largest |R|, px, but widest is 0 if no object is nearer; light: mean squared radiance, times its share
+    of the frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length
+    times squared contrast per px^2, of outlines across x and y.
     """
 
     travel: tuple[float, float]

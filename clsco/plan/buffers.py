@@ -1,4 +1,4 @@
-"""Buffers on the device: a table name -> bytes for each pass. The plan adds them up, and the passes allocate them."""
+"""Buffers on the device: size in bytes by name, for each pass. The plan adds them up, and the passes allocate them."""
 
 from __future__ import annotations
 
@@ -108,12 +108,12 @@ def _in_parts(reach: int) -> bool:
 
 
 def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
-    """Bytes of the ends of runs of a band, see kernels/blur/cpu/spans.clh."""
+    """Size in bytes of the ends of runs of a band, see kernels/blur/cpu/spans.clh."""
     return 8 * BAND * (columns + 1) * (1 + spec.tilt) * (4 if channels == 3 else channels)
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
-    """Bytes of the planes of sources.clh; marked: True if there are sub-pixel sources or occluders."""
+    """Size in bytes of the planes in sources.clh; marked: True if there are sub-pixel sources or occluders."""
     return 4 * (1 + 2 * tilt + marked) * sources
 
 
@@ -131,7 +131,7 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
 
 
 def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
-    """Scratch of a work-item of `gather` for columns of sources, see kernels/blur/cpu/columns.clh: whole doubles."""
+    """Scratch bytes of a work-item of `gather` for columns of sources (kernels/blur/cpu/columns.clh), whole doubles."""
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * tilt
     if psf.layout == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
@@ -241,8 +241,8 @@ def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, larg
 
 
 def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`); arguments as for
-    `layered_buffers`: planes of the layer of each pixel, and one layer with its pyramid.
+    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`): planes with each pixel's
+    layer, and one layer with its pyramid. Arguments as for `layered_buffers`.
     """
     pixels = grid.sources
     return {
@@ -377,8 +377,8 @@ def bend_buffers(scene: Scene, pixels: int) -> Sizes:
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
-    """Sub-pixel sources for `slots` pixels near silhouettes; mapped: also data exchanged by neighbors, for textures on
-    surfaces.
+    """Buffers of sub-pixel sources for `slots` pixels near silhouettes; mapped: also of data that neighbors exchange,
+    for textures on surfaces.
     """
     subs = slots * spec.subpixels**2
     sizes = {"pixels": 4 * slots, "sub_label": subs, "sub_depth": REAL_BYTES * subs}
@@ -398,7 +398,7 @@ def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Records of sources, one per pixel, and depths if rims cut their light."""
+    """Buffers of sources, one per pixel, and of their depths if rims cut their light."""
     depth = {"depth": REAL_BYTES * grid.sources} if spec.occluders else {}
     return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)} | depth
 
@@ -412,12 +412,12 @@ def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
 
 
 def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:
-    """An image with its map of signed radii; scene: the scene whose rays make it, if any."""
+    """Buffers of an image with its map of signed radii; scene: the scene whose rays make the image, if any."""
     bends = {} if scene is None else bend_buffers(scene, grid.sources)
     return {"value": 4 * grid.channels * grid.sources, "coc": REAL_BYTES * grid.sources, "valid": grid.sources} | bends
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:
-    """Ground truth of one strip by rays, including the mask; allocated only while it is computed."""
+    """Buffers of one strip's ground truth by rays, including the mask; allocated only while it is computed."""
     pixels, outputs = grid.rows * grid.columns, (OUTPUTS[name] for name in ("mask", *names))
     return {out.name: np.dtype(out.dtype).itemsize * (out.components or grid.channels) * pixels for out in outputs}

@@ -21,7 +21,7 @@ def color_passes(passes: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]
     passes : sequence of iterable of Pass
         Passes of red, green and blue light, each up to the blurred plane.
     grid : Grid
-        With the channels of the joined plane.
+        Grid with the channels of the joined plane.
 
     Yields
     ------

@@ -275,8 +275,8 @@ def choose_occlusion(
 
 
 def hides_nothing(scene: Scene) -> bool:
-    """True if the whole lens sees the same points as the pinhole: for a single surface without a visible inside that is
-    not a depth map.
+    """True if the whole lens sees the same points as the pinhole: for a single surface that is not a depth map and has
+    no visible inside.
     """
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 

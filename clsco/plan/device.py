@@ -30,11 +30,11 @@ class DeviceFacts(Protocol):
 
     @property
     def global_mem(self) -> int:
-        """Size of its memory in bytes."""
+        """Size of the device's memory in bytes."""
 
     @property
     def max_alloc(self) -> int:
-        """Size of its largest buffer in bytes."""
+        """Size in bytes of the largest buffer that the device can allocate."""
 
     @property
     def unified_memory(self) -> bool:

@@ -32,8 +32,8 @@ def prefix_names(owner: str, sizes: Sizes) -> Sizes:
 
 
 def light_of(spec: BlurSpec) -> str:
-    """Name of the output of a pass that makes an image: the image with its radii; with one radius for all pixels,
-    sources; in focus, already the plane.
+    """Name of a pass's output that holds the image: "image" with radii, "sources" if all pixels have one radius, or in
+    focus the "plane".
     """
     if spec.method == "none":
         return "plane"

@@ -37,8 +37,8 @@ PIXELS_PER_SAMPLE = 1.0  # of the fastest motion of an object in focus: 2 lose 5
 EDGE_ERROR = 5e-4  # of white, where an edge of contrast 1 passes
 MOST_SAMPLES = 4095
 LENS_TIMES = 65  # of an exposure, at which the lens is evaluated
-LINE_SAMPLES = 11  # while a line is exposed
-MOST_SUBFRAMES = 8192  # of a frame
+LINE_SAMPLES = 11  # intervals while a line is exposed
+MOST_SUBFRAMES = 8192  # time samples of a frame
 RAYS = 17  # along each axis of the visible part of an object
 LOOKS = 5  # times of an exposure at which rays are cast at an object
 FIRST_STEPS, MOST_STEPS = 32, 512  # of an exposure, at whose ends a path is evaluated
@@ -83,8 +83,8 @@ class ImagePath:
 
     @property
     def variation(self) -> float:
-        """Half of the total variation of a point's velocity, from rest to rest, px per exposure: the speed of a uniform
-        motion.
+        """Half of the total variation of a point's velocity, from rest to rest, px per exposure; equals the speed of a
+        uniform motion.
         """
         velocity = self.steps / np.diff(self.times)[:, None, None]
         changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)

@@ -36,7 +36,7 @@ class Limit:
 
 
 def parse_size(size: str | int, name: str = "memory") -> int:
-    """Bytes from a size like 1.5GiB, 800MB or 100000. Raises SceneError for anything else; name: for the message."""
+    """Parse a size like 1.5GiB or 100000 into bytes. Raises SceneError for anything else; name: for the message."""
     match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,15})?)\s*([a-z]{0,3})\s*", str(size).lower(), re.ASCII)
     bytes_of_unit = _UNITS.get(match[2]) if match else None
     parsed = int(float(match[1]) * bytes_of_unit) if match and bytes_of_unit else 0
@@ -60,7 +60,7 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
 
 
 def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
-    """Buffers on the device while a plan's frame is rendered in the plan's strips.
+    """Size in bytes by name of the buffers on the device while a plan's frame is rendered in strips.
 
     Buffers "truth ..." exist only while ground truth is computed.
     """

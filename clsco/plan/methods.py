@@ -122,8 +122,8 @@ def check_method(method: str) -> None:
 
 
 def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
-    """True on a GPU if adding this few taps by atomics takes less time than the sources' tests in tiles; largest: of
-    |R| in px.
+    """True on a GPU if blurs up to |R| = `largest` px have so few taps that adding them by atomics takes less time than
+    the tests of sources in tiles.
     """
     return device.kind == "gpu" and device.has_int64_atomics and largest * channels <= FEW_TAPS
 

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def close_focus_note(camera: Camera) -> str | None:
-    """Line on a close focus, at which sizes differ from the usual formulas, unless the scene has chosen."""
+    """Line on a close focus, which makes sizes differ from usual formulas; None if the scene sets the scale."""
     share = 1.0 - camera.normalization_distance / camera.sensor_distance
     if "normalization_distance" in camera.model_fields_set or abs(share) <= CLOSE:
         return None

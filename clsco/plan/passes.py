@@ -27,7 +27,7 @@ class Pass:
     parameters : tuple of (str, str)
         Parameters of the pass, for reports.
     buffers : dict
-        Bytes of its buffers on the device by name; passes share buffers of equal name.
+        Size in bytes of each buffer on the device, by name; passes share buffers of equal name.
     takes, gives : tuple of str
         Names of its inputs from earlier passes, and of its outputs: "moved" pixels, an "image" with its radii,
         "sources", "layers", the blurred "plane" of a time sample, its "colors" so far if each is blurred separately,

@@ -1,6 +1,6 @@
 """Planning: the passes that a scene needs, with their sizes and cost; independent of OpenCL.
 
-The engine runs `Plan.passes`, `clsco plan` prints them, and a frame's memory is that of their buffers. A pass that a
+The engine runs `Plan.passes`, `clsco plan` prints them, and a frame needs the memory of their buffers. A pass that a
 scene does not need is not compiled, run or allocated: `Choices.left_out` lists these with reasons.
 """
 
@@ -65,15 +65,15 @@ class Plan:
     Attributes
     ----------
     scene : Scene
-        With its resolution.
+        Scene with a resolution.
     psf : PointSpread
-        Point spread of its lens.
+        Point spread function (PSF) of the scene's lens.
     device : DeviceFacts
         Device to run on.
     eye : {"left", "right"}
         View of a stereo pair.
     channels, rows, columns : int
-        Size of the frame: channels 1 or 3, and one more for `alpha`; px, px.
+        Size of the frame: 1 or 3 channels, and one more for `alpha`; rows and columns in px.
     guard_px : int
         Width of the guard band, whose surfaces contribute light to the frame.
     smallest_blur, largest_blur : float
@@ -350,7 +350,7 @@ def make_plan(
     Parameters
     ----------
     scene : Scene
-        With a resolution (`clsco.inputs.textures.load_scene_textures`).
+        Scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
     channels : int
         Channels of its textures.
     request : Request, optional

@@ -38,8 +38,8 @@ _DEPTHS = Cache(32 << 20)  # bytes
 def guard_band(psf: PointSpread, border: str, largest: float) -> int:
     """Width in px of the band around the frame whose surfaces can light it, plus 2 px to detect silhouettes.
 
-    A multiple of TAP_LANES, so that vectors of sources begin in the same columns of the frame for every lens: each of
-    several lenses that share a band keeps its own bits.
+    The width is a multiple of TAP_LANES, so that vectors of sources begin in the same columns of the frame for every
+    lens: lenses that share a band give the same bits as alone.
     """
     if border == "renormalize":
         return 0
@@ -48,7 +48,7 @@ def guard_band(psf: PointSpread, border: str, largest: float) -> int:
 
 
 def check_keyframes(scene: Scene) -> None:
-    """Raise SceneError if keyframes do not cover all exposures that they must cover."""
+    """Raise SceneError if keyframes with outside = "error" do not cover all exposures."""
     keyed: list[tuple[str, ObjectMotion | Lens]] = [("camera.motion", scene.camera.motion)]
     keyed += [(f"group[{k}].motion", group.motion) for k, group in enumerate(scene.groups)]
     keyed += [(f"object[{k}].motion", item.motion) for k, item in enumerate(scene.objects)]
@@ -221,7 +221,7 @@ class Prediction:
     Attributes
     ----------
     times : list of float
-        s.
+        Sampled times, s.
     poses : list of tuple of Pose
         Poses of the objects at each time.
     w : ndarray of float64, (objects, times, GRID, GRID)

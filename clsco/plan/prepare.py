@@ -42,7 +42,7 @@ class Prepared:
     Attributes
     ----------
     scene : Scene
-        With its resolution, by default that of the first texture.
+        Scene with a resolution, by default that of the first texture.
     plans : tuple of Plan
         Plans for its view, or for the left and the right one; with three channels if any texture has color.
     request : Request

@@ -45,9 +45,9 @@ SIDE, PATCHES = 64, 9  # texels of a square whose spectrum is taken, and how man
 LOOKS = 8  # rays at a texture, for its power in the frame
 HELD = 0.4  # cycles per texel that a coarser level of the mipmap holds
 STEEP = {1: 0.08, 2: 0.16, 3: 0.1, 4: 0.06, 8: 0.03}  # by sources along an axis
-NARROW = 0.75  # px, of discs
+NARROW = 0.75  # px, radius of discs
 STRIDE = 7  # texels between those that enter means
-BETWEEN = 5  # places between two rays of a grid
+BETWEEN = 5  # positions between two rays of a grid
 FINEST = 6.0  # cycles per px, beyond which all means are constant
 STEPS = 64  # per cycle per px
 FREQUENCIES = np.arange(int(FINEST * STEPS) + 1) / STEPS
@@ -64,7 +64,7 @@ def squared_errors(
     Parameters
     ----------
     scene : Scene
-        With its resolution.
+        Scene with a resolution.
     psf : PointSpread
     textures : sequence of Texture
         Textures of all objects.
@@ -73,7 +73,7 @@ def squared_errors(
     exact : int
         Sub-pixel sources along an axis.
     counts : sequence of int
-        Smaller numbers, 1 for one source per pixel.
+        Smaller numbers of sources along an axis, 1 for one source per pixel.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> 
 
 
 Kind = tuple[Array, int]
-"""Footprint (right or down, 2) and number of RADII of pixels that are alike."""
+"""Kind of pixels: their footprint (right or down, 2) and the index of their disc's radius in RADII."""
 Spectrum = tuple[Array, Array, Array]
 """Power of a texture, white^2, and its cycles per texel along columns and rows, all of one shape."""
 
@@ -185,7 +185,7 @@ def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[
 
 
 def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Array, Array]:
-    """Power of a texture in the frame by cycles per px along x and y, without the constant, after averaging over
+    """Power of a texture in the frame by cycles per px along x and y, without the constant term, after averaging over
     pixels.
 
     across: footprints (right or down, 2, n).

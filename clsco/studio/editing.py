@@ -30,14 +30,14 @@ from clsco.studio.tables import (
 
 STEPS = 200  # of undo
 THESIS: Table = {"object": [{"shape": "plane"}]}
-"""The defaults of the thesis: all but the shape are those of clsco, too."""
+"""The defaults of the thesis; except for the shape they equal those of clsco."""
 # Choices in a table of an object with keys beside them that other choices have no use for.
 _CHOICES = ("texture_mapping", "unit")
 
 
 @dataclass(frozen=True)
 class State:
-    """State of an editor, which undo returns to."""
+    """State of an editor, to which undo can return."""
 
     table: Table
     apart: tuple[Mapping[str, Table], ...]  # of each object, the keys of the shapes that it has had
@@ -131,7 +131,7 @@ class Editor:
 
     @property
     def state(self) -> State:
-        """Current state, which undo returns to."""
+        """Current state, to which undo can return."""
         return self._state
 
     @property
@@ -207,7 +207,7 @@ class Editor:
         return False
 
     def undo(self) -> bool:
-        """Go one step back; invalid values are the last step."""
+        """Go one step back; if there are invalid values, the step only discards them."""
         if not self.refused:
             return self._go(self._history.past, self._history.future)
         self.refused, self.faults = {}, {}

@@ -17,7 +17,7 @@ from clsco.scene.text import shown
 SCENES = (".toml", ".json")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".pfm", ".npy", ".npz")
 MOST = 500  # names in a list
-DEEPEST = 4  # folders in each other
+DEEPEST = 4  # nested folders
 
 
 def below(root: Path, path: str | Path) -> Path:

@@ -44,7 +44,7 @@ from clsco.studio.tables import (
 PLACES: Mapping[str, Callable[[float], float]] = {
     "": float, "inverse": lambda value: -1.0 / value, "log": math.log10, "stops": lambda value: 6.0 * math.log2(value),
 }  # fmt: skip
-"""Places on the scales of sliders: by dioptres, by thirds of a stop. static/scales.js has these and the way back."""
+"""Positions on sliders by scale: "inverse" is even in dioptres, "stops" in stops. static/scales.js has the inverses."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def _inner_model(annotation: Any, name: str) -> Any:
 
 
 def _kinds(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The forms that a key's value may have, except none."""
+    """Schemas of the values that a key may have, except null and a range."""
     several = entry.get("anyOf")
     if several is None:
         return [entry]

@@ -32,9 +32,9 @@ from clsco.studio.tables import Table, sparse, with_value
 
 MOST_LOOKED_AT = 64  # frames of a stack
 LARGEST_SHARD = 256  # samples, as of `clsco dataset make`
-STEPS = 16  # at which the progress of a data set is seen, at least
+STEPS = 16  # least number of steps in which the progress of a data set is shown
 _LARGEST = 2**20  # bytes of a file that may be a distribution
-_SETS = "sets"  # folder of the distributions that are shipped, and of their copies
+_SETS = "sets"  # folder of shipped distributions, and of their copies
 
 
 def free_folder(session: Document, kind: str = "frames") -> str:
@@ -50,8 +50,8 @@ def render_frames(
 ) -> CommandJob:
     """Write a scene into a folder below the root, and render it there by `clsco render` with these options.
 
-    table: of another scene than the session's. Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there are
-    invalid values in boxes.
+    table: scene to render; by default the session's. Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there
+    are invalid values in boxes.
     """
     if session.refused:
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")

@@ -26,12 +26,12 @@ from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MAX_BODY = 64 * 2**20  # bytes of a request: an image
-CODE_SECONDS = 120.0  # in which the browser that is opened has to come
-HEADER_SECONDS = 10.0  # from the connection, or the end of the request before, to the end of a header
-MOST_WAITING = 64  # connections whose header has not come
-TICK = 0.5  # s between looks at them
+CODE_SECONDS = 120.0  # in which the opened browser must use its code
+HEADER_SECONDS = 10.0  # from the connection, or the end of the previous request, to the end of a header
+MOST_WAITING = 64  # connections that wait for a header
+TICK = 0.5  # s between checks of these
 PROOF, MAX_NUMBER = "/prove", 64
-"""Path at which the server proves who it is, and characters of the number that it proves it for."""
+"""Path at which the server proves its identity to a page, and most characters of the number that it signs."""
 
 # The one script in a page is that which goes from the first address to the next; others are files of ours.
 _POLICY = (

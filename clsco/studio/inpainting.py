@@ -29,8 +29,8 @@ from clsco.studio.session import Document
 FILLERS = ("mean-median", "biharmonic", "texture", "auto")
 """Methods of `clsco inpaint`, that of the thesis first; auto: the better one of the two before it."""
 MOST_RUNS = 2**20
-LARGEST = 2**24  # pixels that are filled while somebody waits
-ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them
+LARGEST = 2**24  # pixels of an image that can be filled interactively
+ROWS = {  # rows of the table in figure 5.21, with their keys in `Report.figures`
     "missing_pixels": "Missing pixels",
     "border_pixels": "Border pixels",
     "gradient_range": "Range of gradients",
@@ -45,9 +45,8 @@ ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them
 class FilledImage:
     """An image filled by a method.
 
-    method : str
-    image : (rows, columns[, 3]) of the image's type
-    figures : of `clsco.inpainting.report.Report.figures`
+    method : str image : (rows, columns[, 3]) of the image's type figures : as from
+    `clsco.inpainting.report.Report.figures`
     """
 
     method: str
@@ -61,8 +60,8 @@ class Inpainting:
     Parameters
     ----------
     root : Path
-        Folder with all files that may be read and written.
-    Folder of all files that may be read and written.
+        Folder of all files that may be read and written.
+    device : str, optional
         As for `clsco.inpaint`.
 
     Attributes

@@ -24,7 +24,7 @@ from clsco.scene.model import Scene
 from clsco.studio.lens import lens_figures
 from clsco.studio.pictures import eye_of
 
-PLOTTED = 32  # px from the center of the plot to its border
+PLOTTED = 32  # px from the center of a plot to its border
 
 
 def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = False) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     Parameters
     ----------
     frame : Frame
-        With its ground truth.
+        Frame with all ground truth.
     scene : Scene
     x, y : int
         Column and row.
@@ -151,7 +151,7 @@ def point_spread(
     slopes : tuple of float
         X / Z and Y / Z of the source, for rims and for aberrations that vary over the frame.
     inverse : float
-        Its 1 / Z, 1/mm.
+        1 / Z of the source, 1/mm.
 
     Returns
     -------

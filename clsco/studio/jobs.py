@@ -21,10 +21,10 @@ from typing import Literal
 from clsco.engine.child import how_ended
 from clsco.errors import ClscoError
 
-MOST = 500  # jobs in the list; of those that are finished the oldest go
+MOST = 500  # jobs in the list; beyond it, the oldest finished jobs are removed
 GRACE = 10.0  # s that a canceled command has to end
 RESULTS = (".png", ".mp4", ".webm")
-_LONGEST_LINE = 2**20  # bytes of what a command prints
+_LONGEST_LINE = 2**20  # bytes of a line that a command prints
 _PROGRESS = ("--progress", "json")
 _COMMAND = (sys.executable, "-P", "-c", "from clsco.cli.process import run; run()")
 
@@ -73,7 +73,7 @@ class CommandJob:
 class Jobs:
     """The commands of a studio, which end with it.
 
-    root: working folder of all; listed: latest first.
+    root: working folder of all commands; listed: jobs, latest first.
     """
 
     def __init__(self, root: Path) -> None:

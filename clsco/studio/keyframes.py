@@ -19,7 +19,7 @@ from clsco.studio.tables import SHAPE_LABELS, Table, at, with_value, without, wo
 LATEST = 1e9  # s, of a keyframe
 LENS = "lens.keyframe"
 _OF_LENS = {"focal_length": "focal_length", "focus_distance": "focused_distance", "f_number": "opening"}
-"""Quantities of a keyframe of the lens, and what the camera calls them."""
+"""Attribute of the camera for each key of a lens keyframe."""
 _FIRST_OF_LENS = ("focus_distance", "f_number")
 _TURN = 90.0  # deg from key to key at most, where velocities that turn about several axes become keys
 
@@ -43,8 +43,8 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 
     path: path of a `Track`; time: s. Raises SceneError: there is no such track; the time is invalid, or has a keyframe.
 
-    A motion with velocities is converted to keyframes at t = 0, at this time, and at the end of the sequence, closer if
-    it rotates about several axes, with the same pose at each.
+    A motion with velocities is converted to keyframes at t = 0, at `time` and at the end of the sequence, each with the
+    pose at its time; there are more of them if the motion rotates about several axes.
     """
     _known(session, path)
     if not abs(time) <= LATEST:

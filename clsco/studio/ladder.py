@@ -13,27 +13,27 @@ from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import Prepared
 from clsco.scene.model import Scene, Sequence
 
-BUDGET = 0.022  # s, so that with its way to the page a picture is there before the next step of a drag, 33 ms later
-EIGHTHS = 8  # of the full width and height
+BUDGET = 0.022  # s, so that a picture reaches the page before the next step of a drag, 33 ms later
+EIGHTHS = 8  # parts of the full width and height
 MOST_SAMPLES = 3
-ROLLING_SHARES = 16  # of the readout, of which a row is open for one at least
-LEAST = 5  # eighths; where fewer come in time, more is left out
-WORTH = 1.5  # times what the smallest picture takes, which a larger one is worth
+ROLLING_SHARES = 16  # parts of the readout; a row is open for at least one
+LEAST = 5  # eighths; if fewer meet the budget, more features are omitted
+WORTH = 1.5  # a larger picture may take this multiple of the time of the smallest
 CLIMB = 1.01  # eighths beyond the largest one that was measured lately: times of a busy machine tell little of more
 OCCLUSION, MOTION = "occlusion", "motion"
 WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # what is left out, in this order
 MOST_FIXED, SMALL_FIXED = 0.9, 0.8  # of the time of pictures of one size, of the smallest, that is not due to pixels
-LEAST_SPREAD = 0.03  # of numbers of pixels, that a line is laid through
+LEAST_SPREAD = 0.03  # relative spread of numbers of pixels through which a line is fitted
 _WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # of the latest measurements
-_STALL = 4.0  # times the prediction: a compilation, say
-_STALLS = 2  # in a row that are left out
+_STALL = 4.0  # multiple of the prediction that counts as a stall, such as a compilation
+_STALLS = 2  # consecutive stalls that are ignored
 
 
 class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
     The time has a constant part, and one proportional to pixels times time samples: a line through the latest
-    measurements. If all of these had one size, changes are attributed to the pixels.
+    measurements. If all measurements had one size, changes are attributed to the pixels.
 
     fixed: constant time of a picture, s; ns: time per pixel and time sample.
     """
@@ -89,7 +89,7 @@ def _pixels(work: float, eighths: int) -> float:
 class Ladders:
     """Previews of similar scenes: a `Ladder` for each of WAYS.
 
-    of: by omitted features.
+    of: ladders by omitted features.
     """
 
     def __init__(self) -> None:
@@ -160,7 +160,7 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
 def unblurred(scene: Scene) -> Scene:
     """The scene with the same depth, normals and objects, without blur: one time sample and almost no aperture.
 
-    Validated: the same bits as with it (tests/studio/test_renderer.py).
+    Validated: the same bits as with blur (tests/studio/test_renderer.py).
     """
     psf = scene.psf.model_copy(update={"silhouette_samples": 1, "occlusion": "none"})
     camera = scene.camera.model_copy(update={"aperture_diameter": 1e-9 * scene.camera.aperture_diameter})

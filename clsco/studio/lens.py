@@ -29,7 +29,7 @@ def lens_line(scene: Scene) -> dict[str, Any]:
 def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
     """Distances in mm for the diagram of the lens, along its axis; slopes: of the ray to the point.
 
-    Returns `focus`, `near` and `far`: distance in focus, and those where |R| is SHARP; `focal_length`, `sensor`,
+    Returns `focus`, `near` and `far`: distance in focus, and distances where |R| = SHARP; `focal_length`, `sensor`,
     `aperture`; `depth` and `image` of the point, and its `radius`, px. None: infinite.
     """
     camera = reference_camera(scene)

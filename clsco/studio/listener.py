@@ -13,7 +13,7 @@ def own_address() -> str:
     """An address of this machine that no other server is likely to use: a random one of 127.0.0.0/8, or 127.0.0.1 if
     the system has no others.
 
-    What a server stores in a browser, another one at the same address and port can read and change later.
+    Another server at the same address and port could read and change what this server stores in a browser.
     """
     host = f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
     try:

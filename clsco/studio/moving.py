@@ -19,10 +19,10 @@ from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.session import Document
 
 PLACES = {"cone": "apex", "plane": "distance", "depth_map": "", "background": ""}
-"""Keys that say where an object is, by shape; "": none. That of all others is `center`."""
+"""Key of an object's position by shape, "" for none; that of all other shapes is `center`."""
 STEEPEST = 1e-3  # cosine of the angle of a plane's normal with the axis, below which it moves along z alone
 ALONG = 500.0  # px
-_DIGITS = 4  # of mm that are kept: less than a thousandth of a pixel
+_DIGITS = 4  # decimal places of mm: less than a thousandth of a pixel
 
 
 @dataclass(frozen=True)

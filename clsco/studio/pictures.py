@@ -35,14 +35,14 @@ VIEWS = {
     "raw": "raw",
     "noise": "noise_sigma",
 }
-"""Attributes of a frame, by what the studio calls them, in the order of the tabs."""
+"""Attribute of `Frame` for each view by name, in the order of the tabs."""
 
-UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
+UNBLURRED = ("depth", "normal", "id")  # views that do not show blur, which takes most of the time
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
-"""Names of the header's numbers: sizes of the picture, and of the frame. static/protocol.js is made of all these."""
+"""Names of the numbers in a picture's header; width and height are the picture's, columns and rows the frame's."""
 
 NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
@@ -138,10 +138,10 @@ def _jpeg(codes: NDArray[Any], quality: int) -> bytes:
     return file.getvalue()
 
 
-LEAST_SHARE = 1e-6  # of the interval, after the shutter opens
+LEAST_SHARE = 1e-6  # fraction of the interval, after the shutter opens
 SHORTEST_PX = 0.5  # of an arrow
 LEAST_APPROACH = 2e-3  # of the depth, in which an arrow along z has a mark
-NEAREST = 1e-3  # mm; what is nearer to the lens, or behind it, has no place in the frame
+NEAREST = 1e-3  # mm; nearer points, and points behind the lens, are not in the frame
 
 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:

@@ -22,10 +22,10 @@ from clsco.studio.folder import below, holds, keep_image
 from clsco.studio.session import Document
 from clsco.studio.tables import Table
 
-IMAGES = "images"  # folder below the root for those of presets
+IMAGES = "images"  # folder below the root for images of presets
 OF_THE_THESIS = "Figures of the thesis"
-PICTURES = Path(__file__).parent / "static" / "presets"  # and groups of the examples, by python -m benchmarks.gallery
-_METHOD = ("psf", "image", "motion", "fill")  # sections that say how, and not what
+PICTURES = Path(__file__).parent / "static" / "presets"  # with groups of examples; by python -m benchmarks.gallery
+_METHOD = ("psf", "image", "motion", "fill")  # sections that set the method, not the scene
 
 
 @dataclass(frozen=True)
@@ -172,4 +172,4 @@ REMOVALS = {
     "rope": Removal("Rope, as in figure 5.19", _rope),
     "scratches": Removal("Scratched photograph", _scratches),
 }
-"""By name."""
+"""Images to inpaint, by name."""

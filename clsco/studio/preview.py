@@ -26,11 +26,11 @@ from clsco.studio.pictures import (
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
 from clsco.studio.renderers import kind_of
 
-REST = 0.120  # s without a change
+REST = 0.120  # s without a change after which the exact picture is rendered
 LATEST = 1e9  # s, of a time sample
 MEASURE = "measure"  # purpose of a question
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
-_MOST_CRASHES = 3  # of renderers with the same scene: both, and one that was started again
+_MOST_CRASHES = 3  # crashes with the same scene: of both renderers, and of a restarted one
 
 T = TypeVar("T")
 Report = Callable[[dict[str, Any]], Awaitable[None]]

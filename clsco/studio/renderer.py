@@ -22,8 +22,8 @@ from clsco.scene.model import Scene
 from clsco.studio.ladder import Ladders, coarser, unblurred, ways_of, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, ViewPicture
 
-TICK = 0.5  # s between words of what takes long
-REHEARSED = (2, 4)  # eighths of the pictures that are tried ahead, twice: for the first of a size much is made
+TICK = 0.5  # s between reports on long work
+REHEARSED = (2, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
 PATIENCE = 1.0  # s that one of these may take
 SILENCE = 30.0  # s without one, after which the process is given up: it is stopped, or its driver hangs
 
@@ -49,7 +49,7 @@ class PictureJob:
 class Question:
     """Request for the figures of a pixel.
 
-    measures: request the response of its source, which needs another rendering.
+    measures: request the response of the pixel's source, which needs another rendering.
     """
 
     scene: Scene
@@ -252,7 +252,7 @@ def _work(pipe: Connection, device: str | None) -> None:
 
 
 def _needed(job: PictureJob) -> Scene:
-    """The scene of a job, without blur, the slowest feature, if its view does not show it."""
+    """The scene of a job; without blur, the slowest feature, if the job's view does not show blur."""
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 

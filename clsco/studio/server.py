@@ -45,18 +45,18 @@ from clsco.studio.store import digest_of, from_link
 from clsco.studio.tables import is_path
 from clsco.studio.widgets.html import Page
 
-MAX_HEADER = 2**18  # bytes: browsers send all cookies that the servers of this machine have left with them
+MAX_HEADER = 2**18  # bytes: browsers send the cookies of all servers of this machine
 MAX_PATCH = 2**16  # bytes of a message of a tab
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
-MOST_LEVELS = 12  # of lists and tables in a message; those of a scene have half of them
-LEAVING = '{"leaving":true}'  # says a page that is loaded again, or left
-GONE = 4404  # the page is of a studio that ended, or was loaded again
+MOST_LEVELS = 12  # levels of lists and tables in a message; a scene has half of them
+LEAVING = '{"leaving":true}'  # message of a page that is reloaded or left
+GONE = 4404  # close code: the page is of a studio that ended, or was reloaded
 MOST_WATCHED = 2000  # keys with a control
-TICK = 2.0  # s between looks at scenes to keep
-KEPT = "kept_"  # names of scenes begin with it, in the folder of the state
-SHOWN = "file_"  # names of pictures of scene files, by what these contain
+TICK = 2.0  # s between saves of changed scenes
+KEPT = "kept_"  # prefix of the names of scenes in the state folder
+SHOWN = "file_"  # prefix of the names of pictures of scene files, followed by their digest
 MOST_SHOWN = 200
 MOST_KEPT = 64
 OPENING = "open.html"
@@ -430,7 +430,7 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     ----------
     studio : Studio
     host : str
-        Address to listen on; "" for `own_address`, or with a port 127.0.0.1.
+        Address to listen on; "" for `own_address`, or for 127.0.0.1 if a port is given.
     port : int
         0 for any free port.
     draw : function

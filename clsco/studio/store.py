@@ -27,7 +27,7 @@ from clsco.scene.toml import toml_text
 from clsco.studio.tables import Table, at, sparse
 
 LARGEST = 2**20  # bytes of a scene file, or of a link's content
-LARGEST_IMAGE = 2**30  # bytes of a file that has a digest
+LARGEST_IMAGE = 2**30  # bytes of a file for which a digest is computed
 MOST_FILES = 512  # that a link may name: 64 objects have at most 7 each
 START = "#s="
 Linked = tuple[Table, dict[str, tuple[Any, str]]]
@@ -35,7 +35,7 @@ Linked = tuple[Table, dict[str, tuple[Any, str]]]
 
 
 class ConflictError(ClscoError):
-    """A file on disk differs from the one that was read or written."""
+    """A file on disk differs from its content when it was read or written."""
 
 
 def read_scene(path: Path) -> tuple[Table, str]:

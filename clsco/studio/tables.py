@@ -72,7 +72,7 @@ COMPONENTS = {
     "bounds": ("x from", "x to", "y from", "y to", "z from", "z to"),
     "coefficients": ("a200", "a020", "a002", "a110", "a011", "a101", "a100", "a010", "a001", "a000"),
 }
-SLIDERS = {  # where useful values are; what is typed may be beyond
+SLIDERS = {  # ranges of useful values; typed values may be beyond
     "focal_length": (5.0, 100.0), "aperture_diameter": (0.5, 40.0), "sensor_distance": (20.0, 30.0),
     "normalization_distance": (5.0, 100.0), "focus_distance": (50.0, 1000.0), "f_number": (0.7, 22.0),
     "pixel_pitch": (0.001, 0.05), "distance": (50.0, 1000.0), "slope_x": (-3.0, 3.0), "slope_y": (-3.0, 3.0),
@@ -89,12 +89,12 @@ POINT = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "z": (50.0, 1000.0)}
 BY_UNIT = {"mm": (-100.0, 500.0), "deg": (-180.0, 180.0), "deg/s": (-90.0, 90.0), "mm/s": (-50.0, 50.0)}
 BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 200.0)}  # times it
 SCALES = {"focus_distance": "inverse", "f_number": "stops"}
-WIDE = 20.0  # ends of a slider that are so far apart, as a ratio, have a logarithmic scale
+WIDE = 20.0  # ratio of a slider's ends from which on its scale is logarithmic
 OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # after what the thesis names
 
 
 def pose_label(path: str) -> str:
-    """Label of a key of a static rotation, "" for other keys: "Rotation" by itself is a motion's."""
+    """Label of a key of a static rotation, "" for other keys: the label "Rotation" is that of a motion."""
     _, _, key = path.rpartition("rotation")
     labels = {
         "": "Pose",
@@ -113,7 +113,7 @@ def keyframe_label(path: str) -> str:
 
 
 def words(key: Any) -> str:
-    """A key with spaces, as text."""
+    """A key as words, with spaces for underscores."""
     if key in WORDS:
         return WORDS[key]
     text = str(key).replace("_", " ")
@@ -122,7 +122,7 @@ def words(key: Any) -> str:
 
 Table = dict[str, Any]
 DEEPEST = 8  # parts of a path
-LONGEST = 200  # characters of one
+LONGEST = 200  # characters of a part
 _ALIKE = {*Textured.model_fields, "name", "motion", "group"}  # keys that an object keeps when its shape changes
 _SEEDS: dict[str, list[Any]] = {  # of vectors that have no default, of which a component is given
     "direction": [0.0, 0.0, 1.0],

@@ -39,7 +39,7 @@ class ShardReader(ABC):
 
     @abstractmethod
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read one record. Raises FileError where the shard is damaged.
+        """Read one record. Raises FileError if the shard is damaged.
 
         names: arrays, by full name or by kind; other arrays are not read if the format stores them apart.
         """
@@ -99,7 +99,7 @@ def block_size(layout: Layout) -> int:
 
 
 def record_bytes(layout: Layout) -> int:
-    """Bytes of the arrays of a record."""
+    """Size in bytes of all arrays of a record."""
     return sum(prod(shape) * dtype.itemsize for dtype, shape in layout.values())
 
 
@@ -270,7 +270,7 @@ def split_name(member: str) -> tuple[str, str] | None:
 
 
 Members = tuple[Iterable[str], Callable[[str, int], bytes]]
-"""Names of the members of a record, and what reads one of them, of so many bytes at most."""
+"""Names of a record's members, and a function that reads a member: (name, most bytes) to its content."""
 
 
 class MemberReader(ShardReader):

@@ -17,13 +17,13 @@ def keys(file: BinaryIO) -> tuple[dict[str, Any], list[NDArray[Any]]]:
 
 
 def meta(file: BinaryIO, key: str) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Bytes of the text that describes a record."""
+    """Bytes of the JSON text that describes a record."""
     with _opened(file) as opened:
         return {}, [np.frombuffer(bytes(_stored(_stored(opened, key), "meta")[()]), np.uint8)]
 
 
 def arrays(file: BinaryIO, key: str, names: Sequence[str]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Bytes of the JSON text that describes a record."""
+    """Arrays of a record, in the order of `names`."""
     with _opened(file) as opened:
         group = _stored(opened, key)
         return {}, [_stored(group, name)[()] for name in names]

@@ -82,18 +82,18 @@ def grid_share(
 
 
 def _hold(radius: Array, tent: bool) -> tuple[Array, Array]:
-    """Radii for which integrals are computed, and the fraction of each that the requested radius is."""
+    """Radii for which integrals are computed, and the ratios of the requested radii to these."""
     least = SMALL if tent else SMALL_POINT
     used = np.where(np.abs(radius) < least, np.where(radius < 0.0, -least, least), radius)
     return used, np.abs(radius) / np.abs(used)
 
 
 def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y: Array, part: Array) -> Array:
-    """Weights for a radius of `part` times an integrated one, within SMALL, from its weights and their sums per column
-    and row.
+    """Weights for radius `part` R, which is within SMALL, from the weights for radius R and their sums per column and
+    row.
 
     Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so along each axis the weight of a blur scaled
-    by s is (1 - s) of a point's and s of the whole blur's.
+    by s is (1 - s) times a point's plus s times the whole blur's.
     """
     remainder = 1.0 - part
     inner = remainder * (center_x * down + center_y * across) + part * share

@@ -76,16 +76,16 @@ class Diffracted(Pupil):
     @property
     @abstractmethod
     def rim(self) -> float:
-        """Length of its edges per area, relative to an open circle."""
+        """Length of the aperture's edges per area, relative to an open circle."""
 
     @property
     def widest(self) -> float:
-        """Largest Q of its wavelengths, px."""
+        """Largest unit of diffraction Q of all wavelengths, px."""
         return max(unit for unit, _ in self.bands)
 
     @property
     def narrowest(self) -> float:
-        """Smallest Q of its wavelengths, px."""
+        """Smallest unit of diffraction Q of all wavelengths, px."""
         return min(unit for unit, _ in self.bands)
 
     @property
@@ -144,7 +144,7 @@ def panels_of(
     which : ndarray of int (radii,)
         Index of each radius' panel.
     factors : ndarray (radii, count)
-        Weights of the values at the nodes of its panel.
+        Weights of the values at the nodes of that panel.
     """
     angles = (np.arange(count) + 0.5) * pi / count
     barycentric = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin(angles)

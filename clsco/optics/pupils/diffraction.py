@@ -21,7 +21,7 @@ WIDEST_CELL = 0.01  # px: of a point source the share of a pixel bends where a r
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # nodes in a ring, of one weight
 MOST_SAMPLES = 2**22  # of the kernel of the transform, made at once
 Path = Callable[[Array], Array]
-"""Optical path in px, waves times Q, by the square t of the distance from the middle of the lens in its radii."""
+"""Optical path in px (waves times Q) as a function of t, the squared distance from the lens center in lens radii."""
 
 
 def bessel_j0(x: Array) -> Array:

@@ -72,7 +72,7 @@ class Gaussian(Pupil):
         return np.asarray(np.where(size <= self.extent**2, np.exp(-0.5 * square / self.sigma**2), 0.0))
 
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        """As for all pupils, with a square cut-off; only PSFs sampled at pixel centers have a round one."""
+        """Value of `Pupil.share` with a square cut-off; only PSFs sampled at pixel centers have a round one."""
         size = np.abs(radius)
         return self.axis_share(dx, size, tent) * self.axis_share(dy, size, tent)
 

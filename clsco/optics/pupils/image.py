@@ -156,7 +156,7 @@ def turned(picture: Array, rotation: float) -> Array:
 
 
 def _cell(at: Array, count: int) -> tuple[NDArray[np.int64], Array]:
-    """Cell of a position along an axis, and the position in it; beyond the last cell, which is empty, any distance."""
+    """Cell of a position along an axis, and the distance from its start; the last cell is empty and has no end."""
     clamped = np.maximum(at, 0.0)
     cell = np.minimum(clamped, count).astype(np.int64)
     return cell, clamped - cell

@@ -45,7 +45,7 @@ class Arc:
     center : tuple of float
         Center of the circle; unused if `radius` is 0.
     radius : float
-        Its radius, 0 for a straight edge.
+        Radius of the circle, 0 for a straight edge.
     angles : tuple of float
         Angles of the ends seen from the center, from x towards y; within one quadrant.
     """

@@ -59,7 +59,7 @@ class Polygon(Pupil):
 
     @property
     def second_moment(self) -> float:
-        """Closed form; before the squeeze it is the same for both axes."""
+        """Mean of l_x^2 and l_y^2 in closed form; both are equal before the squeeze."""
         return (2.0 + cos(2.0 * pi / self.blades)) / 12.0 * 0.5 * (1.0 + self.squeeze**-2)
 
     @cached_property

@@ -22,7 +22,7 @@ class Borders:
     Attributes
     ----------
     columns : tuple of float
-        x of its ends and corners from left to right, in aperture radii.
+        x of the opening's ends and corners from left to right, in aperture radii.
     edges : tuple of (x, y, distance)
         Straight edges, as `Pupil.edges`.
     circles, holes : tuple of (x, y, radius)
@@ -83,7 +83,7 @@ class Pupil(ABC):
 
     @property
     def lengths(self) -> Mapping[str, float]:
-        """Named lengths that describe it, in aperture radii; for blur radius R they are R times as long."""
+        """Named lengths that describe the pupil, in aperture radii; in a blur they are R times as long."""
         return {}
 
     @property

@@ -73,7 +73,7 @@ class Traced(FourierDiffracted):
 
     @property
     def margin(self) -> float:
-        """Distance in px beyond the geometric blur that wavefront errors displace rays to."""
+        """Distance in px beyond the geometric blur to which wavefront errors displace rays."""
         return 2.0 * self.slope
 
     def samples(self, radius: float) -> float:
@@ -159,7 +159,7 @@ def ends(at: Array, width: Array) -> tuple[Array, Array]:
 @lru_cache(maxsize=256)
 def response(parts: int, place: float, tent: bool) -> Array:
     """Fraction of the light in cells around a pixel that the pixel receives along an axis, from a source at `place` in
-    its own.
+    its own pixel.
 
     parts: cells per px; tent: True for a square source instead of a point.
     """

@@ -71,7 +71,7 @@ class Wavefront:
 
     @property
     def mirrored(self) -> tuple[bool, bool]:
-        """For `upright`: True if it is mirrored horizontally, and vertically."""
+        """Flags of `upright`: True if it is mirrored horizontally; True if vertically."""
         _, *ways = self.change
         right, down = next((way for way in (self.coma, ways[:2], ways[2:]) if any(way)), (0.0, 0.0))
         return right < 0.0 or (right == down == 0.0 and self.bend[1] < 0.0), down < 0.0
@@ -110,7 +110,7 @@ class Wavefront:
         return (yy * x - xy * y) / area, (xx * y - yx * x) / area
 
     def _stretch(self, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-        """Derivatives xx, xy, yx, yy over the frame of where rays through lens points arrive: of 1 + 2 grad W."""
+        """Derivatives xx, xy, yx, yy, over the frame, of the positions at which rays through lens points arrive."""
         coma, right, down, outward, below = self.change
         even = 1.0 + 2.0 * coma * (x * x + y * y) + 4.0 * (right * x + down * y)
         at_x, at_y = 4.0 * (coma * x + right), 4.0 * (coma * y + down)

@@ -32,7 +32,7 @@ class Page:
     Attributes
     ----------
     key : str
-        Distinguishes it from pages loaded earlier.
+        Distinguishes the page from pages loaded earlier.
     endings : list of functions
         Called when the page is closed.
     """

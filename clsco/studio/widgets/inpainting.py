@@ -22,7 +22,7 @@ _LABELS = {
     "auto": "The better of these two",
 }  # fmt: skip
 _BLANK = "what is hatched is filled; wheel or fingers zoom, Shift and a drag move the view"
-_TICK = 0.4  # s between looks at a method
+_TICK = 0.4  # s between checks of a method's progress
 
 
 class _Dialog:

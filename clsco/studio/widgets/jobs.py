@@ -27,7 +27,7 @@ from clsco.studio.session import Document
 from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, choice, notify, page, say, text_box
 
 SHOWN = 12  # frames of a job as pictures
-SPOKEN_S = 2.0  # between words about progress for listeners
+SPOKEN_S = 2.0  # between announcements of progress to screen readers
 
 
 def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable[[], None]:

@@ -27,7 +27,7 @@ _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 class Chosen:
     """State of the panels of a page.
 
-    index: of the object; is_open: panels by title, for the scene identified by `scene`; before: motions that were
+    index: index of the object; is_open: panels by title, for the scene identified by `scene`; before: motions that were
     switched off, by path.
     """
 
