@@ -93,9 +93,9 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
     """Write the color of a frame to one file, in the format of its extension. Raises FileError.
 
-    bits: bits per value of the source image, 8, 16 or 32; a format gets at most as many bits as it can hold, and 32
-    bits are linear float32 if it has floats. transfer: transfer curve of the codes. color: color space of the source
-    image, and so of the file; its curve replaces "srgb".
+    bits: bits per value of the source image, 8, 16 or 32, limited to what the format holds; a format of floats gets
+    linear float32 if `bits` is 32 or it holds no codes. transfer: curve of the codes; for "srgb", the curve of `color`,
+    if it has one. color: color space of the image and the file.
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)

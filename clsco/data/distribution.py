@@ -116,7 +116,7 @@ def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Para
 
 
 def _noise_seed(seed: int, number: int) -> int:
-    """Seed of the noise of a sample whose scene has none."""
+    """Noise seed of a sample whose scene sets none."""
     return int(stream_words(seed, number, "sensor.noise_seed", 1)[0]) % NOISE_SEEDS
 
 

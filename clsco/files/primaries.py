@@ -50,7 +50,7 @@ def colorants_to_srgb(xyz: Matrix) -> Matrix:
 
 
 def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
-    """x and y of white, red, green and blue of primaries whose X, Y and Z under D50 are the columns of a matrix.
+    """x and y of white, red, green and blue, from a matrix whose columns are X, Y and Z of the primaries under D50.
 
     white: X, Y and Z of the white from which the primaries were adapted to D50, by Bradford's method.
     """

@@ -11,9 +11,9 @@ Array = NDArray[np.float64]
 
 
 def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
-    """Quadratic form (..., 3) of the image of a small disc on rays of slopes x and y: offsets (dx right, dy down) with
-    q0 dx^2 + 2 q1 dx dy + q2 dy^2 <= R^2 are inside that image, where R is the radius of the disc of the same area. The
-    form is det J times J^-2.
+    """Blur ellipses on rays of slopes x and y, as quadratic forms (..., 3): offsets (dx right, dy down) with q0 dx^2 +
+    2 q1 dx dy + q2 dy^2 <= R^2 are inside, where R is the radius of the disc of the same area. The form is det J times
+    J^-2, with J the Jacobian of the distortion.
     """
     xx, xy, yy = distortion.jacobian(x, y)
     over = 1.0 / (xx * yy - xy * xy)

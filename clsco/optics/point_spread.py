@@ -241,7 +241,7 @@ class PointSpread:
         return np.where(point, center, self.pupil.share(dx, dy, np.where(point, 1.0, r), tent))
 
     def subpixel_weights(self, dx: Array, dy: Array, radius: Array) -> Array:
-        """Fraction of a point source's light at (dx, dy) px, which need not be integers: exact areas in pixels.
+        """Fraction of a point source's light in the pixel at (dx, dy) px, also non-integer: exact over its area.
 
         Used for sub-pixel sources at silhouettes, for every `edge`; arguments as for `weights`.
         """

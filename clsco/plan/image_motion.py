@@ -83,8 +83,8 @@ class ImagePath:
 
     @property
     def variation(self) -> float:
-        """Half of the total variation of a point's velocity, from rest to rest, px per exposure; equals the speed of a
-        uniform motion.
+        """Largest half total variation of any point's velocity, which is 0 before and after, px per exposure; the
+        speed of a uniform motion.
         """
         velocity = self.steps / np.diff(self.times)[:, None, None]
         changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)

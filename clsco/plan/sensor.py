@@ -10,7 +10,7 @@ from clsco.plan.passes import Parameters, Pass
 
 
 def sensor_pass(model: SensorModel, grid: Grid, takes: str) -> Pass:
-    """The pass; takes: its input with the frame's irradiance, "frame" or "plane"."""
+    """Sensor pass; takes: name of its input of irradiance, "frame" or "plane"."""
     sensor = model.sensor
     electrons = f"{model.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
     codes = f"{model.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"

@@ -145,7 +145,7 @@ def _missing(needs: tuple[str, str] | None) -> str:
 
 
 def distributions(root: Path) -> list[str]:
-    """Distribution files below a folder, and shipped ones under the names that their copies would have."""
+    """Names of distribution files below a folder, and of shipped ones as if they were copied there."""
     own = [name for name in listed(root, (".toml",)) if _is_distribution(root / name)]
     return own + [name for name in shipped_distributions() if name not in own]
 

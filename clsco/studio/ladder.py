@@ -181,12 +181,12 @@ def _preview_sequence(scene: Scene, way: Collection[str] = ()) -> Sequence:
 
 
 def plan_line(prepared: Prepared, seconds: float) -> str:
-    """Number of passes, time, and memory on the device: "3 passes, 41 ms, 15 MiB".
+    """Number of kinds of passes, time, and memory on the device: "3 passes, 41 ms, 15 MiB".
 
     Parameters
     ----------
     prepared : Prepared
-        As for `clsco plan`; for a stereo pair both views count.
+        The frame, as for `clsco plan`; memory is that of both views of a stereo pair.
     seconds : float
         Time that the frame took.
     """

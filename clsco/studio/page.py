@@ -121,7 +121,7 @@ def _header(session: Document, studio: Studio, name: str) -> None:
 
 
 def _lens_strip(session: Document) -> None:
-    """Strip with the lens, always visible: the distance in focus, and the depth of field."""
+    """Strip with the lens, always visible: dials, "Focus by click", and the range in focus."""
     with say("section", id="lens-strip", aria_label="Lens"):
         say(
             "canvas",

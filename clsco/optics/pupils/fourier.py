@@ -171,7 +171,7 @@ class FourierDiffracted(Diffracted):
         return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
 
     def seconds(self, radius: float, places: int) -> float:
-        """CPU seconds for one node of R px, for sources at `places` positions in their pixels."""
+        """Predicted CPU seconds for one node at R = `radius` px, and `places` positions of sources in a pixel."""
         parts, samples = image_parts(self.narrowest, self.extent), self.samples(radius)
         width = 2.0 * (radius * self.extent + self.margin + 2.0)
         count, side = parts * max(samples * self.narrowest, width), parts * width

@@ -228,7 +228,7 @@ class Outline(Pupil):
         return np.asarray(mask[:, :-2] | mask[:, 1:-1] | mask[:, 2:])
 
     def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
-        """Integral for `grid_share` along all arcs: of (x - u)^2 (y - v) / 2 dv for the tent, else of (x - u) dv."""
+        """Integral for `grid_share` over points (u, v) of arcs: (x - u)^2 (y - v) / 2 dv if `tent`, else (x - u) dv."""
         x, y = x * self.squeeze / radius, y / radius
         total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
         for arc in self.arcs:
