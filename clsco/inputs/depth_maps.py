@@ -132,7 +132,7 @@ def fill_depth(w: Array) -> Array:
     Across a gap in a row, and in a column, w is interpolated linearly between the nearest known pixels, as on a plane;
     if these belong to two surfaces, w is that of the farther pixel, so that no surface grows over an edge. The values
     from row and column are averaged, weighted by the inverse width of their gaps; if they belong to two surfaces, the
-    narrower gap decides, or for equal gaps the farther surface. Validated on tilted planes (exactly restored), on steps.
+    narrower gap decides, or for equal gaps the farther surface. Validated on tilted planes (exact) and on steps.
     """
     for _ in range(2):  # a pixel whose row and column are empty has pixels of the first round in both
         along, width = _across(w)

@@ -42,7 +42,7 @@ class _Edges:
     """Soft edges crossed by lines (rows or columns), one per entry.
 
     line: number of the line. first: position in the line of the first surface's last pixel; the next `count` pixels are
-    between the two surfaces. step: change of the blur radius over the whole edge, signed, px. begin, end: radius of each
+    between the two surfaces. step: change of blur radius over the whole edge, signed, px. begin, end: radius of each
     surface at its last pixel. begin_slope, end_slope: change of that radius per pixel away from the edge. begin_over,
     end_over: number of pixels at the end of each surface that overshoot.
     """

@@ -119,8 +119,8 @@ class Image:
     value : Buffer
         float (channels, height, width), radiance.
     maps : tuple of Buffer
-        Signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R, float;
-        or empty for an image with a single radius.
+        Signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R,
+        float; or empty for an image with a single radius.
     """
 
     value: cl.Buffer
