@@ -43,7 +43,7 @@ _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """To open a pipe would block for ever."""
 
 _Sums = dict[str, list[int]]
-_Listing = tuple[int, list[str], list[str]]  # time of a folder's last change, names of its files, names of its subfolders
+_Listing = tuple[int, list[str], list[str]]  # time of a folder's last change, names of files, names of subfolders
 _listings: dict[str, _Listing] = {}
 """Listings of folders by path: to ask whether one has changed takes a tenth of the time to read it."""
 

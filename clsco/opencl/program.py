@@ -27,8 +27,8 @@ from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
-# The first file: parts of OpenCL C 1.2 for compilers that lack them, or with better code for processors. The second
-# replaces the header of PoCL's compiler, which the option leaves out.
+# Files before all others: functions and unaligned vectors, in a form for processors or for other devices; and the
+# declarations that replace the header of PoCL's compiler, which the option leaves out.
 BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu/pocl.clh", "-D_OPENCL_H_"
 
 

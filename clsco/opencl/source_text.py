@@ -46,8 +46,8 @@ def program_text(
     # A warning on the passing of wide vectors, irrelevant as every function is inlined, but PoCL prints the number of
     # warnings. Compilers for GPUs do not know the warning, and would warn of that.
     lines += ["#ifdef __x86_64__", '#pragma clang diagnostic ignored "-Wpsabi"', "#endif"]
-    # If Intel's compiler for processors vectorizes over work-items, it passes vectors of 3 wrongly to and from functions
-    # that are not inlined; the hint disables this vectorization.
+    # When Intel's compiler for processors vectorizes over work-items, it passes vectors of 3 wrongly to and from
+    # functions that are not inlined; the hint disables this vectorization.
     hinted = "#define __kernel __attribute__((intel_vec_len_hint(1))) __kernel"
     lines += ["#ifdef cl_intel_vec_len_hint", hinted, "#endif"]
     if has_fp64:

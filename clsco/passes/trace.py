@@ -41,7 +41,7 @@ Cast = Callable[[HitPlanes], None]
 
 
 class HitKey(NamedTuple):
-    """Everything that ray hits depend on: the occlusion group, rays and surfaces, and the textures (None if unknown)."""
+    """Everything that ray hits depend on: occlusion group, rays and surfaces, and the textures (None if unknown)."""
 
     group: OcclusionGroup
     cast: Hashable
