@@ -23,7 +23,7 @@ MARGIN = 1.25
 def choose_method(
     session: Session, image: NDArray[Any], missing: NDArray[np.bool_]
 ) -> Literal["biharmonic", "texture"]:
-    """The method with the smaller square error at known pixels that are treated as missing; texture within MARGIN.
+    """The method with the smaller square error at known pixels that are treated as missing, see MARGIN.
 
     image: (rows, columns, channels), of any type; missing: (rows, columns). In at most MOST_WINDOWS windows, evenly
     chosen among those with holes, the holes are shifted cyclically by SHIFT and filled together with the true ones by

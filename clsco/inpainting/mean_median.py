@@ -319,7 +319,7 @@ class Holes:
         return copied(self.session, lists), state
 
     def smooth(self, rounds: int, progress: Progress) -> Floats:
-        """Stage 2: smooth the missing pixels by rounds of the median in two alternating buffers; returns their values."""
+        """Stage 2: smooth the missing pixels by rounds of the median in two alternating buffers; returns the values."""
         run, single, alone = parts(self.at, self.level == 8)
         buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
         items = len(run) + -(-single.size // FILL_LANES)

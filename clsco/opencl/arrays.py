@@ -21,8 +21,8 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
     the arrays.
 
     arrays: each under its name in messages. If one is a pyopencl array, the session works in that array's queue, and
-    the result is a pyopencl array; else the session is on `device`. NumPy arrays are returned unchanged, masked ones
-    too. Raises DeviceError for an array without queue or an unknown device, ArgumentError for pyopencl arrays with gaps.
+    the result is a pyopencl array; else the session is on `device`. NumPy arrays, masked or not, stay as they are.
+    Raises DeviceError for an array without a queue or an unknown device, ArgumentError for pyopencl arrays with gaps.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:
