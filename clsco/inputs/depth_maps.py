@@ -146,7 +146,7 @@ def fill_depth(w: Array) -> Array:
 
 
 def _across(w: Array) -> tuple[Array, Array]:
-    """For every pixel, w interpolated between the nearest known pixels of its row, and the distance in px of these two
+    """Interpolated w of every pixel, between the nearest known pixels of the row, and the distance in px of these two
     pixels; 0 and inf for a row without known pixels.
     """
     column = np.broadcast_to(np.arange(w.shape[1]), w.shape)

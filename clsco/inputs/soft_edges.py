@@ -313,8 +313,8 @@ def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
 def _cut_by_color(
     image: NDArray[Any], edges: _Edges, places: Indices, between: NDArray[np.bool_], where: Array
 ) -> tuple[Indices, NDArray[np.bool_]]:
-    """For each edge, the likeliest number of its pixels that belong to the first surface, and True if the colors of its
-    pixels are mixtures of the two surfaces' colors.
+    """Likeliest number of pixels of the first surface in each edge, and a mask of edges in which the color of every
+    pixel is a mixture of the two surfaces' colors.
     """
     line, side = edges.line[:, None], np.arange(AROUND)
     last = edges.first + edges.count + 1

@@ -147,7 +147,7 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
-    """A copy of a scene file's content with renamed files; name: returns the new name for a file's location and name."""
+    """A copy of a scene file's content with renamed files; name: returns a file's new name for its location and name."""
     copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
         copy["aperture"] = dict(aperture)
@@ -238,7 +238,7 @@ def scene_of(scene: SceneLike) -> Scene:
 
 
 def psf_of(psf: PsfLike) -> Psf:
-    """PSF of a Psf, a mapping with the keys of [psf], or the name of a model; None: the default. Raises SceneError."""
+    """The PSF for a user's argument: a Psf, a mapping with the keys of [psf], a model's name, or None (the default)."""
     return _section(Psf, psf, "psf", "model")
 
 

@@ -95,7 +95,7 @@ def place_weights(
 
 
 def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """Each offset with the set of all offsets of equal weight (changed signs, swapped axes); alone: only with itself."""
+    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); alone: with only itself."""
     if alone:
         span = range(-offset_limit, offset_limit + 1)
         yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
