@@ -84,8 +84,8 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set in grid_t the start of Newton's method, and the largest number of steps over the rays at that time and in the
-    reference pose.
+    """Set in grid_t the first guess of Newton's method, and the number of steps that is enough for all rays of the grid
+    and of its reference pose.
     """
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))

@@ -147,7 +147,7 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
-    """A copy of a scene file's content with renamed files; name: returns a file's new name for its location and name."""
+    """A copy of a scene file's content with renamed files; name: returns the new name for a file's place and name."""
     copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
         copy["aperture"] = dict(aperture)
