@@ -62,7 +62,7 @@ MERGED_SIDE = 3  # pixels along an axis that one merged source replaces, an odd 
 
 # Visibility (kernels/common/visibility.clh).
 LENS_CELLS = 8  # cells of the lens per half axis, if visibility is tested on a grid of cells
-SHARED_PLACE = 10.0  # px per lens radius, beyond which an occluder's edge differs between the parts of a pixel
+SHARED_PLACE = 10.0  # px per lens radius, below which an occluder's edge differs between the parts of a pixel
 
 # Tables of weights (kernels/common/psf.clh, kernels/blur/cpu).
 TAP_LANES = 8  # floats in a vector of taps; rows of weights are padded to whole vectors

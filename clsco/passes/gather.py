@@ -18,7 +18,7 @@ from clsco.plan.methods import BlurSpec
 from clsco.records import Struct
 
 HIDDEN_TAP = 3e-9  # time in s of a tap of a partly hidden source, including sub-pixel sources
-LONGEST = 2.0  # longest time in s of an undivided launch, if all taps took HIDDEN_TAP, unlike in the previous frame
+LONGEST = 2.0  # longest time in s of an undivided launch if all taps took HIDDEN_TAP, even if none did so far
 VECTOR = 1.5e-9  # assumed time in s of a vector of taps, until one is measured
 BRIEF = 2  # factor by which the first piece is shorter than later ones
 MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # the last two as in gather.cl
