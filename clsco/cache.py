@@ -26,9 +26,9 @@ class _Key:
 
 
 class Cache:
-    """A table of values with a limit on their bytes; the least recently used ones are evicted. Threads may share it.
+    """A table of values with a limit on their total size; evicts the least recently used values. Threads may share it.
 
-    limit: most bytes of all values together; a larger value is not cached.
+    limit: largest total size of all values, bytes; a larger value is not cached.
     """
 
     def __init__(self, limit: int) -> None:
@@ -38,9 +38,9 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
-        """The value of a key, which callers must not change; `make` computes it if it is not cached.
+        """The value of a key, which callers must not change; make: computes the value if it is not cached.
 
-        Two threads may call `make` at the same time, and get the same value. size: bytes of a value.
+        Two threads may call `make` at the same time, and get the same value. size: returns the bytes of a value.
         """
         place = _Key(key)
         with self._lock:
@@ -63,7 +63,7 @@ class Cache:
 
     @property
     def bytes(self) -> int:
-        """Size of all cached values."""
+        """Size of all cached values, bytes."""
         return self._bytes
 
     def forget(self, key: Hashable) -> None:

@@ -6,16 +6,16 @@ A constant that only kernels use is a `#define` there; a value that differs from
 
 from __future__ import annotations
 
-# Statistics of a frame, ints by their places: largest and smallest |R| as the bits of a float, and slots of sub-pixel
-# sources that were taken at a time sample (kernels/common/geometry.clh, kernels/trace/trace.cl).
+# Indices of a frame's statistics, ints: largest and smallest |R| as the bits of a float, and number of slots of
+# sub-pixel sources used at a time sample (kernels/common/geometry.clh, kernels/trace/trace.cl).
 STATISTIC_LARGEST = 0
 STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
-STATISTIC_BEYOND = 3  # 1 where a hit is not where its object was predicted
-STATISTIC_OUTSIDE = 4  # 1 where a source is not still that was predicted to be (kernels/trace/still.clh)
-PLACE_NUMBERS = 10  # of the place of an object at a time sample
-NARROW_IMAGE = 4  # px: surfaces whose images are less wide are small (kernels/trace/small.clh)
-MOVING_MARGIN = 4  # px around what moves, within which sources are not still
+STATISTIC_BEYOND = 3  # 1 if an object was hit outside of its predicted extent
+STATISTIC_OUTSIDE = 4  # 1 if a source predicted to be still is not (kernels/trace/still.clh)
+PLACE_NUMBERS = 10  # count of numbers that describe the place of an object at a time sample
+NARROW_IMAGE = 4  # px, width of an image below which a surface counts as small (kernels/trace/small.clh)
+MOVING_MARGIN = 4  # px around moving objects, within which sources are not still
 
 # Bits of the feature CURVED (kernels/common/geometry.clh).
 CURVED_FIELD = 1
@@ -35,7 +35,7 @@ WRAP_REPEAT = 0
 WRAP_MIRROR = 1
 WRAP_CLAMP = 2
 WRAP_NONE = 3
-CUBE_BORDER = 2  # texels of its neighbors around a face of a cube map, at each level: what a bicubic filter reads
+CUBE_BORDER = 2  # texels of neighbors around a face of a cube map at each level, as a bicubic filter reads them
 
 # Footprints of pixels on textures that lie on surfaces (kernels/trace/footprint.clh).
 FOOTPRINT_CELLS = 8  # along an axis of a pixel
@@ -58,62 +58,62 @@ NEAR_FOCUS = 0.3  # |R| in px below which smaller parts are needed as well
 APART = 1.17
 
 # Merged sources (kernels/trace/merge.cl).
-MERGED_SIDE = 3  # pixels along an axis that one source stands for, an odd number
+MERGED_SIDE = 3  # pixels along an axis that one merged source replaces, an odd number
 
 # Visibility (kernels/common/visibility.clh).
-LENS_CELLS = 8  # cells of the lens per half axis, where it is tested on a grid of its own
-SHARED_PLACE = 10.0  # px per lens radius: of nearer occluders the parts of one pixel see different edges
+LENS_CELLS = 8  # cells of the lens per half axis, if visibility is tested on a grid of cells
+SHARED_PLACE = 10.0  # px per lens radius, below which an occluder's edge differs between the parts of a pixel
 
 # Tables of weights (kernels/common/psf.clh, kernels/blur/cpu).
-TAP_LANES = 8  # floats in a vector of taps; rows of weights fill whole ones
-POWERS = 4  # coefficients of a weight, a cubic in the position in its interval
-TABLE_STEPS = 48  # intervals per octave of the radius, at least: the longest is so small a part of it
+TAP_LANES = 8  # floats in a vector of taps; rows of weights are padded to whole vectors
+POWERS = 4  # coefficients of a weight, a cubic polynomial in the position within an interval
+TABLE_STEPS = 48  # least number of intervals per octave of the radius
 # Floats in the widest vector; intervals of which a kernel reads the coefficients of a tap together, from every
 # TAP_LANES-th one on.
 WIDE_LANES = 16
 
 # Weights by chords (clsco/optics/chords.py, kernels/common/chords.clh).
-LEAST_OPENING = 5e-4  # px, radius of a lens: light of less would be rounding
+LEAST_OPENING = 5e-4  # px, radius of a lens opening; the light of smaller ones would be lost in rounding
 
 # Blur by `gather` (kernels/blur/cpu).
-# Rows that a work-item owns: enough bands for several cores, and little overlap. It walks the sources that reach them
-# in an order that counts from its first row, so strips of whole bands have the bits of the whole frame.
+# Number of rows in the band of a work-item: enough bands for several cores, and little overlap. The order of sources is
+# counted from the first row of the band, so strips of whole bands are bit-identical to the whole frame.
 BAND = 64
-COLUMN_STEP = 32  # columns of sources that a launch cut into pieces takes at least, with columns of sources
-MOST_ITEMS = 256  # groups of sources of a column that are kept at a time, at most
-ITEMS_BYTES = 2**18  # bytes that groups of sources of Gaussians take, unless few of them take more
-MOST_ASIDE = 5  # columns of a block of Gaussians, at most
+COLUMN_STEP = 32  # least number of columns of sources in a piece of a launch, if sources are processed by columns
+MOST_ITEMS = 256  # largest number of groups of sources of a column in memory at a time
+ITEMS_BYTES = 2**18  # memory limit of groups of sources with Gaussian PSFs, unless a few groups are larger
+MOST_ASIDE = 5  # largest number of columns in a block of sources with Gaussian PSFs
 
 # Blur by `tiles` (kernels/blur/tiles.cl).
 GROUP_COLUMNS = 16  # pixels of a work-group along a row
 GROUP_ROWS = 8  # pixels of a work-group along a column
 
 # Blur by `convolve` (kernels/blur/convolve.cl).
-CONVOLVED_ROWS = 32  # rows of the frame that a work-item makes
-CONVOLVED_COLUMNS = 64  # columns of the frame that a work-item makes, whole vectors of WIDE_LANES
-TILES_ABREAST = 8  # work-items side by side before those below, so that what they read is still in the cache
-LONGEST_RUN = 8  # weights of a run, which a kernel keeps in registers
-DROPPED_BITS = 26  # lower bits of a sum over a disc that sums of 32 bits leave out
+CONVOLVED_ROWS = 32  # rows of the frame that a work-item computes
+CONVOLVED_COLUMNS = 64  # columns of the frame that a work-item computes, a multiple of WIDE_LANES
+TILES_ABREAST = 8  # adjacent work-items that run before the next ones below, so that they find their input in the cache
+LONGEST_RUN = 8  # largest number of weights in a run, which a kernel keeps in registers
+DROPPED_BITS = 26  # number of lower bits of a sum over a disc that 32-bit sums omit
 
 # Layered occlusion (kernels/layered/layered.cl).
-DISCONTINUITY = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
-LAYER_BIN = 0.25  # px: depth layers end at multiples of it
-NO_SEED = 1 << 14  # px: farther than any blur reaches
-DISCONTINUITY_CLASSES = 10  # of sizes: beyond 1, 2, 4 ... times the least discontinuity
+DISCONTINUITY = 1.0  # px, least |R1 - R2| of two points, their relative shift over the lens, that can hide a pixel
+LAYER_BIN = 0.25  # px; depth layers end at multiples of this radius
+NO_SEED = 1 << 14  # px, an offset for "no seed", larger than any blur
+DISCONTINUITY_CLASSES = 10  # number of size classes: beyond 1, 2, 4 ... times DISCONTINUITY
 REACH_PIXELS = 64  # pixels of a row for which a work-item finds the nearest edge
-SEED_COLUMNS = 16  # columns that a work-item walks down
-PUSH_PIXELS = 4  # pixels of a coarser level that a work-item makes
+SEED_COLUMNS = 16  # columns that a work-item processes from top to bottom
+PUSH_PIXELS = 4  # pixels of a coarser level that a work-item computes
 
 # Forward warp (kernels/warp/warp.cl).
-OWNED_PIXELS = 64  # sources of a row that a work-item moves, where work-items own bands of the image
-WIDEST_GAP = 3  # px on each side of a gap in a surface that has grown, to four times its size at most
-NO_WINNER = 2**31 - 1  # instead of the number of a source, in a pixel where none comes
+OWNED_PIXELS = 64  # sources of a row that a work-item moves, if work-items own bands of the image
+WIDEST_GAP = 3  # px to each side in a gap of a surface that grows in the image, up to four times its size
+NO_WINNER = 2**31 - 1  # number in place of a source's in a pixel to which no source is moved
 
 # Filling of missing pixels (kernels/inpainting/fill.cl, fill_mean_median.cl, mean_median.cl).
-FILL_LANES = 8  # pixels of a vector
-FILL_CHUNK = 64  # pixels per work-item where it counts, so that atomics are rare
-# Counters of a filling, ints by their places: entries of the list of missing pixels, those of them in the frame, what a
-# sweep has filled, in the frame, and entries of the list of what all sweeps have filled.
+FILL_LANES = 8  # pixels in a vector
+FILL_CHUNK = 64  # pixels per work-item of kernels that count pixels, so that atomics are rare
+# Indices of the counters of a filling, ints: missing pixels listed; missing pixels in the frame; pixels filled by a
+# sweep; pixels in the frame filled by a sweep; and entries of the list of pixels filled by all sweeps.
 COUNTER_LEFT = 0
 COUNTER_LEFT_INSIDE = 1
 COUNTER_FILLED = 2
@@ -124,26 +124,26 @@ COUNTER_DONE = 4
 SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
 
 # Sensor (kernels/sensor).
-NOISE_LANES = 16  # pixels of a vector
+NOISE_LANES = 16  # pixels in a vector
 SENSED_PIXELS = 128  # pixels of a row that a work-item reads out, whole vectors
-LEAST_NORMAL = 30  # mean electrons, from which on their distribution is a corrected normal one
-FEW_ELECTRONS = 80  # counts of smaller means, beyond any that random words give
-# Streams of random words, and how many each plane has.
+LEAST_NORMAL = 30  # mean of electrons from which on their distribution is approximated by a corrected normal one
+FEW_ELECTRONS = 80  # limit of electron counts with a smaller mean, larger than any count from random words
+# Streams of random words, and number of streams per plane.
 SHOT_STREAM = 0
 PATTERN_STREAM = 1
 STREAMS = 2
 
 # Scores of mean and median (kernels/inpainting/score.cl).
-SCORED_COLUMNS = 128  # columns of a row that a work-item scores: no more may be summed up in 31 bits
-SCORE_SUMS = 13  # sums of a work-item
-CODE_LANES = 16  # values of 8 bits in a vector
+SCORED_COLUMNS = 128  # columns of a row that a work-item scores; more could overflow sums of 31 bits
+SCORE_SUMS = 13  # number of sums of a work-item
+CODE_LANES = 16  # 8-bit values in a vector
 
 # Biharmonic filling (kernels/inpainting/biharmonic.cl).
-DOT_SEGMENT = 256  # products of a dot product that a work-item adds up
+DOT_SEGMENT = 256  # number of products of a dot product that a work-item sums
 
 # Frequency-selective extrapolation (kernels/inpainting/fse.cl).
-FSE_SIDE = 32  # px of a window, along an axis
-FSE_BLOCK = 2  # px of the block in the middle of a window that is filled from it, along an axis
+FSE_SIDE = 32  # px, side of a window
+FSE_BLOCK = 2  # px, side of the block in the middle of a window, which is filled from the window
 FSE_BEFORE = (FSE_SIDE - FSE_BLOCK) // 2  # px of a window before its block, along an axis
 
 

@@ -1,4 +1,4 @@
-"""Structs shared with the device: NumPy dtypes, which the C typedefs are generated from."""
+"""Structs shared with the device: NumPy dtypes, from which the C typedefs are generated."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 Real = Literal["double", "float"]
 Struct = np.void
-MOST_RIMS = 4  # before and behind a lens
-START = 7  # coefficients of the first guess of undistorted slopes
+MOST_RIMS = 4  # largest number of rims before and behind a lens
+START = 7  # number of coefficients of the first guess of undistorted slopes
 REAL: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype("f4")}
-REAL_BYTES = 8  # planned for a number on the device, in either precision
+REAL_BYTES = 8  # size planned for a number on the device, in either precision
 
 
 @cache
@@ -79,7 +79,7 @@ def _reals(real: Real, **shapes: tuple[int, ...]) -> list[Any]:
 
 
 def filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
-    """Struct `name` with these values, and 0 in the other fields."""
+    """Struct `name` with the fields in `values`, and 0 in the other fields."""
     record = np.zeros((), structs(real)[name])
     for field, value in values.items():
         record[field] = value

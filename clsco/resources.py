@@ -25,13 +25,13 @@ from types import ModuleType
 from typing import BinaryIO, Literal
 
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
-_RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number
-PROC = Path("/proc")  # where Linux tells of its processes
-ABANDONED_S = 24 * 3600.0  # a temporary folder of another machine that has not changed for so long is left over
+_RUN = secrets.token_hex(4)  # distinguishes this process from earlier ones with the same id
+PROC = Path("/proc")  # Linux's folder with information on processes
+ABANDONED_S = 24 * 3600.0  # time in s without changes after which another machine's temporary folder is abandoned
 
-# Opening a pipe would block for ever without the second; neither is there on Windows.
+# Without the second flag, opening a pipe would block forever; Windows has neither flag.
 _SAFELY = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-DEVICE = "a device or a pipe"  # what errors say of a file that is neither regular nor a folder
+DEVICE = "a device or a pipe"  # in errors, name for a file that is neither regular nor a folder
 
 
 Kind = Literal["cache", "state"]
@@ -57,8 +57,8 @@ def folder(name: str) -> Traversable:
 
 
 def code_digest(*modules: ModuleType) -> str:
-    """SHA-256 of the source files of modules and packages, as part of cache keys: results cached on disk are computed
-    again when the code changes.
+    """SHA-256 of the source files of modules and packages, as part of cache keys: when the code changes, results cached
+    on disk are computed again.
     """
     digest = hashlib.sha256()
     for module in modules:
@@ -79,16 +79,16 @@ class ExposedFolderError(Exception):
 def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: Kind = "cache") -> Path:
     """A folder in the user's cache or state folder that nobody else can write to, created if necessary.
 
-    names: of nested folders, outermost first. kind: state is data that cannot be computed again. XDG_CACHE_HOME names
-    the cache folder, by default ~/.cache; XDG_STATE_HOME that of state, by default ~/.local/state. Raises
-    ExposedFolderError if another user owns the folder or one of its parents created here, or may write to it; OSError
-    or RuntimeError if it cannot be made, or the user has no home.
+    names: of nested folders, outermost first. kind: "cache", or "state" for data that cannot be computed again. The
+    cache folder is XDG_CACHE_HOME, by default ~/.cache, the state folder XDG_STATE_HOME, by default ~/.local/state.
+    Raises ExposedFolderError if another user owns or may write to the folder or one of its parents created here;
+    OSError or RuntimeError if the folder cannot be created, or the user has no home.
     """
     variable, default = _PLACES[kind]
     root = Path(environ.get(variable) or Path.home() / default)
     root.mkdir(mode=0o700, parents=True, exist_ok=True)
     made = [root.joinpath(*names[: k + 1]) for k in range(len(names))]
-    for one in made:  # one by one: the mode is not that of parents
+    for one in made:  # one by one, as `mode` does not apply to parents
         one.mkdir(mode=0o700, exist_ok=True)
     if (exposed := _exposed(root, *made)) is not None:
         raise ExposedFolderError(exposed)
@@ -114,11 +114,11 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 
 
 def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False) -> BufferedReader:
-    """Open a regular file for reading; anything else is opened only briefly, to determine its kind.
+    """Open a regular file for reading; any other file is opened only briefly, to determine its kind.
 
-    most: bytes of the file; it can grow while it is read: `read_regular` enforces the limit then, too. follow: allow a
-    symbolic link, as users may name one; links among its parent folders are always followed. Raises OSError if it
-    cannot be opened, is not a regular file, or is too large; `strerror` says what it is, as in "a device or a pipe".
+    most: size limit of the file in bytes; if the file may grow while it is read, use `read_regular`. follow: True to
+    allow a symbolic link, for names from users; links among the parent folders are always followed. Raises OSError if
+    the file cannot be opened, is not regular, or is too large; `strerror` names its kind, such as "a device or a pipe".
     """
     flags = _SAFELY & ~getattr(os, "O_NOFOLLOW", 0) if follow else _SAFELY
     try:
@@ -126,7 +126,7 @@ def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follo
     except OSError as error:
         if error.errno == errno.ELOOP and not follow:
             raise OSError(error.errno, "a symbolic link", error.filename) from None
-        if error.errno in (errno.ENXIO, errno.ENODEV):  # a socket, or a device that is not there
+        if error.errno in (errno.ENXIO, errno.ENODEV):  # a socket, or a missing device
             raise OSError(error.errno, DEVICE, error.filename) from None
         raise
     try:
@@ -137,7 +137,7 @@ def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follo
             raise OSError(errno.EINVAL, DEVICE, os.fspath(path))
         if most is not None and about.st_size > most:
             raise _too_large(path, about.st_size, most)
-        return open(path, "rb", opener=lambda _path, _flags: handle)  # which knows its name, as os.fdopen does not
+        return open(path, "rb", opener=lambda _path, _flags: handle)  # unlike os.fdopen, sets the file's name
     except BaseException:
         os.close(handle)
         raise
@@ -146,7 +146,7 @@ def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follo
 def read_regular(path: str | os.PathLike[str], most: int, *, follow: bool = False) -> bytes:
     """Read the content of a regular file of at most `most` bytes. Arguments and errors are those of `open_regular`."""
     with open_regular(path, most, follow=follow) as file:
-        content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)  # memory for all of `most` takes time
+        content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)  # allocating `most` bytes would take time
     if len(content) > most:
         raise _too_large(path, len(content), most)
     return content
@@ -157,9 +157,9 @@ def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
 
 
 def temporary_folder(name: str) -> Path:
-    """A new private folder for this process and its children; it is removed when the process ends.
+    """A new private folder for this process and its children, which is removed when the process ends.
 
-    If the process is killed, the next call with this name removes it. Raises OSError.
+    If the process is killed, the next call with this name removes the folder. Raises OSError.
     """
     base = Path(tempfile.gettempdir())
     remove_left(base, f"clsco-{name}")
@@ -172,14 +172,14 @@ def temporary_folder(name: str) -> Path:
 def work_name(prefix: str, more: str = "") -> str:
     """Name for an unfinished or temporary file or folder of this process; see `remove_left`.
 
-    more: hexadecimal digits to distinguish several with one prefix.
+    more: hexadecimal digits to distinguish several names with the same prefix.
     """
     return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}{more and '-'}{more}.part"
 
 
 def remove_left(folder: Path, prefix: str = "") -> None:
-    """Remove temporary files and folders of ended processes: of this machine by process id, of others by age; without a
-    prefix all hidden ones.
+    """Remove temporary files and folders of ended processes, those of this machine by process id, those of others by
+    age; prefix: of their names, by default any hidden name.
     """
     for path in folder.glob(f"{prefix}.*.part"):
         with suppress(OSError, ValueError):
@@ -198,10 +198,10 @@ def remove_left(folder: Path, prefix: str = "") -> None:
 
 
 def process_began(process: int) -> float | None:
-    """Start time of a process, comparable with others of this machine; None if no such process is running.
+    """Start time of a process, comparable with other start times on this machine; None if no such process is running.
 
-    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems psutil's, in seconds of
-    the clock.
+    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems from psutil, in seconds
+    of the clock.
     """
     if not (PROC / "self").exists():
         return _began_by_psutil(process)
@@ -214,18 +214,18 @@ def process_began(process: int) -> float | None:
 
 def process_is_gone(process: int) -> bool:
     """True if a process of this machine has ended, even if its parent has not waited for it yet."""
-    if os.name == "posix":  # on Windows 0 is no question, but Ctrl-C
+    if os.name == "posix":  # on Windows signal 0 is Ctrl-C
         try:
             os.kill(process, 0)
         except ProcessLookupError:
             return True
-        except OSError:  # somebody else's
+        except OSError:  # another user's process
             return False
     return process_began(process) is None
 
 
 def _stat(process: int) -> list[str]:
-    """Fields of a process in Linux's /proc, from its state on; raises OSError if there is no such process."""
+    """Fields of a process in Linux's /proc/<id>/stat, from the state on; raises OSError if there is no such process."""
     return (PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
 
 
@@ -246,7 +246,7 @@ def read_at(file: BinaryIO, size: int, place: int) -> bytes:
 
 
 def _now(folder: Path) -> float:
-    """The time by the clock of a file system, which may be another machine's."""
+    """The time by the clock of a folder's file system, which may be on another machine."""
     with tempfile.TemporaryFile(dir=folder) as probe:
         return os.fstat(probe.fileno()).st_mtime
 
@@ -261,7 +261,7 @@ def resident_bytes() -> int:
 
 
 def machine_bytes(*, free: bool = False) -> int:
-    """Memory of this machine, in all or free, bytes."""
+    """Memory of this machine in bytes: the total, or with `free` the free memory."""
     if (PROC / "self").exists():
         lines = (PROC / "meminfo").read_text("ascii").splitlines()
         amounts = {name: int(amount.split()[0]) for name, _, amount in (line.partition(":") for line in lines)}
@@ -275,7 +275,7 @@ def machine_bytes(*, free: bool = False) -> int:
 def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")) -> int:
     """Number of processors that this process may use: limited by its affinity and by the quotas of its control groups.
 
-    groups, mounted: files in which Linux lists a process's groups, and their settings, in version 1 or 2.
+    groups: file in which Linux lists a process's control groups; mounted: folder of their settings (version 1 or 2).
     """
     if hasattr(os, "process_cpu_count"):  # Python 3.13
         bound = os.process_cpu_count()
@@ -287,7 +287,7 @@ def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/
 
 
 def _quotas(groups: Path, mounted: Path) -> list[int]:
-    """Processors, rounded up, allowed by each of the groups and their parents."""
+    """Number of processors, rounded up, that each control group and each of its parents allows."""
     found = []
     with suppress(OSError, ValueError):
         for line in groups.read_text("utf-8").splitlines():

@@ -1,8 +1,8 @@
 """Inpainting with smooth surfaces on the device, by the biharmonic equation.
 
-In the holes the Laplacian of the Laplacian is 0, which continues values and slopes at their outlines (Damelin and Hoang
-2018, doi:10.1155/2018/3950312; scikit-image's `inpaint_biharmonic` solves the same equations directly). They are solved
-here by conjugate gradients, preconditioned by quadratic B-splines of every size that lie in the holes (Bramble, Pasciak
+The Laplacian of the Laplacian is 0 in the holes, which continues values and slopes at the outlines (Damelin and Hoang
+2018, doi:10.1155/2018/3950312; scikit-image's `inpaint_biharmonic` solves the equations directly). Here the equations
+are solved by conjugate gradients, preconditioned by quadratic B-splines of every size in the holes (Bramble, Pasciak
 and Xu 1990, doi:10.2307/2008789; Oswald 1992): the number of steps hardly grows with the size of holes, and memory is a
 fixed number of bytes per missing pixel.
 """
@@ -26,7 +26,7 @@ from clsco.opencl.session import Program, Session
 from clsco.records import Real, structs
 
 LOCAL = (64,)
-CHECK_EVERY = 10  # steps between two tests of the residual, which wait for the device
+CHECK_EVERY = 10  # number of steps between two tests of the residual, as a test waits for the device
 
 
 def fill_biharmonic(
@@ -49,7 +49,7 @@ def fill_biharmonic(
 
 @dataclass(frozen=True)
 class _Level:
-    """Unknowns at one resolution: pixels of the image at that resolution, and the preconditioner's vector there."""
+    """Unknowns at one resolution: pixels of the reduced image, and the preconditioner's vector for these pixels."""
 
     rows: np.int32
     columns: np.int32
@@ -73,7 +73,7 @@ def _fill(
 
 
 class _Solver:
-    """Conjugate gradients in the holes of one image; it owns its buffers."""
+    """Solver by conjugate gradients in the holes of one image; owns the buffers."""
 
     def __init__(
         self, session: Session, program: Program, real: Real, channels: int, missing: NDArray[np.bool_]
@@ -102,7 +102,7 @@ class _Solver:
         )
         self._precondition()
         self._dot(self.residual, self.better, now)
-        # All sums but this one being 0, the first direction is the preconditioned residual itself.
+        # As all other sums are 0, the first direction is the preconditioned residual itself.
         self._each("turn_direction", finest, self.sums, np.int32(1), self.better, finest.count, self.direction)
         first = self._sum(now)
         for step in range(MOST_STEPS):

@@ -1,4 +1,4 @@
-"""Choice of the best method for the holes of an image: each is tried on known pixels, in holes of the same shape."""
+"""Choice of the better inpainting method for an image: each fills copies of the holes at known pixels."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.fse import fill_texture
 from clsco.opencl.session import Session
 
-WINDOW = 96  # px, of the parts of the image that are examined
+WINDOW = 96  # px, side of the parts of the image that are examined
 MOST_WINDOWS = 4
-SHIFT = (24, 24)  # px, from the holes to where they are tried
-RIM = 8  # px of a window where nothing is tried, as its neighbor is another part of the image
-# How many times smaller the biharmonic error has to be: on photographs trials in so few windows err by about 1 dB, and
-# texture is the safer one; where an image is smooth the ratio is far above.
+SHIFT = (24, 24)  # px, displacement of the copied holes from the true holes
+RIM = 8  # px, border of a window without copied holes, as adjacent windows are not adjacent in the image
+# Ratio by which the biharmonic error must be smaller: on photographs, errors in so few windows are uncertain by about
+# 1 dB, and "texture" is the safer method; on smooth images the ratio is far larger.
 MARGIN = 1.25
 
 
 def choose_method(
     session: Session, image: NDArray[Any], missing: NDArray[np.bool_]
 ) -> Literal["biharmonic", "texture"]:
-    """The method with the smaller square error at known pixels that are treated as missing.
+    """The method with the smaller square error at known pixels that are treated as missing, see MARGIN.
 
     image: (rows, columns, channels), of any type; missing: (rows, columns). In at most MOST_WINDOWS windows, evenly
     chosen among those with holes, the holes are shifted cyclically by SHIFT and filled together with the true ones by
@@ -48,7 +48,7 @@ def choose_method(
 
 
 def _windows(missing: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
-    """Windows to examine; along an axis where the image is smaller, a window has its whole size."""
+    """Windows to examine; along an axis shorter than WINDOW, a window is as long as the image."""
     rows, columns = (range(0, max(size - WINDOW, 0) + 1, WINDOW) for size in missing.shape)
     places = [(slice(i, i + WINDOW), slice(j, j + WINDOW)) for i in rows for j in columns]
     with_holes = [place for place in places if missing[place].any()]

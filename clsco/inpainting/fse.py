@@ -2,9 +2,9 @@
 
 The image around a block of pixels is decomposed into a few waves, which are extrapolated into the block: the strongest
 wave of the weighted residual is subtracted repeatedly (Seiler and Kaup 2010, doi:10.1109/LSP.2010.2052560; number of
-waves and preference of low frequencies: Genser et al. 2017 and 2018; OpenCV's xphoto has it as FSR). Here the channels
-share their waves, blocks are 2 x 2 px, and blocks at the same distance from known pixels are computed at once. Holes
-wider than a block are first filled in the image at half its size, by the same method: this result gets a small weight
+waves and preference of low frequencies: Genser et al. 2017 and 2018; FSR in OpenCV's xphoto). Here all channels use the
+same waves, blocks are 2 x 2 px, and blocks at the same distance from known pixels are computed at once. Holes wider
+than a block are first filled by the same method in the image at half the size. This coarse result gets a small weight
 in every window, so that wide holes are neither flat nor dominated by chance.
 """
 
@@ -27,7 +27,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.records import structs
 
-LOCAL = (1,)  # a work-item is long, and its arrays are large
+LOCAL = (1,)  # local size; a work-item takes long, and has large arrays
 
 
 def fill_texture(
@@ -62,7 +62,7 @@ def _fill(
     turns = block_turns(missing, FSE_BLOCK)
     start = np.where(missing[..., None], np.float32(0), image)
     weights = np.where(missing, np.float32(0), np.float32(1))
-    if turns.max() > 1:  # some block is wholly missing
+    if turns.max() > 1:  # a block has no known pixel
         coarse = _fill(session, program, constants, *halved(start, missing))
         start[missing] = doubled(coarse, missing)
         weights[missing] = GUESS
@@ -72,7 +72,7 @@ def _fill(
     blocks = (np.stack(np.unravel_index(order, turns.shape), axis=1) * FSE_BLOCK).astype(np.int32)
     ends = np.searchsorted(turns.ravel()[order], np.arange(turns.max() + 2))
     settings = (np.float32(STEP), np.float32(WAVES_PER_CONTRAST), np.int32(FEWEST_WAVES), np.int32(MOST_WAVES))
-    held = []  # until the queue is done with them
+    held = []  # buffers to keep until the queue has finished
     for first, end in pairwise(ends):
         count = int(end - first)
         if not count:

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from clsco.constants import FSE_SIDE
 
-# The following were chosen on the cases of benchmarks/inpainting: each is flat within 0.1 dB around its value.
-DECAY = 0.65  # by which a pixel counts less per px from the block's center
-STEP = 0.7  # part of a wave's amplitude that is taken out at a time: less than all, as waves are not orthogonal
-WAVES_PER_CONTRAST = 400.0  # waves per standard deviation of the window, the known range being 1
+# Values chosen on the cases of benchmarks/inpainting: around each, results vary by less than 0.1 dB.
+DECAY = 0.65  # factor of a pixel's weight per px of distance from the block's center
+STEP = 0.7  # fraction of a wave's amplitude subtracted at a time; below 1, as waves are not orthogonal
+WAVES_PER_CONTRAST = 400.0  # number of waves per standard deviation of the window, for known values from 0 to 1
 FEWEST_WAVES, MOST_WAVES = 5, 40
-TRUST = 0.5  # what a filled pixel counts in the windows of later ones
-GUESS = 0.01  # what a pixel counts that is known from the coarser image only
+TRUST = 0.5  # weight of a filled pixel in the windows of later blocks, relative to a known pixel
+GUESS = 0.01  # weight of a pixel whose value is known only from the coarser image
 
 
 class Tables(NamedTuple):
@@ -31,9 +31,9 @@ class Tables(NamedTuple):
 @cache
 def tables() -> Tables:
     """Make the tables. window (FSE_SIDE, FSE_SIDE): DECAY to the power of the distance from the block's center.
-    preference (FSE_SIDE, FSE_SIDE / 2): squares of 1 - |frequency| / the highest (Genser et al. 2018), 0 for the
-    mirrors in the first column and beyond the highest. cosines, sines: (FSE_SIDE, FSE_SIDE / 2), of 2 pi a v /
-    FSE_SIDE.
+    preference (FSE_SIDE, FSE_SIDE / 2): squares of 1 - |frequency| / highest frequency (Genser et al. 2018); 0 beyond
+    the highest frequency, and for mirrored frequencies in the first column. cosines, sines (FSE_SIDE, FSE_SIDE / 2): of
+    2 pi a v / FSE_SIDE for row a and column v.
     """
     place = np.arange(FSE_SIDE)
     distance = place + 0.5 - FSE_SIDE / 2

@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-# Of the biharmonic solver. Gains: what splines of twice the size count more than those before, each having 1/4 of their
-# energy; the first step is larger, since single pixels are no splines. The number of steps hardly changes from 2 to 4
-# times FINER_GAIN.
+# Settings of the biharmonic solver. Gains: factor of the weight of splines from one size to twice the size, which have
+# 1/4 of the energy; the first factor is larger, since single pixels are no splines. The number of steps hardly changes
+# for 2 to 4 times FINER_GAIN.
 FIRST_GAIN, FINER_GAIN = 12.0, 4.0
-TOLERANCE = 1e-4  # of the residual in the preconditioner's norm, of its beginning: 60 dB from the solution
-MOST_STEPS = 500  # 12 to 90 are needed for holes from single pixels to 300 px
+TOLERANCE = 1e-4  # final residual, as a share of the first, in the preconditioner's norm: 60 dB from the solution
+MOST_STEPS = 500  # limit of the number of steps; holes from single pixels to 300 px need 12 to 90
 
 
 def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
     """Turn in which each block (ceil(H / block), ceil(W / block)) is filled, from 0; -1 for blocks without missing
     pixels.
 
-    missing: (H, W), not all True. Filling goes inwards ring by ring, and in each ring first over the black squares of a
-    chessboard of blocks, then over the white ones. A block with known pixels is in ring 0; a fully missing block is in
-    the ring of its chessboard distance, in blocks, to such a block. Two passes compute this exactly (Rosenfeld and
-    Pfaltz 1968). Validated against scipy's distance transform.
+    missing: (H, W), not all True. Filling goes inwards ring by ring; within a ring, first the black squares of a
+    chessboard of blocks are filled, then the white ones. A block with known pixels is in ring 0; a fully missing block
+    is in the ring n if its chessboard distance to the nearest block with known pixels is n blocks. Two passes compute
+    this exactly (Rosenfeld and Pfaltz 1968). Validated against scipy's distance transform.
     """
     rows, columns = missing.shape
     padding = ((0, -rows % block), (0, -columns % block))
@@ -45,8 +45,8 @@ def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
 
 
 def halved(image: Array, missing: Mask) -> tuple[Array, Mask]:
-    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: means of the known pixels of each 2 x 2
-    block.
+    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: each pixel is the mean of the known pixels
+    in a 2 x 2 block.
     """
     rows, columns = missing.shape
     padding = ((0, rows % 2), (0, columns % 2))
@@ -76,11 +76,11 @@ def doubled(coarse: Array, missing: Mask) -> Array:
 
 
 def spline_holes(missing: Mask) -> Mask:
-    """Mask of quadratic B-splines at twice the pixel size that lie entirely in the holes (H, W): (ceil(H / 2), ceil(W /
-    2)).
+    """Mask (ceil(H / 2), ceil(W / 2)) of the coarse pixels, twice as wide, whose quadratic B-splines lie entirely in
+    the holes (H, W).
 
-    A coarse pixel's spline is refined into those of the fine pixels 2 k - 1 to 2 k + 2 along each axis; pixels beyond
-    the border are ignored.
+    The spline of coarse pixel k is a sum of the splines of the fine pixels 2 k - 1 to 2 k + 2 along each axis; pixels
+    beyond the border are ignored.
     """
     for _ in range(2):
         half = (len(missing) + 1) // 2

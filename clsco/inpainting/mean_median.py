@@ -39,28 +39,28 @@ Pixels = NDArray[np.int64]
 Progress = Callable[[float], object]
 
 KERNELS = ("inpainting/score.cl", "inpainting/mean_median.cl")
-MANY = 9  # neighbors: more than there are, of pixels that are not missing
+MANY = 9  # number of neighbors stored for pixels that are not missing, more than the possible 8
 VECTORS, OWNERS = (8,), (1,)  # local sizes of kernels with a work-item per vector, or per segment
-ENTRIES = 64  # and, at most, of those with one per entry
+ENTRIES = 64  # largest local size of kernels with a work-item per entry of a list
 
-BAND_VALUES = 2**21  # of the image that are scored or blended at once
-ALIGNED = 128  # bytes
-MOST_ENTRIES = 2**14  # of a sweep for a single work-group
-NEVER = 2**31 - 1  # of sweeps
-MOST_VECTORS = 2**13  # of a round, all channels, for a single work-item of a processor to smooth without launches
-GROUP = 128  # its size on a graphics card; a processor has one work-item, which does it in vectors
-FEWEST = 4  # pixels that follow one another, to be smoothed as a run
-SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # of the whole, for progress
+BAND_VALUES = 2**21  # number of values of the image that are scored or blended at once
+ALIGNED = 128  # alignment in bytes
+MOST_ENTRIES = 2**14  # largest number of pixels in a sweep that a single work-group processes
+NEVER = 2**31 - 1  # limit of sweeps that is never reached
+MOST_VECTORS = 2**13  # largest number of vectors, over all channels, that one work-item of a processor smooths alone
+GROUP = 128  # work-group size of a sweep on a graphics card; on a processor it is one work-item, which uses vectors
+FEWEST = 4  # least number of consecutive pixels that are smoothed as a run
+SHARES = {"score": 0.5, "fill": 0.2, "smooth": 0.2, "blend": 0.1}  # share of each stage in the progress
 
 
 @dataclass(eq=False)
 class Stages:
-    """Results of the stages for the M missing pixels, and for the B known pixels beside them; K channels.
+    """Results of the stages, for M missing pixels, B border pixels (the known pixels beside holes), and K channels.
 
-    pixels, border: pixel numbers, row by row; filled, smoothed: (M, K) after stages 1 and 2; gradients: (B,) magnitude
-    by Sobel's operator; blended: (B, K) medians, used for pixels that reach the `histogram`'s threshold; score: None if
-    turned off; histogram: None if turned off or without border pixels; sweeps: number of sweeps that filled pixels;
-    seconds: by stage.
+    pixels, border: pixel numbers (M,) and (B,), row by row; filled, smoothed: (M, K) values after stages 1 and 2;
+    gradients: (B,) magnitude by Sobel's operator; blended: (B, K) medians, which replace border pixels whose gradient
+    reaches the threshold of `histogram`; score: None if turned off; histogram: None if turned off or without border
+    pixels; sweeps: number of sweeps that filled pixels; seconds: duration by stage.
     """
 
     pixels: Pixels
@@ -128,7 +128,7 @@ def fill_mean_median(
     return stages
 
 
-@lru_cache(maxsize=8)  # of a small image, to read the files would take a tenth of the time
+@lru_cache(maxsize=8)  # reading the files would take a tenth of the time for a small image
 def _program(session: Session, channels: int, codes: bool) -> Program:
     features = {"CHANNELS": channels, "CODES": codes, "ALONE": group_size(session) == 1}
     features |= {"FILL_MEAN_MEDIAN": True, "IMAGE": True}
@@ -143,8 +143,8 @@ def group_size(session: Session) -> int:
 class Layout:
     """Numbering of M missing pixels, of B known pixels beside them, and of the frame around the image.
 
-    missing: (rows, columns). pixels, border: (M,) and (B,) positions in the image, row by row; slots: total of numbers;
-    at, beside: (M,) and (M, 2), numbers of missing pixels and of their neighbors above and below.
+    missing: (rows, columns). pixels, border: (M,) and (B,) positions in the image, row by row; slots: count of numbers;
+    at: (M,) number of each missing pixel; beside: (M, 2) numbers of the pixels above and below it.
     """
 
     def __init__(self, missing: Mask) -> None:
@@ -191,10 +191,10 @@ def dilated(missing: Mask) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Rows of an image from `top` to before `bottom`, and the rows next to them.
+    """Rows of an image from `top` to before `bottom`, with the adjacent rows.
 
-    above: the first row in the band; value: (count, columns, K) and CODE_LANES more pixels, finite at missing pixels;
-    overwritten by the next band.
+    above: first row of the image that the band holds; value: (count, columns, K), followed in memory by CODE_LANES
+    pixels, finite at missing pixels; overwritten by the next band.
     """
 
     top: int
@@ -214,7 +214,7 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) ->
     rows, columns, channels = image.shape
     step, most = max(1, BAND_VALUES // (columns * channels)), CODE_LANES * channels
     room = np.zeros(channels * columns * min(step + 2, rows) + most + ALIGNED, dtype)
-    room = room[-room.ctypes.data % ALIGNED // room.itemsize :]  # processors then work in it, without a copy
+    room = room[-room.ctypes.data % ALIGNED // room.itemsize :]  # aligned, so that processors read it without a copy
     for top in range(0, rows, step):
         bottom = min(top + step, rows)
         if not wanted[top:bottom].any():
@@ -224,7 +224,7 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) ->
         pixels = room[:size].reshape(-1, columns, channels)
         pixels[...] = image[part]
         if image.dtype.kind == "f":
-            pixels[missing[part]] = 0  # that may be no number
+            pixels[missing[part]] = 0  # which may be NaN
         yield Band(top, bottom, part.start, room[: size + most], missing[part])
 
 
@@ -245,11 +245,11 @@ def score_image(
 
 
 class Holes:
-    """Fills the holes; owns their buffers on the device, laid out as in mean_median.cl."""
+    """Fills the holes of an image; owns the buffers on the device, laid out as in mean_median.cl."""
 
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
         self.session, self.program, self.channels = session, program, image.shape[2]
-        self.at, self.index = layout.at, layout.at.astype(np.int64)  # NumPy is faster by its own type
+        self.at, self.index = layout.at, layout.at.astype(np.int64)  # NumPy is faster with its index type
         self.slots, self.missing = np.int32(layout.slots + FILL_LANES), np.int32(layout.at.size)
         self.level = layout.near()
         near, beside = np.full(layout.slots, MANY, np.int32), np.zeros((layout.slots, 2), np.int32)
@@ -279,8 +279,8 @@ class Holes:
     ) -> NDArray[np.int32]:  # fmt: skip
         """Fill in sweeps, at most `limit`, until no pixel is missing; return the counts of sweeps and of filled pixels.
 
-        level: number of valid neighbors of missing pixels (M,), 0 if filled; before: the numbers before. Short sweeps
-        follow each other on the device, long ones are launched one by one.
+        level: (M,) number of valid neighbors of each missing pixel, 0 if filled; before: counts of sweeps and filled
+        pixels so far. Short sweeps follow each other on the device, long sweeps are launched one by one.
         """
         queue, count, group = self.session.queue, int(self.missing), group_size(self.session)
         lists, state = self._lists(np.minimum(level, minimum), minimum)
@@ -319,15 +319,15 @@ class Holes:
         return copied(self.session, lists), state
 
     def smooth(self, rounds: int, progress: Progress) -> Floats:
-        """Stage 2: smooth in alternation between two buffers; returns the values of missing pixels."""
+        """Stage 2: smooth the missing pixels by rounds of the median in two alternating buffers; returns the values."""
         run, single, alone = parts(self.at, self.level == 8)
         buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
         items = len(run) + -(-single.size // FILL_LANES)
-        # A single work-item needs no barrier between rounds, and takes less than launches where there is little to do.
+        # A single work-item needs no barrier between rounds, and for few pixels is faster than a launch per round.
         by_one = rounds > 1 and group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
         at_once = rounds if by_one else 1
         for n in range(0, rounds, at_once):
-            # What has known neighbors only is the same in both sets after two rounds.
+            # Pixels with only known neighbors are the same in both sets after two rounds.
             singles = np.int32(single.size - (alone if n > 1 else 0))
             size, planes = ((1, OWNERS) if by_one else (items, VECTORS)), (self.beside, self.value, self.found)
             self._launch("smooth_holes", *size, self.slots, np.int32(at_once), *buffers, singles, *planes)
@@ -348,8 +348,8 @@ class Holes:
 
 
 def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
-    """Missing pixels by number (M,) for smooth_holes: runs (R, 2), single pixels (S,), and the count of single pixels
-    that are `alone` (M,), which come last.
+    """Missing pixels with the numbers `at` (M,) as smooth_holes reads them: runs (R, 2), single pixels (S,), and the
+    count of single pixels marked in `alone` (M,), which come last.
     """
     starts = np.flatnonzero(np.diff(at, prepend=-2) != 1)
     within = np.arange(at.size) - np.repeat(starts, np.diff(starts, append=at.size))
@@ -365,7 +365,7 @@ def blend_border(
     session: Session, program: Program, border: Pixels, image: NDArray[Any], missing: Mask, stages: Stages,
     progress: Progress,
 ) -> None:  # fmt: skip
-    """Stage 3: gradients and medians of all border pixels; the threshold selects among them later."""
+    """Stage 3: gradients and medians of all border pixels; the threshold later selects the pixels to replace."""
     rows, columns, channels = image.shape
     stages.gradients = np.empty(border.size, np.float64)
     stages.blended = np.empty((border.size, channels), np.float32)

@@ -24,7 +24,7 @@ THESIS = "mean-median"
 class Task:
     """An image (rows, columns, K) of codes or floats with missing pixels (rows, columns), some but not all.
 
-    span: range of the values; constants: of the thesis' method; progress: called with the fraction done.
+    span: range of the values; constants: options of the mean-median method; progress: called with the fraction done.
     """
 
     image: NDArray[Any]
@@ -36,7 +36,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """Result of a method: pixel numbers (N,), their values (N, K), and stages for mean-median."""
+    """Result of a method: numbers (N,) and values (N, K) of the filled pixels, and the stages of mean-median."""
 
     pixels: NDArray[np.int64]
     values: NDArray[np.float32]
@@ -51,7 +51,7 @@ def _mean_median(session: Session, task: Task) -> Filled:
 
 
 def _solver(fill: Callable[..., NDArray[np.float32]]) -> Callable[[Session, Task], Filled]:
-    """Make a method from a function of image and mask."""
+    """Make a method from a function that fills an image with a mask."""
 
     def method(session: Session, task: Task) -> Filled:
         return Filled(np.flatnonzero(task.missing), fill(session, task.image, task.missing, task.progress))

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 class Report:
     """Report on filling an image.
 
-    method: method used; device: its name; shape, dtype: of the image; missing_pixels: their number; seconds: total;
-    stages: of mean-median, None for other methods and if no pixel was missing; constants: of mean-median.
+    method: method used; device: name of the device; shape, dtype: of the image; missing_pixels: number of missing
+    pixels; seconds: total time; stages: of mean-median, else None, also without missing pixels; constants: its options.
     """
 
     method: str

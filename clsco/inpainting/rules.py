@@ -17,8 +17,8 @@ from clsco.errors import SceneError
 
 COUNTS = range(4, 9)
 """Counts of known neighbors for which mean and median are scored; below, the mean is taken."""
-STEPS = 2**16  # into which scores divide the range of the values; sums of 4096 pixels then fit into 53 bits
-LEAST_EXPONENT, MOST_EXPONENT = -126, 126  # of the scale, a float32
+STEPS = 2**16  # number of steps in the range of the values, for scores; sums of 4096 pixels then fit into 53 bits
+LEAST_EXPONENT, MOST_EXPONENT = -126, 126  # range of the exponent of the scale, a float32
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ class MeanMedian:
 
 
 def most_sweeps(rows: int, columns: int) -> int:
-    """Number of sweeps with the minimum of known neighbors, after which a single known neighbor is enough.
+    """Number of sweeps that require the minimum of known neighbors; in later sweeps one known neighbor is enough.
 
-    After that, each sweep moves the known pixels inwards by one, and max(rows, columns) sweeps suffice: stage 1 takes
-    fewer than 4 (rows + columns) sweeps for any mask. Without this limit, 1 random mask in 10,000 takes more (61 x 51
-    pixels with 55 known ones: 4.09); about 40 reach the limit.
+    Each later sweep moves the known pixels inwards by one, and max(rows, columns) sweeps suffice: stage 1 takes fewer
+    than 4 (rows + columns) sweeps for any mask. Without this limit, 1 of 10,000 random masks takes more (4.09 times
+    rows + columns for 61 x 51 pixels, of which 55 are known); about 40 of 10,000 reach the limit.
     """
     return 3 * (rows + columns)
 
@@ -80,7 +80,7 @@ class Score:
     """Errors of the mean and the median of k known neighbors as estimates of known pixels (figure 5.3).
 
     mean, median: squared errors by k, summed over all pixels with eight known neighbors, all channels and all subsets
-    of k neighbors, times (2 k scale)^2, which makes them integers; entries below 4 are 0. samples: pixels times
+    of k neighbors, and multiplied by (2 k scale)^2 to be integers; entries for k < 4 are 0. samples: pixels times
     channels.
     """
 
@@ -106,8 +106,8 @@ class Score:
 
 
 def score_scale(span: float) -> float:
-    """Factor by which values are multiplied before rounding for scores: the largest power of two with span times it at
-    most 2^16.
+    """Factor by which values are multiplied before rounding for scores: the largest power of two for which span times
+    factor is at most 2^16.
 
     span: largest minus smallest value, 0 or more.
     """
@@ -117,12 +117,12 @@ def score_scale(span: float) -> float:
 
 
 def score_of_sums(sums: NDArray[np.int64], scale: float) -> Score:
-    """The score from partial sums of the kernel `score_mean_median`, (any number, SCORE_SUMS).
+    """The score from the kernel `score_mean_median`'s partial sums (n, SCORE_SUMS), for any n.
 
-    Binomial coefficients count the subsets of k neighbors that contain one given neighbor or two given ones, and, for
-    sorted neighbors, the subsets whose median is the i-th or lies between the i-th and the j-th.
+    Binomial coefficients count the subsets of k neighbors that contain one particular neighbor or pair of neighbors,
+    and, for sorted neighbors, the subsets whose median is the i-th or lies between the i-th and the j-th.
     """
-    # In two halves, since the whole of a large image may need more than 64 bits.
+    # In two halves, since the sum over a large image may need more than 64 bits.
     high, low = (half.sum(axis=0).tolist() for half in (sums >> 32, sums & 0xFFFFFFFF))
     whole = [(a << 32) + b for a, b in zip(high, low, strict=True)]
     squares, squared_sum, products, samples = whole[:8], whole[8], whole[9:12], whole[12]
@@ -142,16 +142,16 @@ def score_of_sums(sums: NDArray[np.int64], scale: float) -> Score:
 
 
 def bits_of(wins: NDArray[np.bool_]) -> int:
-    """Bit mask for kernels: bit k for k neighbors."""
+    """Bit mask for kernels: bit k is set if wins[k] is True."""
     return int((wins << np.arange(wins.size)).sum())
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """Histogram of gradients of the border pixels (figure 5.6), and the threshold from which they are blended.
+    """Histogram of the border pixels' gradients (figure 5.6), and the threshold above which they are blended.
 
-    counts: of gradients from n step to below (n + 1) step; step: in the values' unit; least, most: smallest and largest
-    gradient; threshold: a multiple of step, or None if no pixel is blended.
+    counts: entry n is the number of gradients from n step to below (n + 1) step; step: in the unit of the values;
+    least, most: smallest and largest gradient; threshold: a multiple of step, or None if no pixel is blended.
     """
 
     counts: NDArray[np.int64]
@@ -162,10 +162,10 @@ class Histogram:
 
 
 def border_histogram(gradients: NDArray[Any], step: float, share: float) -> Histogram:
-    """Histogram of gradient magnitudes (N,), N > 0, and the threshold above which `share` of them are.
+    """Histogram of gradient magnitudes (N,), N > 0, with the threshold that the fraction `share` of them reaches.
 
-    The threshold is the step at which the share is reached, counted down from the largest gradient. A share of 0 has
-    none.
+    The threshold is the step at which the share is reached, counted down from the largest gradient; None for a share
+    of 0.
     """
     place = (gradients.astype(np.float64) / step).astype(np.int64) if step else np.zeros(gradients.size, np.int64)
     counts = np.bincount(place)

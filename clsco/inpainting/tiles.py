@@ -1,4 +1,4 @@
-"""Fills holes of an image tile by tile, so that memory besides the image does not depend on its size."""
+"""Fills holes of an image tile by tile, so that memory besides the image does not depend on the image's size."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 Progress = Callable[[float], None]
 
 TILE = 832
-MARGIN = 96  # around a tile, px, which its filling reads; an image of up to TILE + 2 MARGIN px is one tile
+MARGIN = 96  # px around a tile that are read to fill it; an image of up to TILE + 2 MARGIN px is one tile
 
 
 def no_progress(done: float) -> None:
@@ -27,10 +27,10 @@ def fill_in_tiles(
 ) -> Image:
     """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
-    fill: takes a part of the image, scaled so that its known values span 0 to 1 in each channel, and its holes; its
-    result is clipped to that range. progress: called with the fraction done after each tile. Tiles are filled row by
-    row, each with a margin of MARGIN px, in which values filled before count as known; tiles without any known pixel
-    wait. Only one tile at a time is converted to floats. Raises ArgumentError if no pixel is known.
+    fill: fills a part of the image, scaled so that known values span 0 to 1 in each channel, and with a mask of holes;
+    the result is clipped to 0 to 1. progress: called with the fraction done after each tile. Tiles are filled row by
+    row, each with a margin of MARGIN px in which previously filled values count as known; tiles without a known pixel
+    are deferred. Only one tile at a time is converted to floats. Raises ArgumentError if no pixel is known.
     """
     if missing.all():
         raise ArgumentError(f"missing: must leave a pixel known; got all {missing.size} missing")
@@ -62,8 +62,8 @@ def fill_in_tiles(
 def _within(
     part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Select the pixels (N,), numbered in an image of `columns` columns, that are in a part: their positions in the
-    list, rows and columns there.
+    """Select from the pixel numbers (N,) of an image of `columns` columns the pixels in a part of the image: returns
+    their indices in `pixels`, and their rows and columns in the part.
     """
     first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
     row, column = np.divmod(pixels[first:end], columns)

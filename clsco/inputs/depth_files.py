@@ -17,7 +17,7 @@ from clsco.files.decoders import IMAGE_FORMATS, check_limits, decode_file, exr_p
 from clsco.files.layers import depth_channels, list_names
 from clsco.files.ranges import first_of
 
-MOST_ARRAYS = 256  # in an NPZ
+MOST_ARRAYS = 256  # largest number of arrays in an NPZ file
 
 DEPTH_FORMATS = IMAGE_FORMATS | {".npz": "NPZ", ".dpt": "DPT"}
 
@@ -28,11 +28,11 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
     PNG (8 or 16 bits; fewer bits become 8), JPEG, TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array `depth`, or
     the only one with two dimensions) and EXR (a channel of the layer, chosen by `clsco.files.layers.depth_channels`;
     pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM is not applied, as
-    in readers of Middlebury's files. TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`. Returns
-    (rows, columns), integers as stored or float64, row 0 on top, of any value, including zero, negative, NaN and
-    infinity. Raises FileError, in one line, for anything that is not exactly one such map: unreadable, wrong extension,
-    damaged, over 2^27 pixels or 65536 a side (rejected from the header), channels that differ. Validated against files
-    written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
+    in readers of Middlebury's files. TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`. Returns an
+    array (rows, columns) with row 0 on top, integers as stored or float64, which may include zero, negative numbers,
+    NaN and infinity. Raises FileError, in one line, for a file that does not hold exactly one depth map: unreadable,
+    wrong extension, damaged, over 2^27 pixels or 65536 a side (rejected from the header), channels that differ.
+    Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
     """
     with open_format(path, DEPTH_FORMATS) as (file, kind):
         if kind == "EXR":
@@ -111,7 +111,7 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
 
 
 def _decode_dpt(file: BinaryIO) -> NDArray[Any]:
-    """Depth in a file of Sintel: a tag (a float), columns, rows, and floats, all little endian."""
+    """Decode a DPT file of Sintel: a tag (a float), columns, rows, and depths as floats, all little endian."""
     columns, rows = struct.unpack("<4xii", file.read(12))
     check_limits(Path(file.name), columns, rows)
     size, there = 4 * columns * rows, os.fstat(file.fileno()).st_size - 12

@@ -1,6 +1,4 @@
-"""Conversion of depth files to the inverse depth of the surface in each pixel (float64, pure except for reading
-files).
-"""
+"""Conversion of depth files to the inverse depth of each pixel's surface, in float64; pure except for reading files."""
 
 from __future__ import annotations
 
@@ -24,19 +22,19 @@ from clsco.scene.quantities import MIN_LENGTH_MM
 Array = NDArray[np.float64]
 
 ZERO_IS_MISSING = ("mm", "m", "disparity")
-FARTHEST = 1e-12  # inverse depth in 1/mm of what is infinitely far: 0 means that nothing is there
-ONE_SURFACE = 1.1  # how many times as far as one end of a gap the other one may be, for a surface to reach across it
-ROUNDING = 1e-6  # of the radius at infinity: float32 files reach it, and pass it by a few times 2^-24
+FARTHEST = 1e-12  # inverse depth in 1/mm of an infinitely far surface; 0 means no surface
+ONE_SURFACE = 1.1  # largest ratio of the depths at both ends of a gap for which one surface spans it
+ROUNDING = 1e-6  # share of the radius at infinity by which rounded radii (float32: a few times 2^-24) may exceed it
 
 
 @dataclass(frozen=True, eq=False)
 class DepthValues:
     """Depths of a map, in clsco's units.
 
-    inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface. Counts of pixels: zero, negative, nan,
-    infinite: without a surface, by the value in the file;
-    far: with an infinitely far surface, whose inverse depth is `FARTHEST`;
-    soft: with a depth between those of two surfaces at their edge, now assigned to one of them.
+    inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface. The other fields count pixels.
+    zero, negative, nan, infinite: pixels without a surface, by the value in the file.
+    far: pixels with an infinitely far surface, whose inverse depth is `FARTHEST`.
+    soft: pixels at the edge of two surfaces with a depth between both, since assigned to one of the surfaces.
     """
 
     inverse_depth: Array
@@ -53,8 +51,8 @@ class DepthValues:
         return self.zero + self.negative + self.nan + self.infinite
 
     def report(self) -> str:
-        """One line: pixels without depth and why, pixels infinitely far, and pixels assigned to one of two surfaces; ""
-        if there are none.
+        """One line with the numbers of pixels without depth, by reason, of infinitely far pixels, and of pixels
+        assigned to one of two surfaces; "" if all are 0.
         """
         kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
         why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
@@ -73,7 +71,7 @@ class DepthValues:
 def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str = "depth") -> DepthValues:
     """Turn the numbers of a depth file into inverse depth.
 
-    raw: (rows, columns), integers or float64. item: defines their meaning. where: name for the messages.
+    raw: (rows, columns), integers or float64. item: defines what `raw` means. where: name of the map in error messages.
 
     unit         inverse depth w of v = raw scale + offset   no surface               missing code   infinitely far
     mm, m        1 / v                                       v = 0, negative, NaN     0              +inf, as 1e10 m
@@ -83,13 +81,13 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
                                                              +inf
     coc          K - v / kappa, v the signed R in px         NaN, infinite            none           R = kappa K
 
-    A missing code is an integer that marks unmeasured pixels, such as 0 in KITTI's PNGs of scale 1/256, whatever the
-    offset; among floats NaN marks them, and inf in Middlebury's PFMs. With near and far, which the range of all finite
-    numbers is mapped to, no number is missing. A surface infinitely far, or farther than 1e12 mm, gets 1e-12 per mm,
-    and is blurred as at infinity. Raises FileError if no pixel has a surface; if |R| exceeds 512 px, with a guess of
-    the intended unit; below 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and with near
-    and far if all numbers are equal. Validated against the formulas in exact fractions, and by converting analytic
-    depth to every unit and back.
+    A missing code is an integer that marks unmeasured pixels, whatever the offset, such as 0 in KITTI's PNGs of scale
+    1/256; files of floats mark them by NaN, Middlebury's PFMs by inf. If near and far are set, the finite numbers are
+    scaled to that range, and no number marks missing pixels. A surface infinitely far, or farther than 1e12 mm, gets
+    1e-12 per mm, and is blurred as at infinity. Raises FileError if no pixel has a surface; if |R| exceeds 512 px, with
+    a guess of the intended unit; if a depth is below 1e-6 mm; if a blur radius exceeds that at infinity, which no depth
+    has; and if near and far are set, but all numbers are equal. Validated against the formulas in exact fractions, and
+    by converting analytic depth to every unit and back.
     """
     unit, nowhere = item.unit, np.zeros(raw.shape, np.bool_)
     with np.errstate(over="ignore"):
@@ -131,10 +129,10 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
 def fill_depth(w: Array) -> Array:
     """Inverse depth (rows, columns) in 1/mm with pixels that have none (0) filled from their surroundings.
 
-    Between the nearest known pixels of a row, and of a column, w is interpolated linearly, as on a plane; if the ends
-    belong to two surfaces, it is that of the farther one, so that no surface grows over an edge. Row and column are
-    weighted by the inverse width of their gaps; if they give two surfaces, the narrower gap decides, or for equal gaps
-    the farther surface. Validated on tilted planes, which are restored exactly, and on steps.
+    Across a gap in a row, and in a column, w is interpolated linearly between the nearest known pixels, as on a plane;
+    if these belong to two surfaces, w is that of the farther pixel, so that no surface grows over an edge. The values
+    from row and column are averaged, weighted by the inverse width of their gaps; if they belong to two surfaces, the
+    narrower gap decides, or for equal gaps the farther surface. Validated on tilted planes (exact) and on steps.
     """
     for _ in range(2):  # a pixel whose row and column are empty has pixels of the first round in both
         along, width = _across(w)
@@ -148,8 +146,8 @@ def fill_depth(w: Array) -> Array:
 
 
 def _across(w: Array) -> tuple[Array, Array]:
-    """For every pixel, w interpolated between the nearest known pixels of its row, 0 without any, and their distance in
-    px or inf.
+    """Interpolated w of every pixel, between the nearest known pixels of the row, and the distance in px of these two
+    pixels; 0 and inf for a row without known pixels.
     """
     column = np.broadcast_to(np.arange(w.shape[1]), w.shape)
     left = np.maximum.accumulate(np.where(w > 0, column, -1), axis=1)
@@ -161,7 +159,7 @@ def _across(w: Array) -> tuple[Array, Array]:
     nearer, farther = np.maximum(before, after), np.minimum(before, after)
     plane = before + np.where(both, (column - left) / gap, 0.0) * (after - before)
     between = np.where(nearer <= ONE_SURFACE * farther, plane, farther)
-    outside = 2.0 * np.where(on_left, column - left, right - column)  # as from the middle of a gap
+    outside = 2.0 * np.where(on_left, column - left, right - column)  # weighted like the middle of a gap
     width = np.where(both, gap, np.where(on_left | on_right, outside, np.inf))
     return np.where(on_left | on_right, between, 0.0), width
 
@@ -171,8 +169,8 @@ def load_scene_depths(
 ) -> tuple[Array | None, ...]:  # fmt: skip
     """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
-    scene: with its resolution. load: returns it for an object, by default from its file or array. Raises FileError for
-    the first file that cannot be read, has another size than the frame, or does not fit the camera.
+    scene: a scene with a resolution. load: returns the inverse depth of an object, by default from its file or array.
+    Raises FileError for the first file that cannot be read, differs in size from the frame, or does not fit the camera.
     """
     of_map = load or _loaded
     return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
@@ -186,7 +184,7 @@ def _loaded(scene: Scene, item: DepthMap) -> Array:
 
 
 def depth_numbers(source: Input) -> NDArray[Any]:
-    """Numbers (rows, columns) of a depth file or an array, which callers must not change. Raises as `read_depth`."""
+    """Numbers (rows, columns) of a depth file or an array, read-only for callers. Raises the errors of `read_depth`."""
     if isinstance(source, ArrayInput):
         return source.array
     from clsco.inputs.depth_files import read_depth
@@ -197,12 +195,12 @@ def depth_numbers(source: Input) -> NDArray[Any]:
 def map_values(
     scene: Scene, item: DepthMap, raw: NDArray[Any], image: Callable[[], NDArray[np.float32]] | None = None
 ) -> DepthValues:
-    """Depths of a scene's object, and counts of the values in its file or array.
+    """Depths of a depth map in a scene, and counts of the special values in its file or array.
 
-    scene: with its resolution. raw: numbers of its file or array. image: returns its radiance, called only if edges are
-    soft (`assign_soft_edges`); without it, depths alone decide. Pixels without depth become infinitely far, or are
-    filled from their surroundings (`fill_depth`), so that the image is complete; with fill.method = "none" the latter
-    have no surface. Raises FileError if the size is not that of the frame, and as `inverse_depth`.
+    scene: a scene with a resolution. raw: numbers of the object's file or array. image: returns the object's radiance,
+    called only if edges are soft (`assign_soft_edges`); if None, depths alone decide. Pixels without depth become
+    infinitely far, or are filled from their surroundings (`fill_depth`), so that the image is complete; with
+    fill.method = "none" they have no surface. Raises FileError if the frame has another size, and as `inverse_depth`.
     """
     from clsco.files.images import check_sizes
 
@@ -228,8 +226,8 @@ def map_values(
 def _without_soft_edges(
     values: DepthValues, depth: Array | None, camera: Camera, image: Callable[[], NDArray[np.float32]] | None
 ) -> DepthValues:
-    """Assign soft edges to one of their surfaces. depth: numbers of the file, if they are not linear in the blur
-    radius.
+    """Assign the pixels of soft edges to one of the two surfaces. depth: numbers of the file if they are not linear in
+    the blur radius, else None.
     """
     from clsco.inputs.soft_edges import assign_soft_edges  # 1 ms, and few scenes have depth maps
 
@@ -247,8 +245,8 @@ def _without_soft_edges(
 
 
 def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> Array:
-    """Numbers in `unit`, scaled so that the nearest one is at `near` and the farthest one at `far`, mm; numbers that
-    are not finite stay so.
+    """Numbers in `unit`, scaled so that the nearest depth is `near` and the farthest `far`, mm; numbers that are not
+    finite are kept.
     """
     finite = np.isfinite(value)
     if not finite.any():
@@ -264,7 +262,7 @@ def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> A
 
 def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) -> Array:
     """Inverse depth in 1/mm of valid values; 0 or negative for infinitely far ones."""
-    with np.errstate(over="ignore", divide="ignore"):  # what overflows is too near, and refused as that
+    with np.errstate(over="ignore", divide="ignore"):  # a value that overflows is too near, and rejected for that
         if unit == "disparity":
             return value * (camera.pixel_pitch / ((baseline or 1.0) * camera.normalization_distance))
         if unit == "coc":
@@ -276,15 +274,15 @@ def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) ->
 
 
 def _ray_lengths(shape: tuple[int, ...], camera: Camera) -> Array:
-    """Distance along the ray of each pixel (rows, columns) per depth along the axis."""
+    """Ratio of the distance along each pixel's ray to the depth along the axis, (rows, columns)."""
     rows, columns = shape
     x, y = slopes_at(camera, np.arange(columns) - (columns - 1) / 2, (rows - 1) / 2 - np.arange(rows)[:, None])
     return np.asarray(np.sqrt(1.0 + x**2 + y**2))
 
 
 def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: Camera, where: str) -> None:
-    """Raise FileError if a blur radius is too large. scale: None if `near` and `far` replace it."""
-    # Linear in w: one of the ends has the largest.
+    """Raise FileError if a blur radius is too large. scale: of the depth map, None if it has `near` and `far`."""
+    # The radius is linear in w, so that the largest is at the smallest or the largest w.
     largest, at = max((abs(float(blur_radius(camera, w[at]))), -int(at)) for at in (w.argmin(), w.argmax()))
     if largest > LARGEST_BLUR:
         count = np.count_nonzero(np.abs(blur_radius(camera, w)) > LARGEST_BLUR)
@@ -298,7 +296,7 @@ def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: 
 
 
 def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> str:
-    """Name of a unit in which no radius is too large, and not all radii are as at infinity."""
+    """Name of a unit in which no blur radius is too large, and some radius differs from that at infinity."""
     at_infinity = abs(float(blur_radius(camera, 0.0)))
     if at_infinity > LARGEST_BLUR:
         return f"the camera has {at_infinity:.4g} px at infinity: aperture_diameter or pixel_pitch is probably wrong"
@@ -323,7 +321,7 @@ def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> st
 
 
 def _check_reach(radius: Array, camera: Camera, where: str) -> None:
-    """Raise an error for a radius that the camera has at no depth: beyond infinity, by more than rounding explains."""
+    """Raise an error if a blur radius exceeds the camera's at infinity, which no depth has, by more than rounding."""
     at_infinity, largest = float(blur_radius(camera, 0.0)), float(radius.max())
     if largest > at_infinity + ROUNDING * abs(at_infinity):
         rule = f"radii must be at most {at_infinity:.6g} px, which the camera has at infinity"

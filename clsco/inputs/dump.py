@@ -38,11 +38,11 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     SceneError
         The scene has arrays in memory, and `path` is missing or does not end in .toml.
     FileError
-        A file cannot be written; then none is.
+        A file cannot be written; in this case no file is.
 
     Notes
     -----
-    `clsco.load_scene` reads a scene with arrays back with the names of their files; its frames have the same bits.
+    `clsco.load_scene` returns a scene with file names in place of arrays; its frames are bit-identical.
 
     Examples
     --------

@@ -41,9 +41,9 @@ from clsco.scene.texture_keys import is_drawn
 if TYPE_CHECKING:
     from clsco.files.images import Picture
 
-CACHE_BYTES = 2**29  # a depth map of 8192 x 8192
-MOST_BYTES = 2**31  # of a file whose content is looked at before its header is
-SETTLED_NS = 10**8  # a file that has changed less than so long ago may change again with the same times
+CACHE_BYTES = 2**29  # size of a depth map of 8192 x 8192
+MOST_BYTES = 2**31  # largest size of a file that is identified by its content; larger files are not cached
+SETTLED_NS = 10**8  # age up to which a file may change again without a change of its time stamps
 V = TypeVar("V")
 Maps = tuple[NDArray[np.float64] | None, ...]
 
@@ -59,8 +59,8 @@ class About(NamedTuple):
 class InputFiles:
     """Decoded files of scenes. Threads may share it.
 
-    limit: most bytes in memory; the least recently used files are evicted. Files are identified by their content: a
-    copy is not decoded again, a changed file is. The same holds for arrays in memory.
+    limit: memory limit in bytes, beyond which the least recently used files are evicted. Files and arrays in memory are
+    identified by their content: a copy is not decoded again, a changed file or array is.
     """
 
     def __init__(self, limit: int = CACHE_BYTES) -> None:
@@ -68,8 +68,8 @@ class InputFiles:
         self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
-        """The textures of all objects at the size of the frame: radiance of each file or pattern, times the aperture's
-        light. Raises FileError as `clsco.inputs.textures.load_texture`.
+        """The textures of all objects at the size of the frame: radiance of each file or pattern, multiplied by the
+        light that the aperture transmits. Raises FileError as `clsco.inputs.textures.load_texture`.
         """
         loaded = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
         if scene.aperture.exposure == "normalized":
@@ -79,12 +79,12 @@ class InputFiles:
     def maps(self, scene: Scene) -> Maps:
         """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
-        scene: with its resolution. Raises FileError as `clsco.inputs.depth_maps.load_scene_depths`.
+        scene: a scene with a resolution. Raises FileError as `clsco.inputs.depth_maps.load_scene_depths`.
         """
         return load_scene_depths(scene, self.map)
 
     def point_spread(self, scene: Scene) -> PointSpread:
-        """`clsco.inputs.pupils.scene_point_spread`. Raises FileError as it does."""
+        """The result of `clsco.inputs.pupils.scene_point_spread`, with the same FileError."""
         return scene_point_spread(scene, self.picture)
 
     def texture(
@@ -181,13 +181,13 @@ class InputFiles:
 
     def _once(self, what: str, source: Input, read: Callable[[], V], size: Callable[[V], int]) -> V:
         content = self._content(source)
-        if content is None or isinstance(source, ArrayInput):  # its scene keeps an array anyway
+        if content is None or isinstance(source, ArrayInput):  # arrays stay in memory with their scene anyway
             return read()
-        beyond = self.cache.limit + 1  # what was read from a file that has just changed is not kept
+        beyond = self.cache.limit + 1  # a size above the limit: content of a file that changed meanwhile is not cached
         return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Input) -> Hashable | None:
-        """Key from an array, or from a file's content, reader and layer; None for sources without one, such as
+        """Key of an array, or of a file from its content, extension and layer; None for sources without a key, such as
         pipes.
         """
         if isinstance(source, ArrayInput):
@@ -199,7 +199,7 @@ class InputFiles:
                 return None
             return self.digest(path), Path(path).suffix.lower(), layer
         except (OSError, ValueError):
-            return None  # reading it says what is wrong
+            return None  # the error is raised when the file is read
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Focus: describes the blur of depth maps, and focuses lenses on a point or on a share of the depths."""
+"""Focus: describes the blur of depth maps, and focuses lenses on a point or on a quantile of the depths."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from clsco.scene.model import DepthMap, Scene
 from clsco.scene.quantities import MAX_LENGTH_MM, MIN_LENGTH_MM
 
 Array = NDArray[np.float64]
-COARSE_PITCH = 0.1  # mm; pixels of cameras are 0.0005 to 0.03 mm wide
-MOST_POINTS = 2**20  # of a frame, whose depths a share is taken of
+COARSE_PITCH = 0.1  # mm; a larger pixel pitch is probably a mistake, as pixels of cameras are 0.0005 to 0.03 mm wide
+MOST_POINTS = 2**20  # largest number of pixels from which a quantile of depth is computed
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Focus:
 
 
 def lens_line(scene: Scene, w: Array) -> str:
-    """Text on a depth map: the range of its blur radius, the share in focus, and why this may not be intended.
+    """Text on a depth map: the range of its blur radius R, the share of pixels in focus, and warnings.
 
-    w: inverse depth (rows, columns), 1/mm; 0 without a surface, but not everywhere. Example: "R -0.1 to 33 px; in
-    focus: 12 % of the picture". In focus means |R| of at most `SHARP`.
+    w: inverse depth (rows, columns), 1/mm; 0 for pixels without a surface, of which not all may be. Example: "R -0.1 to
+    33 px; in focus: 12 % of the picture". A pixel is in focus if |R| is at most `SHARP`.
     """
     seen = w[w > 0]
     near, far, camera = float(seen.max()), float(seen.min()), scene.camera
@@ -62,15 +62,15 @@ def _distance(w: float) -> str:
 def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     """The scene with its lens focused, at t = 0, on the surface at a point or at a quantile of the depths.
 
-    scene: with its resolution. The lens gets a focus distance, or, for infinity, the detector at the focal length.
-    Raises SceneError if the point is outside of the picture, shows no surface, is within the focal length, or a depth
-    map has blur radii, whose depths depend on the focus; FileError if a depth map cannot be read. Quantiles use at most
-    2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
+    scene: a scene with a resolution. The lens gets a focus distance or, for infinity, its detector moves to the focal
+    length. Raises SceneError if the point is outside of the picture, shows no surface, or is within the focal length,
+    or if a depth map stores blur radii, whose depths depend on the focus; FileError if a depth map cannot be read.
+    Quantiles use at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
     """
     columns, rows = scene.camera.frame_size
     if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):
         raise SceneError('focus: depths must be known; got unit = "coc", whose radii say what is in focus')
-    pinhole = scene.camera.model_copy(update={"aperture_diameter": MIN_LENGTH_MM})  # which blurs nothing too much
+    pinhole = scene.camera.model_copy(update={"aperture_diameter": MIN_LENGTH_MM})  # so that no blur is too large
     maps = files.maps(scene.model_copy(update={"camera": pinhole}))
     if isinstance(focus.on, tuple):
         x, y = focus.on
@@ -96,8 +96,8 @@ def find_visible(
 ) -> tuple[Array, NDArray[np.intp]]:
     """Inverse depth in 1/mm and number of the object visible in rows i and columns j at t = 0, (len(i), len(j)).
 
-    Without a surface, w is 0, and the number that of a background, or -1. Rows and columns of a depth map, see
-    `InputFiles.maps`, must be in the frame.
+    maps: as returned by `InputFiles.maps`. For a pixel without a surface, the inverse depth is 0, and the number that
+    of a background, or -1. With a depth map, i and j must be in the frame.
     """
     x, y = ray_slopes(camera_at(scene, 0.0), i[:, None], j)
     behind = next((number for number, item in enumerate(scene.objects) if item.is_background), -1)

@@ -12,8 +12,8 @@ from clsco.constants import CUBE_BORDER
 from clsco.inputs.resampling import AT_A_TIME, resample_rows
 
 Floats = NDArray[np.float32]
-# For the sides of a cube in the order right, left, top, bottom, back, front: axis that points out of it with its sign,
-# and what runs right and up on it as seen from outside, in a frame whose third axis points to the camera.
+# Sides of a cube, in the order right, left, top, bottom, back, front: axis and sign of the direction that points out of
+# the side, then that of right and that of up as seen from outside; the third axis points to the camera.
 SIDES = (
     ((0, 1), (2, -1), (1, 1)),
     ((0, -1), (2, 1), (1, 1)),
@@ -25,7 +25,7 @@ SIDES = (
 
 
 def level_sizes(columns: int, rows: int) -> list[tuple[int, int]]:
-    """Columns and rows of every level: each half of the one before, rounded up, down to one texel."""
+    """Columns and rows of every level, down to one texel: each level has half the size of the previous, rounded up."""
     sizes = [(columns, rows)]
     while max(sizes[-1]) > 1:
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
@@ -39,11 +39,11 @@ def mipmap_floats(columns: int, rows: int, channels: int, sides: int) -> int:
 
 
 def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
-    """All levels of an image (rows, columns, channels), or of the six of a cube map in the order of `SIDES`.
+    """All levels of one image (rows, columns, channels), or of the six images of a cube map in the order of `SIDES`.
 
-    out: `mipmap_floats` floats to which the levels are written in order. Returns each level, (sides, rows, columns,
-    channels): the one before, low-pass filtered by a cubic two texels wide without second moment, so that interpolation
-    between texels does not widen the image. Each side of a cube map is bordered by CUBE_BORDER texels of its neighbors.
+    out: array of `mipmap_floats` floats to which the levels are written in order. Returns each level, (sides, rows,
+    columns, channels): the previous level, low-pass filtered by a cubic two texels wide without second moment, so that
+    interpolation between texels does not widen the image. Sides of a cube have borders of CUBE_BORDER neighbor texels.
     """
     rows, columns, channels = images[0].shape
     if out is None:
@@ -73,7 +73,7 @@ def _shrunk(image: Floats, size: int, axis: int) -> Floats:
     return np.swapaxes(resample_rows(rows, size, np.arange(size)).astype(np.float32), 0, axis)
 
 
-# The cubic of `resample_rows` where an image is halved: it is mirrored, and the same everywhere.
+# Weights of the cubic of `resample_rows` for halving an image: symmetric, and the same for all texels.
 _DISTANCES = np.array([0.25, 0.75, 1.25, 1.75])
 _TAPS = np.where(
     _DISTANCES < 1,
@@ -98,7 +98,7 @@ def _half_as_wide(image: Floats) -> Floats:
     sources = np.clip(np.arange(-3, columns + 3), 0, columns - 1)
     halved = np.empty((rows, columns // 2 * channels), np.float32)
     for begin, end in _parts(rows, halved.shape[1]):
-        # Every second texel side by side, twice: there, taps are slices.
+        # Even and odd texels in separate arrays, so that taps are slices.
         parts = (np.take(texels[begin:end], sources[k::2], axis=1) for k in (0, 1))
         halves = [part.view(np.float32).astype(np.float64) for part in parts]
         starts = (channels * (k // 2) for k in range(8))
@@ -121,8 +121,8 @@ def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (..., 3) at coordinates from -1 to 1, right and up, on a side of a cube; other coordinates are on the
-    side's plane.
+    """Points (..., 3) on a side of a cube at coordinates x (right) and y (up) from -1 to 1; points beyond this range
+    are on the side's plane.
     """
     (out, sign), (right, right_sign), (up, up_sign) = SIDES[side]
     points = np.empty((*np.shape(x), 3))
@@ -131,7 +131,7 @@ def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
 
 
 def cube_side(q: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-    """Side of a cube that directions (..., 3) meet, and the coordinates there; ties go to the first axis."""
+    """Sides of a cube that directions (..., 3) meet, and the coordinates on these sides; ties go to the first axis."""
     axis = np.argmax(np.abs(q), axis=-1)
     size = np.take_along_axis(q, axis[..., None], -1)[..., 0]
     # Right, top and front are the positive ends of the axes.

@@ -29,9 +29,9 @@ def load_point_spread(
 ) -> PointSpread:  # fmt: skip
     """Point spread function of a PSF section and an aperture, with the image of its pupil.
 
-    transfer: of images with 8 and 16 bits, as for textures. load: `clsco.inputs.textures.picture_of`, or a replacement.
-    camera: required by psf.model = "wave". Raises FileError if the image of the aperture cannot be read, is not square
-    or not gray, or is black.
+    transfer: curve of images with 8 and 16 bits, as for textures. load: `clsco.inputs.textures.picture_of`, or a
+    replacement. camera: required by psf.model = "wave". Raises FileError if the image of the aperture cannot be read,
+    is not square, is not gray, or is black.
     """
     source = aperture.inputs().get("image")
     if source is None:
@@ -62,7 +62,7 @@ def scale_radiance(textures: Sequence[Texture], factor: float) -> tuple[Texture,
 
 
 def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:
-    """Pupil from a picture, reduced to at most MOST_CELLS a side."""
+    """Pupil from a picture, reduced to at most MOST_CELLS cells a side."""
     from clsco.optics.pupils.image import MOST_CELLS, image_pupil
 
     rows, columns = picture.data.shape[:2]

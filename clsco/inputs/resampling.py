@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-AT_A_TIME = 2**16  # values that are worked on at a time, so that they stay in the cache of the processor
+AT_A_TIME = 2**16  # number of values processed at a time, so that they stay in the cache of the processor
 
 
 def resample(
@@ -14,9 +14,9 @@ def resample(
 ) -> Floats:
     """Resample an image to another size with the same outer borders, without aliasing.
 
-    linear: (rows, columns[, channels]), linear. size: (rows, columns). first, end: range of its rows to compute, by
-    default all. part: if `linear` is only the rows of an image that `rows_for` gives, the number of its first row and
-    the image's total. Returns size[, channels], >= 0. Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of
+    linear: (rows, columns[, channels]), linear. size: (rows, columns) of the result. first, end: range of result rows
+    to compute, by default all. part: if `linear` holds only the image's rows from `rows_for`, its first row's number
+    and the image's row count. Returns size[, channels], >= 0. Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of
     Keys 1981), as wide as an output pixel where the image shrinks. The weights of each output pixel sum to 1; beyond
     the border the nearest pixel repeats; undershoot below 0 becomes 0. Validated on constants, cosines, mirrored
     images, and by the mean.
@@ -32,8 +32,8 @@ def resample(
 
 
 def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
-    """First row and end of the rows, of an image with `before` rows, needed for rows `first` to `end` of the one with
-    `rows`.
+    """Range (first, end) of the rows of an image with `before` rows that are needed to compute rows `first` to `end` of
+    its resampled version with `rows` rows.
     """
     if before == rows:
         return first, end
@@ -42,8 +42,8 @@ def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
 
 
 def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """For each requested row of `rows`: the rows (wanted, taps) of an image with `before` rows to sum, and their
-    distances from it in widths of the cubic.
+    """Taps of the rows `numbers` of an image resampled from `before` to `rows` rows: the source rows to sum, (numbers,
+    taps), and their distances from the resampled row in widths of the cubic.
     """
     width = max(before / rows, 1.0)
     center: Floats = (numbers + 0.5) * before / rows - 0.5
@@ -54,8 +54,8 @@ def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Fl
 def resample_rows(
     image: Floats, rows: int, numbers: NDArray[np.intp], above: int = 0, before: int | None = None
 ) -> Floats:
-    """The requested rows of an image resampled to `rows` rows; see `resample`, and its `part` for the last two
-    arguments. Preserves second moments, as the cubic has none. May be negative.
+    """Rows `numbers` of an image resampled to `rows` rows, as in `resample`; above, before: its `part`. Preserves
+    second moments, as the cubic has none. The result may be negative.
     """
     before = image.shape[0] if before is None else before
     taps, t = _taps(before, rows, numbers)
@@ -70,7 +70,7 @@ def resample_rows(
         total, here = result[start : start + step], slice(start, start + step)
         term = np.empty_like(total)
         for weight, source in zip(weights[here].T, nearest[here].T, strict=True):
-            np.take(flat, source, axis=0, out=term, mode="clip")  # all are within; by default a copy is made
+            np.take(flat, source, axis=0, out=term, mode="clip")  # no index is clipped; the default mode would copy
             term *= weight[:, None]
             total += term
     return result.reshape(len(numbers), *image.shape[1:])

@@ -17,36 +17,34 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-LEAST_STEP = 1.0  # px of the blur radius between two surfaces, as of depth discontinuities (kernels/layered/layered.cl)
-LONGEST = 8  # steps on each side of the steepest one: of an edge at 45 degrees that is blurred by a Gaussian of 2 px
-SURFACE = 3  # px of both surfaces that are looked at
-REACH = LONGEST + SURFACE - 1  # steps
-LEAST = 0.05  # of the steepest step: smaller ones do not belong to the edge
-ENDS = (
-    4.0  # times as large as those next to it is the last step of a soft edge; at the limb of a sphere it is 3.2 times
-)
-FLAT = 0.25  # of the steepest step: those of the surfaces are not larger
-TAPER = 0.75  # of the steepest step: the outer ones of a soft edge are smaller, those of a ramp as large
-SHORT, FULL = 5, 0.7  # longer edges: all their steps have at most this share of what they had if all were the steepest
-LEAST_STEEPEST = 0.05  # of the whole edge, px, has the steepest step; of depths from 1 to 10 m, blurred by 2 px, 0.07
-OVER, RINGING = 0.01, 0.15  # of the whole step: so far an edge overshoots a surface, at least and at most
-SETTLED = 0.4  # of the overshoot: what is next to it varies by less; a slanted plane does by a half
-LARGER = 1.2  # times as large as another edge is the one that the other's surfaces may not be a part of
-ROWS = 64  # that are searched at once
-COLOR_NOISE = 0.03  # of the brighter surface: standard deviation of its color that is always counted with
-AROUND = 8  # px of both surfaces that say how much their colors vary
-SHIFT = 0.7  # px between an edge in depth and in color, standard deviation
-MIXED = 5.0  # standard deviations of the surfaces' color from all of their mixtures: something else is there
+LEAST_STEP = 1.0  # smallest step of the blur radius at an edge, px, as for discontinuities (kernels/layered/layered.cl)
+LONGEST = 8  # most steps on each side of the steepest: an edge at 45 degrees blurred by a Gaussian of 2 px has as many
+SURFACE = 3  # number of pixels examined on each of the two surfaces
+REACH = LONGEST + SURFACE - 1  # number of steps examined on each side of the steepest
+LEAST = 0.05  # share of the steepest step; smaller steps do not belong to the edge
+ENDS = 4.0  # least ratio of an edge's last step to a step of the adjacent surface; at the limb of a sphere it is 3.2
+FLAT = 0.25  # share of the steepest step; the steps on the surfaces are not larger
+TAPER = 0.75  # share of the steepest step; the outer steps of a soft edge are not larger, those of a ramp are
+SHORT, FULL = 5, 0.7  # from SHORT pixels on, the mean step of an edge is at most FULL times the steepest
+LEAST_STEEPEST = 0.05  # least share of the whole edge in its steepest step; 0.07 for 1 to 10 m, blurred by 2 px
+OVER, RINGING = 0.01, 0.15  # least and largest overshoot of an edge beyond a surface, as shares of the whole step
+SETTLED = 0.4  # share of the overshoot; the surface next to it varies by less, a slanted plane by a half
+LARGER = 1.2  # ratio of steps from which on a larger edge removes a smaller one whose surfaces are part of it
+ROWS = 64  # number of rows searched at once
+COLOR_NOISE = 0.03  # least standard deviation of the surfaces' colors, as a share of the brighter one
+AROUND = 8  # number of pixels on each surface from which the variance of its color is computed
+SHIFT = 0.7  # standard deviation of the distance between an edge in depth and in color, px
+MIXED = 5.0  # standard deviations from all mixtures of both colors, beyond which a color belongs to a third surface
 
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
     """Soft edges crossed by lines (rows or columns), one per entry.
 
-    line: the line. first: position in it of the last pixel of the first surface, after which `count` pixels are between
-    the two. step: of the whole edge, signed, px. begin, end: radii of the surfaces at their last pixels. begin_slope,
-    end_slope: changes of these per pixel away from the edge. begin_over, end_over: number of each surface's last pixels
-    that overshoot.
+    line: number of the line. first: position in the line of the first surface's last pixel; the next `count` pixels are
+    between the two surfaces. step: change of blur radius over the whole edge, signed, px. begin, end: radius of each
+    surface at its last pixel. begin_slope, end_slope: change of that radius per pixel away from the edge. begin_over,
+    end_over: number of pixels at the end of each surface that overshoot.
     """
 
     line: Indices
@@ -67,8 +65,8 @@ class _Edges:
 def assign_soft_edges(
     radius: Array, stored: Array | None = None, image: Callable[[], NDArray[Any]] | None = None
 ) -> tuple[Indices, Array]:
-    """Find the pixels of a map with a depth between two surfaces, and the depth of the surface that each is assigned
-    to.
+    """Find the pixels of a map whose depth is between two surfaces, and assign each of these pixels to one of the two
+    surfaces.
 
     Parameters
     ----------
@@ -84,9 +82,9 @@ def assign_soft_edges(
     Returns
     -------
     ndarray (pixels,)
-        Numbers of the pixels, row by row.
+        Flat indices of the pixels between two surfaces.
     ndarray (pixels,)
-        `radius` of the surface that each is assigned to.
+        For each of them, `radius` of the surface to which it is assigned.
 
     Notes
     -----
@@ -99,18 +97,18 @@ def assign_soft_edges(
         return pixels, values
     clean = radius.astype(np.float64)
     clean.flat[pixels] = values
-    more, again = _found(clean, None, image)  # where edges cross lines that are straight only now
+    more, again = _found(clean, None, image)  # edges that become visible after the first ones are removed
     clean.flat[more] = again
     pixels = np.union1d(pixels, more)
     return pixels, np.clip(clean.flat[pixels], np.nanmin(radius), np.nanmax(radius))
 
 
 def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]] | None) -> tuple[Indices, Array]:
-    """Edges that `assign_soft_edges` finds in one strip."""
+    """One pass of `assign_soft_edges`: indices of the pixels between two surfaces, and their new radii."""
     height, width = radius.shape
     shapes = [radius] if stored is None else [stored, radius]  # an edge is as even in the one that was blurred
     stored = shapes[0]
-    with np.errstate(invalid="ignore", divide="ignore"):  # of what is infinite, or not there
+    with np.errstate(invalid="ignore", divide="ignore"):  # for infinite and missing depths
         rows, columns = _soft_edges(radius, shapes), _soft_edges(radius.T, [shape.T for shape in shapes])
     rows, columns = _between_surfaces(rows, columns, width)
     if not len(rows.line) + len(columns.line):
@@ -120,13 +118,13 @@ def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]
     column_line, column_place, *column = _assigned(columns, stored.T, None if light is None else light.swapaxes(0, 1))
     pixel = np.concatenate([line * width + place, column_place * width + column_line])
     value, step, count = (np.concatenate(pair) for pair in zip(row, column, strict=True))
-    order = np.lexsort((count, -np.abs(step), pixel))  # of two edges through a pixel the larger, then the shorter one
+    order = np.lexsort((count, -np.abs(step), pixel))  # if two edges share a pixel, the larger wins, then the shorter
     pixel, at = np.unique(pixel[order], return_index=True)
     return pixel, value[order][at]
 
 
 def _soft_edges(radius: Array, shapes: list[Array]) -> _Edges:
-    """Find the edges that rows cross, of any of the shapes."""
+    """Soft edges that rows cross in any of the maps `shapes`."""
     parts = []
     for top in range(0, len(radius), ROWS):
         strip = slice(top, top + ROWS)
@@ -140,7 +138,7 @@ def _soft_edges(radius: Array, shapes: list[Array]) -> _Edges:
 
 
 def _steep(radius: Array) -> tuple[Indices, Indices]:
-    """Lines and columns of the steps that may be the steepest of an edge."""
+    """Rows and columns of the steps that are large enough to be the steepest step of an edge."""
     steps = radius[:, 1:] - radius[:, :-1]
     least = LEAST_STEP * LEAST_STEEPEST
     if not steps.size or (steps.max() < least and steps.min() > -least):  # at a fifth of what looking for them takes
@@ -165,7 +163,7 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
     inside = np.abs(np.arange(2 * REACH + 1) - REACH + 0.5 * (before - after)[:, None]) <= 0.5 * count[:, None]
     soft = (before >= 0) & (after >= 0) & (count >= 1) & (np.abs(before - after) <= 1 + 3 * np.minimum(before, after))
     soft &= (count == 1) | (outer <= TAPER)
-    soft &= (column >= before + 1) & (column + after <= stored.shape[1] - 3)  # two pixels of each surface
+    soft &= (column >= before + 1) & (column + after <= stored.shape[1] - 3)  # the map has two pixels of each surface
     soft &= (count < SHORT) | ((window * inside).sum(axis=1) <= FULL * (count + 1))
     line, first, count = line[soft], (column - before)[soft], count[soft]
     last = first + count + 1
@@ -179,9 +177,9 @@ def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.b
     """Mark places with nearly flat steps within reach on both sides: ramps have none, and this test is cheaper than
     examining all steps around each place.
     """
-    size = np.zeros((len(stored), stored.shape[1] - 1 + 2 * REACH))  # of the steps, 0 beyond the border
+    size = np.zeros((len(stored), stored.shape[1] - 1 + 2 * REACH))  # magnitudes of the steps, 0 beyond the border
     np.abs(stored[:, 1:] - stored[:, :-1], out=size[:, REACH:-REACH])
-    least, length = size, 1  # of so many steps, from each on
+    least, length = size, 1  # smallest of `length` consecutive steps from each step on
     while length < REACH:
         way = min(length, REACH - length)
         least, length = np.fmin(least[:, :-way], least[:, way:]), length + way
@@ -198,8 +196,8 @@ def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
 
 
 def _length(steps: Array) -> Indices:
-    """Number of steps that belong to an edge, among steps (edges, REACH) outwards from its steepest one, scaled to 1;
-    -1 if the surface behind them is not flat.
+    """Number of steps on one side of the steepest that belong to each edge; -1 if no flat surface follows them. steps:
+    (edges, REACH), from the steepest outwards, in multiples of the steepest.
     """
     run = np.minimum.accumulate(steps > LEAST, axis=1).sum(axis=1)
     lengths = np.full(len(steps), -1)
@@ -214,10 +212,10 @@ def _length(steps: Array) -> Indices:
 def _surface(
     radius: Array, stored: Array, line: Indices, place: Indices, other: Indices, way: int
 ) -> tuple[Array, Array, Indices]:
-    """Radius of a surface at its last pixel, its slope away from the edge, and the number of pixels in which the edge
-    overshoots it.
+    """Blur radius of a surface at its last pixel, slope of this radius away from the edge, and number of pixels at the
+    end of the surface that overshoot.
 
-    place, other: last pixels of this surface and of the other one; way: direction from the edge, 1 or -1.
+    place, other: columns of the last pixel of this and of the other surface; way: direction from the edge, 1 or -1.
     """
     at = line[:, None], np.clip(place[:, None] + way * np.arange(2 * SURFACE), 0, radius.shape[1] - 1)
     values, shape = radius[at], stored[at]
@@ -249,7 +247,7 @@ def _supported(edges: _Edges, columns: int) -> _Edges:
 
 
 def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges, _Edges]:
-    """Remove edges between pixels of a larger edge that the other lines cross."""
+    """Remove edges whose surfaces are pixels inside a larger edge, in the same or the other direction."""
 
     def pixels(edges: _Edges, place: Indices) -> Indices:
         line = edges.line[:, None]
@@ -279,7 +277,7 @@ def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges
 def _assigned(
     edges: _Edges, stored: Array, image: NDArray[Any] | None
 ) -> tuple[Indices, Indices, Array, Array, Indices]:
-    """Line, position in it and new value of the pixels between surfaces, and the step and count of their edges."""
+    """Pixels between two surfaces: line, position in the line, new radius, and step and count of the edge of each."""
     most = int(edges.count.max(initial=0))
     inner = np.arange(1, most + 1)
     between = inner <= edges.count[:, None]
@@ -305,7 +303,7 @@ def _assigned(
 
 
 def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
-    """Number, with a fraction, of pixels of the first surface: up to where `stored` has half of its step."""
+    """Fractional number of pixels before the place at which `stored` has passed half of its step."""
     before = stored[edges.line, edges.first + cut]
     after = stored[edges.line, edges.first + cut + 1]
     step = np.where(after == before, 1.0, after - before)
@@ -315,8 +313,8 @@ def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
 def _cut_by_color(
     image: NDArray[Any], edges: _Edges, places: Indices, between: NDArray[np.bool_], where: Array
 ) -> tuple[Indices, NDArray[np.bool_]]:
-    """The likeliest number of pixels of the first surface, and a mask of edges whose pixels between are mixtures of the
-    two colors.
+    """Likeliest number of pixels of the first surface in each edge, and a mask of edges in which the color of every
+    pixel is a mixture of the two surfaces' colors.
     """
     line, side = edges.line[:, None], np.arange(AROUND)
     last = edges.first + edges.count + 1
@@ -329,7 +327,7 @@ def _cut_by_color(
     away = [((own - each[:, None]) ** 2).sum(axis=2) * between for each in mean]
     first, second = (each / (2.0 * spread[:, None]) for each in away)
     zero = np.zeros((len(first), 1))
-    cost = np.hstack([zero, np.cumsum(first - second, axis=1)])  # (edges, 1 + most): by pixels of the first surface
+    cost = np.hstack([zero, np.cumsum(first - second, axis=1)])  # (edges, 1 + most), by number of first-surface pixels
     number = np.arange(cost.shape[1])
     cost += (number - where[:, None]) ** 2 / (2.0 * SHIFT**2)
     cost[number > edges.count[:, None]] = np.inf

@@ -31,9 +31,9 @@ if TYPE_CHECKING:  # decoders are imported where an image is read
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
-# Values of an image that are decoded, or resampled, at a time.
+# Number of values of an image that are decoded, or resampled, at a time.
 DECODED, RESAMPLED = 2**16, 2**21
-ALIGNMENT = 4096  # bytes: devices that work in the host's memory then use an array as it is
+ALIGNMENT = 4096  # bytes; devices in host memory can use an array aligned to this without a copy
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Texture:
     """Image of a surface, in linear radiance.
 
     radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, finite; row 0 on top. bits: 8, 16 or 32 per
-    value, as stored. source: name of the pattern, path of the file, or name of an array in messages. content:
+    value, as stored. source: name of the pattern, path of the file, or the array's name in messages. content:
     identifies the radiance, equal for equal values; None if unknown. others: for a cube map, the radiance of the sides
     after the first, in the order of `clsco.inputs.mipmaps`.
     """
@@ -58,7 +58,7 @@ class Texture:
 
     @cached_property
     def brightest(self) -> float:
-        """Largest radiance; if some is negative, the range that includes 0, which bounds every magnitude."""
+        """Largest radiance, or with negative radiance the range including 0; bounds the magnitude of every value."""
         return max(radiance_span(image) for image in self.images)
 
     @property
@@ -67,7 +67,7 @@ class Texture:
         return (self.radiance, *self.others)
 
     def mipmap(self, out: NDArray[np.float32], channels: int) -> None:
-        """Write all levels of `clsco.inputs.mipmaps.mipmap` to `out`, for an image with this number of channels."""
+        """Write all levels of `clsco.inputs.mipmaps.mipmap` to `out`; channels: number of channels in `out`."""
         wide = [image[..., None] if image.ndim == 2 else image for image in self.images]
         mipmap([np.broadcast_to(image, (*image.shape[:2], channels)) for image in wide], out)
 
@@ -83,9 +83,9 @@ def load_texture(
     """Load a built-in pattern, an image file or an array as linear radiance.
 
     source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
-    or "linear"; curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; a color profile's own
-    curve replaces "srgb"; floats are linear. size: (rows, columns) of the frame; an image of another size is resampled
-    to it (`resample`), a pattern is made for it, 512 x 512 by default. to_srgb: True to convert an image to the
+    or "linear", the curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; the curve of a color
+    profile replaces "srgb"; floats are linear. size: (rows, columns) of the result: an image of another size is
+    resampled (`resample`), a pattern is drawn in it, by default in 512 x 512. to_srgb: True to convert an image to the
     primaries of sRGB (`Color.to_srgb`). Raises FileError if the pattern or file does not exist or cannot be read.
     """
     if is_drawn(source):
@@ -95,7 +95,7 @@ def load_texture(
 
 
 def picture_of(source: TextureSource) -> Picture:
-    """The picture of a file, or that of an array. Raises FileError as `load_texture`."""
+    """The picture in a file or in an array. Raises FileError as `load_texture`."""
     from clsco.files.images import Picture, read_image
 
     if isinstance(source, ArrayInput):
@@ -107,7 +107,7 @@ def picture_of(source: TextureSource) -> Picture:
 def radiance_of(
     picture: Picture | str, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Linear radiance of a picture, or of a built-in pattern by its name, (rows, columns[, 3]); see `load_texture`.
+    """Linear radiance (rows, columns[, 3]) of a picture or of a named built-in pattern; see `load_texture`.
 
     Read-only: several scenes may share it.
     """
@@ -136,7 +136,7 @@ def radiance_of(
 
 
 def _rows_of(image: NDArray[np.generic], values: int) -> int:
-    """Number of rows of an image that together have about `values` values."""
+    """Number of rows of an image that hold about `values` values in total."""
     return max(1, values * len(image) // image.size)
 
 
@@ -152,7 +152,7 @@ def is_gray(name: str) -> bool:
 
 
 def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
-    """A texture of `channels` channels and one more: 1 if it covers surfaces behind it, else 0."""
+    """A texture of `channels` channels, and a coverage channel: 1 if the texture covers surfaces behind it, else 0."""
     images = []
     for image in texture.images:
         wider = empty_image((*image.shape[:2], channels + 1))
@@ -167,8 +167,8 @@ def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
 def _by_rows(
     shape: tuple[int, ...], rows_of: Callable[[int, int], Floats], step: int = ROWS_AT_A_TIME
 ) -> NDArray[np.float32]:
-    """An image of this shape in float32, aligned; rows_of: returns rows from the first argument to before the second,
-    `step` at a time.
+    """An aligned float32 image of this shape, computed `step` rows at a time; rows_of(first, end): returns the rows
+    from `first` to before `end`.
     """
     image = empty_image(shape)
     for first in range(0, shape[0], step):
@@ -194,7 +194,7 @@ def empty_image(shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 
 def texture_size(source: TextureSource) -> tuple[int, int]:
-    """Give (columns, rows) of a texture, px, from its file's header. Raises FileError as `load_texture`."""
+    """Size (columns, rows) of a texture in px, from its file's header. Raises FileError as `load_texture`."""
     if is_drawn(source):
         return DEFAULT_SIDE, DEFAULT_SIDE
     if isinstance(source, ArrayInput):
@@ -219,11 +219,11 @@ def color_of(image: str | LayerInput) -> Color:
 def load_scene_textures(
     scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str | LayerInput], Color] = color_of
 ) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
-    """Load the textures of all objects, each file once: at the size of the frame, or at their own size on surfaces; and
-    converted to the primaries of sRGB if images have different color profiles.
+    """Load the textures of all objects, each file once. Projected textures get the size of the frame, textures on
+    surfaces keep their size; all are converted to the primaries of sRGB if images have different color profiles.
 
-    load, color: `load_texture` and `color_of`, or replacements. Returns the scene with its resolution, by default that
-    of the first object's texture, and a texture per object. Raises FileError as `load_texture`.
+    load, color: `load_texture` and `color_of`, or replacements. Returns the scene with a resolution, by default that of
+    the first object's texture, and a texture per object. Raises FileError as `load_texture`.
     """
     names = [item.textures() for item in scene.objects]
     columns, rows = scene.camera.resolution or texture_size(names[0][0])
@@ -242,10 +242,10 @@ def load_scene_textures(
 
 
 def find_stretched(scenes: Iterable[Scene]) -> list[str]:
-    """Messages on projected images whose aspect ratio differs from the frame's, each with the first object that has it.
+    """Messages on projected images whose aspect ratio differs from the frame's, one per image, for its first object.
 
-    scenes: with their resolutions. A message is like "object[0].texture: is stretched from 640 x 480 to the frame's 512
-    x 512 px". A side rounded to a whole pixel does not count, and neither do patterns. Raises FileError as
+    scenes: scenes with a resolution. A message is like "object[0].texture: is stretched from 640 x 480 to the frame's
+    512 x 512 px". Differences by less than a pixel in a side do not count, and neither do patterns. Raises FileError as
     `texture_size`.
     """
     size_of, notes = cache(texture_size), dict[str, None]()
@@ -255,7 +255,7 @@ def find_stretched(scenes: Iterable[Scene]) -> list[str]:
         first = {source: number for source, number in reversed(projected) if not is_drawn(source)}
         for source, number in sorted(first.items(), key=lambda each: each[1]):
             columns, rows = size_of(source)
-            if abs(width * rows - height * columns) >= max(columns, rows):  # in proportion, a side is a pixel off
+            if abs(width * rows - height * columns) >= max(columns, rows):  # a side is off by a pixel or more
                 size = f"{columns} x {rows} to the frame's {width} x {height} px"
                 notes[f"object[{number}].texture: is stretched from {size}"] = None
     return list(notes)
@@ -299,7 +299,7 @@ def require_suffix(source: str) -> None:
         raise FileError(f"texture: {missing_texture(source)}; got {Path(source).name!r}")
 
 
-# Patterns are drawn in full, or the rows from `first` up to `end` of them.
+# Functions that draw patterns, either whole or only the rows from `first` to before `end`.
 
 
 def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> Codes:
@@ -308,7 +308,7 @@ def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> C
     Returns sRGB codes (rows, columns), the same on every machine: it uses only fixed random numbers and algebra.
     """
     scale = DEFAULT_SIDE / min(rows, columns)  # the wall is laid out in pixels of a 512 x 512 image
-    step = max(1, round(2.5 / scale))  # how far a shadow falls: rows above those that are wanted are needed
+    step = max(1, round(2.5 / scale))  # length of a shadow, for which as many rows above `first` are needed
     top = max(first - step, 0)
     row = np.arange(rows)[top:end]
     y = (row.astype(np.float64) + 0.5) * scale
@@ -423,15 +423,15 @@ def siemens_star(rows: int, columns: int, first: int = 0, end: int | None = None
 def _area_beyond(distance: Floats, normal_x: float | Floats, normal_y: float | Floats) -> Floats:
     """Area fraction of unit squares beyond a straight line.
 
-    distance: of the square's center, along the unit normal, positive beyond. The square's sides, projected on the
-    normal, are two intervals: along the longer one the area is a ramp, and averaging the ramp over the shorter one
-    gives the result.
+    distance: signed distance of the square's center from the line along the unit normal, positive beyond. The square's
+    sides, projected on the normal, are two intervals: along the longer one the area is a ramp, and averaging the ramp
+    over the shorter one gives the result.
     """
     distance = np.clip(distance, -2, 2)
     a, b = np.maximum(np.abs(normal_x), 1e-7) / 2, np.maximum(np.abs(normal_y), 1e-7) / 2
     wide, narrow = np.maximum(a, b), np.minimum(a, b)
 
-    def integral(s: Floats) -> Floats:  # of the ramp, clip(1/2 + s / (2 wide), 0, 1)
+    def integral(s: Floats) -> Floats:  # of the ramp clip(1/2 + s / (2 wide), 0, 1)
         inner = np.clip(s, -wide, wide)
         area: Floats = (inner + wide) ** 2 / (4 * wide) + np.maximum(s - wide, 0)
         return area

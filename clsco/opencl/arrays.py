@@ -1,4 +1,4 @@
-"""Arrays that users give to `clsco.defocus` and `clsco.inpaint`: of NumPy, or of pyopencl in one queue."""
+"""Arrays passed by users to `clsco.defocus` and `clsco.inpaint`: NumPy arrays, or pyopencl arrays in one queue."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ MOST_CHANNELS = 16
 
 
 def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[Any]], Callable[[NDArray[Any]], Any]]:
-    """Session for arrays of any shape, the arrays as NumPy arrays, and a function that converts the result to their
-    kind.
+    """Session for arrays of any shape, the arrays as NumPy arrays, and a function that converts a result to the kind of
+    the arrays.
 
-    arrays: by the name used in messages. With a pyopencl array, the session uses its queue, and the result is returned
-    there; else it uses `device`. NumPy arrays are passed through: masked ones keep their mask. Raises DeviceError for
-    an array without a queue or an unknown device, ArgumentError for pyopencl arrays with gaps.
+    arrays: each under its name in messages. If one is a pyopencl array, the session works in that array's queue, and
+    the result is a pyopencl array; else the session is on `device`. NumPy arrays, masked or not, stay as they are.
+    Raises DeviceError for an array without a queue or an unknown device, ArgumentError for pyopencl arrays with gaps.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:

@@ -37,8 +37,8 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """A read-only buffer of an array in C order: if the device uses host memory, the array itself at any alignment,
-    which must not change while kernels run; else a copy. Raises DeviceError as `upload`.
+    """A read-only buffer of an array in C order. If the device uses host memory, the buffer is the array itself, at any
+    alignment, which must not change while kernels run; else it is a copy. Raises DeviceError as `upload`.
     """
     if not session.device.unified_memory or array.nbytes == 0:
         return upload(session, array)
@@ -50,8 +50,8 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
-    """`upload` of an array that never changes, cached in the session; it replaces the array cached for the same
-    `place`.
+    """`upload` of an array that never changes, cached in the session; place: cache key, which has only one array at a
+    time.
     """
     key = ("array", place)
     for _ in range(2):
@@ -71,7 +71,7 @@ def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
         if packed.nbytes:
             cl.enqueue_copy(session.queue, buffer, packed)
         return buffer
-    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # sooner than by a command in the queue
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # faster than a command in the queue
     try:
         return cl.Buffer(session.context, flags, hostbuf=packed)
     except cl.Error as error:
@@ -85,13 +85,13 @@ def empty(session: Session, size: int) -> cl.Buffer:
     try:
         if session.device.unified_memory and size >= SMALLEST and sys.platform == "linux":
             return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=shared_pages().take(size))
-        return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL knows no empty buffer
+        return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL has no empty buffers
     except (cl.Error, OSError) as error:
         raise failure(session.device, f"have memory for a buffer of {size} bytes", error) from error
 
 
 class Refilled:
-    """A buffer that the host refills while queued launches still read it: each copy is enqueued behind them."""
+    """A buffer that the host refills while queued launches read it: each copy is enqueued after these launches."""
 
     def __init__(self, session: Session, size: int) -> None:
         self.session, self.buffer = session, empty(session, size)
@@ -100,18 +100,18 @@ class Refilled:
     def fill(self, array: NDArray[Any]) -> cl.Buffer:
         """Enqueue a copy of an array, which the caller must not change; waits for the previous copy."""
         queue, packed = self.session.queue, np.ascontiguousarray(array)
-        # pyopencl waits for a copy before its event goes.
+        # pyopencl waits for a copy before it frees the event of the copy.
         self._copy = cl.enqueue_copy(queue, self.buffer, packed, is_blocking=False) if packed.nbytes else None
         return self.buffer
 
 
 def allocate(session: Session, sizes: Mapping[str, int]) -> dict[str, cl.Buffer]:
-    """A buffer for each name, with its size in bytes. Raises DeviceError as `upload`."""
+    """A buffer for each name; sizes: size of each buffer in bytes. Raises DeviceError as `upload`."""
     return {name: empty(session, size) for name, size in sizes.items()}
 
 
 def filled_with(session: Session, size: int, value: float = 0.0) -> cl.Buffer:
-    """A buffer of `size` bytes in which all floats have one value."""
+    """A buffer of `size` bytes, filled with the float `value`."""
     buffer = empty(session, size)
     cl.enqueue_fill_buffer(session.queue, buffer, np.array([value], np.float32), 0, size)
     return buffer
@@ -138,9 +138,9 @@ def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> N
 
 @contextmanager
 def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
-    """Wait for all enqueued commands, and map the buffer's beginning; on a processor without a copy.
+    """Wait for all enqueued commands, and map the buffer's beginning as an array; on a processor without a copy.
 
-    shape: of the array, which is valid only in the block. Raises as `download`.
+    shape: of the mapped array, which is valid only in the `with` block. Raises as `download`.
     """
     try:
         flags = cl.map_flags.READ

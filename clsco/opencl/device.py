@@ -12,7 +12,7 @@ import pyopencl as cl
 from clsco.errors import DeviceError
 from clsco.opencl import pocl_cache as poclcache
 
-cl._PYOPENCL_NO_CACHE = True  # for where the user has imported it first, so that it has not seen the variable
+cl._PYOPENCL_NO_CACHE = True  # if the user imported pyopencl before clsco, it did not read the environment variable
 
 NO_DEVICE = (
     "device: OpenCL needs a driver, and none with a device was found; "
@@ -30,7 +30,7 @@ _REASONS = (
 
 @dataclass(frozen=True)
 class Device:
-    """An OpenCL device and its properties that clsco uses; sizes in bytes."""
+    """An OpenCL device, with the properties that clsco uses; memory sizes and alignment in bytes."""
 
     name: str
     platform: str
@@ -123,9 +123,9 @@ def pick(
     by_pyopencl: Callable[[str], cl.Device],
     origin: str = "device",
 ) -> Choice:
-    """The rule of `choose` for a given list and environment; `by_pyopencl` resolves PYOPENCL_CTX.
+    """The rule of `choose` for a list of devices and an environment; `by_pyopencl` resolves PYOPENCL_CTX.
 
-    origin: origin of `name` for messages.
+    origin: source of `name` for messages.
     """
     if not devices:
         return Choice(None, NO_DEVICE)
@@ -135,17 +135,17 @@ def pick(
     if specification := environ.get("PYOPENCL_CTX"):
         handle = by_pyopencl(specification)
         return Choice(describe_device(handle), f'PYOPENCL_CTX is "{specification}"')
-    best = min(devices, key=_rank)  # the first of equals, so the platforms' order decides
+    best = min(devices, key=_rank)  # the first of equals, so that the platforms' order decides
     return Choice(best, _REASONS[_rank(best)])
 
 
 def failure(device: Device, task: str, error: cl.Error | OSError) -> DeviceError:
-    """The error to raise if a device fails; task: what failed; error: OpenCL's."""
+    """The error to raise if a device fails; task: the failed operation; error: the error of OpenCL."""
     short = isinstance(error, cl.MemoryError | OSError) or any(word in str(error) for word in _SHORT_OF_MEMORY)
     return DeviceError(f"device {device}: must {task}; got {error}", short_of_memory=short)
 
 
-_process: int | None = None  # the one in which OpenCL was asked for the first time
+_process: int | None = None  # id of the process that used OpenCL first
 
 
 def check_not_forked() -> None:
@@ -169,8 +169,8 @@ def _match_device(devices: Sequence[Device], source: str, text: str) -> Device:
     part = text.lower()
 
     def likeness(device: Device) -> int:
-        """Rank of a match: 0 its kind or whole name, 1 a part of its platform's name, 2 a part of its own name, as
-        drivers of other vendors may have it, 3 no match.
+        """Rank of a match: 0 the device's kind or whole name, 1 a part of the platform's name, 2 a part of the device's
+        name, which may be the same with other vendors' drivers, 3 no match.
         """
         name, platform = device.name.lower(), (device.platform.lower(), device.platform_version.lower())
         if part in (device.kind, name):
@@ -194,18 +194,18 @@ def _by_pyopencl(specification: str) -> cl.Device:
 def _devices() -> tuple[Device, ...]:
     check_not_forked()
     try:
-        poclcache.prepare()  # PoCL reads the variable when its platform is first asked for
+        poclcache.prepare()  # PoCL reads the variable at the first query of its platform
     except OSError as error:
         raise DeviceError(f"device: PoCL must have a folder for compiled kernels; got {error}") from error
     try:
         platforms = cl.get_platforms()
-    except cl.LogicError:  # the loader's word for no driver at all
+    except cl.LogicError:  # raised by the loader if no driver is installed
         return ()
     handles = []
     for platform in platforms:
         try:
             handles.extend(platform.get_devices())
-        except cl.Error:  # a driver without its hardware
+        except cl.Error:  # a driver is installed, but its hardware is missing
             continue
     return tuple(describe_device(handle) for handle in handles)
 
@@ -218,7 +218,7 @@ def describe_device(handle: cl.Device) -> Device:
         platform=handle.platform.name.strip(),
         platform_version=handle.platform.version.strip(),
         driver=handle.driver_version.strip(),
-        # A simulator claims every kind at once: not to be mistaken for a GPU.
+        # A simulator claims to be of every kind at once, and must not be mistaken for a GPU.
         kind="cpu" if handle.type & kinds.CPU else "gpu" if handle.type & kinds.GPU else "accelerator",
         has_fp64="cl_khr_fp64" in extensions,
         has_int64_atomics={"cl_khr_int64_base_atomics", "cl_khr_int64_extended_atomics"} <= set(extensions),

@@ -22,7 +22,7 @@ FEATURES = {
     "TILT": "the slope of the surface changes the weights of its blur",
     "DIVIDED": "what stands still is blurred once for a frame",
     "MERGED": "sources that are blurred widely may be merged",
-    # What hides sources, and rims of the lens
+    # Occluders, and rims of the lens
     "OCCLUDED": "the most objects that hide one source",
     "LIMITED": "some of these have bounds, or one nappe, or are discs",
     "SHARED": "parts of a pixel see the same edges",
@@ -40,7 +40,7 @@ FEATURES = {
     "WAVES": "light goes beyond the rim of the lens, where it counts as light of the rim",
     "FIELD": "tables for places of the frame; a source has weights between those of the four around it",
     "ELLIPSES": "blur of a distorted image",
-    # Ways to blur
+    # Methods of blur
     "GATHER": "by bands of rows of the frame, on processors",
     "BY_COLUMNS": "and by columns of sources",
     "SPANS": "runs of one weight between edges",

@@ -1,7 +1,7 @@
 """Pacing of launches: measures their times, and limits the host's lead over the device to a fraction of a second.
 
 Python handles a signal only when a call of OpenCL returns, and enqueued commands cannot be revoked. So long launches
-are cut into pieces, sized by the times of earlier ones, and the host stays at most a fraction of a second ahead of the
+are cut into pieces, sized by the times of earlier pieces, and the host is at most a fraction of a second ahead of the
 device. Short launches are enqueued at once, without waiting.
 """
 
@@ -12,11 +12,11 @@ from typing import Any
 
 import pyopencl as cl
 
-PIECE = 0.1  # s that a piece takes, and that the host is ahead of the device before it waits
-AT_ONCE = 16  # launches that the host is ahead at least, and not much more, as they may take longer than those before
-TIMED = 8  # of so many launches of a kernel that takes a moment, one is timed
-GROWTH = 4  # a piece is at most so many times as large as the one before
-UNIT = 25e-9  # s of a unit of work before any was measured: what kernels take for a pixel
+PIECE = 0.1  # time in s of a piece, and lead of the host over the device at which the host waits
+AT_ONCE = 16  # number of short launches in that lead; few, as they may take longer than expected
+TIMED = 8  # one of this many launches of a short kernel is timed
+GROWTH = 4  # largest ratio of the size of a piece to that of the previous piece
+UNIT = 25e-9  # time in s of a unit of work until one is measured, about that of a kernel for a pixel
 
 _END, _START = cl.profiling_info.END, cl.profiling_info.START
 
@@ -32,7 +32,7 @@ class Pace:
         self._mark: cl.Event | None = None
 
     def expected(self, key: Hashable, work: float) -> float:
-        """Expected seconds for `work` of a kernel, from its latest time."""
+        """Expected seconds for `work` units of work of a kernel, from the kernel's latest measured time."""
         if (pending := self._pending.get(key)) is not None:
             events, done = pending
             if (status := events[-1].command_execution_status) <= 0:  # done, or failed
@@ -42,7 +42,7 @@ class Pace:
         return self._rates.get(key, UNIT) * work
 
     def record_launch(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
-        """Record a launch and its expected seconds, and wait if the host is too far ahead of the device."""
+        """Record a launch; wait if the host is too far ahead of the device. seconds: expected time of the launch."""
         if untimed := self._untimed.get(key, 0):
             self._untimed[key] = untimed - 1
         elif key not in self._pending:
@@ -73,5 +73,5 @@ def event_seconds(event: cl.Event) -> float:
 
 
 def next_size(size: int, seconds: float) -> int:
-    """Next size of a piece, after one of `size` that took `seconds`."""
+    """Size of the next piece, after a piece of `size` that took `seconds`."""
     return max(1, int(size * min(PIECE / max(seconds, 1e-9), GROWTH)))

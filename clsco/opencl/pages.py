@@ -1,4 +1,4 @@
-"""Pool of host memory for buffers on a processor: pages are reused from render to render, as clearing new ones is
+"""Pool of host memory for buffers on a processor: renderings reuse pages, as the system clears new pages, which is
 slow.
 """
 
@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST = 2**16  # bytes of arrays that get their own pages
-LARGE = 2**22  # bytes of blocks that contain at least one page of 2 MiB
-SPARE_BYTES = 2**27  # of unused blocks
+SMALLEST = 2**16  # least size in bytes of an array with its own pages
+LARGE = 2**22  # size in bytes from which on a block contains a whole page of 2 MiB
+SPARE_BYTES = 2**27  # memory limit of unused blocks
 SLACK = 4  # a block is reused for requests that are at most 1 / SLACK smaller
 CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than the request
 
@@ -31,19 +31,19 @@ class Pages:
     Parameters
     ----------
     limit : int
-        Most bytes of unused blocks; the longest unused ones are returned to the system.
+        Memory limit of unused blocks, bytes; the longest unused blocks are returned to the system.
     """
 
     def __init__(self, limit: int = SPARE_BYTES) -> None:
         self.limit = limit
         self._lock = threading.Lock()
-        self._back: deque[mmap.mmap] = deque()  # returned by finalizers, which may run while the lock is held
+        self._back: deque[mmap.mmap] = deque()  # blocks returned by finalizers, which may run while the lock is held
         self._free: OrderedDict[int, mmap.mmap] = OrderedDict()
         self._bytes = 0
 
     def take(self, size: int) -> NDArray[np.uint8]:
-        """An uninitialized array of `size` bytes, in pages of 2 MiB if the system has them; it returns to the pool when
-        freed.
+        """An uninitialized array of `size` bytes, in pages of 2 MiB if the system has them; its memory returns to the
+        pool when the array is freed.
 
         Raises OSError if there is no memory.
         """
@@ -78,7 +78,7 @@ class Pages:
 
     @property
     def bytes(self) -> int:
-        """Bytes of the unused blocks."""
+        """Size of the unused blocks, bytes."""
         return self._bytes
 
     def clear(self) -> None:
@@ -90,8 +90,8 @@ class Pages:
 
 
 def in_pages(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy of an array, in C order, in its own pages: devices that use host memory read it in place, and freeing it
-    returns the pages.
+    """A copy of an array, in C order, in separate pages: devices that use host memory read the copy in place, and its
+    pages are returned when it is freed.
     """
     copy = np.frombuffer(_cleared(array.nbytes), array.dtype).reshape(array.shape)
     copy[...] = array
@@ -120,7 +120,7 @@ def trim() -> None:
 
 
 def _cleared(size: int) -> mmap.mmap:
-    """New memory of `size` bytes from the system; from LARGE on in pages of 2 MiB if it has them."""
+    """New memory of `size` bytes from the system; from LARGE on, in pages of 2 MiB if the system has these."""
     if sys.platform != "linux":
         return mmap.mmap(-1, size)
     block = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
@@ -131,7 +131,7 @@ def _cleared(size: int) -> mmap.mmap:
 
 
 def block_size(size: int) -> int:
-    """Block size in bytes for a request: a whole number of pages, one of CLASSES sizes per octave."""
+    """Size of the block for a request of `size` bytes: whole pages, one of CLASSES sizes per octave."""
     step = max(1 << max(size.bit_length() - 1, 0), mmap.PAGESIZE * CLASSES) // CLASSES
     return -(-size // step) * step
 

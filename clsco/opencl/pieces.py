@@ -9,7 +9,7 @@ import pyopencl as cl
 from clsco.opencl import pace
 from clsco.opencl.session import Session
 
-FIRST = 8  # a launch begins with at most this part of it, as its pieces may differ
+FIRST = 8  # the first piece of a launch is at most 1 / FIRST of it, as times of pieces may differ
 
 
 def in_pieces(
@@ -26,14 +26,14 @@ def in_pieces(
     ----------
     session : Session
     key : hashable
-        Key shared by launches whose time per work is the same.
+        Key shared by all launches that take the same time per unit of work.
     units : int
     work : float
         Work of all units; one unit of work is assumed to take UNIT seconds until measured.
     expected : float
         Expected seconds for all units.
     enqueue : callable
-        Enqueues the units from the first argument to before the second; returns the event.
+        enqueue(first, end) enqueues the units from `first` to before `end`, and returns the event.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def in_pieces(
     Raises
     ------
     CanceledError
-        Between two pieces.
+        The work was canceled between two pieces.
     """
     progress = session.progress
     events: list[cl.Event] = []
@@ -53,7 +53,7 @@ def in_pieces(
         session.go_on()
         before, begin, end = end - begin, end, min(end + size, units)
         events.append(enqueue(begin, end))
-        if len(events) > 1:  # one piece is enqueued while the one before runs
+        if len(events) > 1:  # one piece is enqueued while the previous one runs
             events[-2].wait()
             size = pace.next_size(before, pace.event_seconds(events[-2]))
         if progress is not None:

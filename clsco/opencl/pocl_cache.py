@@ -31,8 +31,8 @@ VARIABLE = "POCL_CACHE_DIR"
 SPECIALIZATION = "POCL_WORK_GROUP_SPECIALIZATION"
 LOCK = "clsco.lock"
 LIST = "clsco.json"
-MOST_LIST = 2**26  # bytes of it
-ROOM = 16 * 2**20  # bytes; the largest program takes some 2 MB
+MOST_LIST = 2**26  # largest size of the list of checksums, bytes
+ROOM = 16 * 2**20  # free disk space required for compilation, bytes; the largest program takes some 2 MB
 _LARGEST = 64 * 2**20
 """Bytes; a larger cache is emptied, since PoCL never removes what older versions of the kernels left."""
 
@@ -43,7 +43,7 @@ _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """To open a pipe would block for ever."""
 
 _Sums = dict[str, list[int]]
-_Listing = tuple[int, list[str], list[str]]  # when a folder changed, names of its files and of its folders
+_Listing = tuple[int, list[str], list[str]]  # time of a folder's last change, names of files, names of subfolders
 _listings: dict[str, _Listing] = {}
 """Listings of folders by path: to ask whether one has changed takes a tenth of the time to read it."""
 
@@ -53,8 +53,8 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
 
     A POCL_CACHE_DIR set by the user is left unchanged. PoCL compiles each kernel once; variants for small grids and for
     an offset, which are not faster, are off unless the user sets POCL_WORK_GROUP_SPECIALIZATION. The folder is
-    `clsco/pocl-<versions>` in the user's cache folder; if that is not writable, or is writable by others, it is a
-    temporary one that is removed at exit.
+    `clsco/pocl-<versions>` in the user's cache folder. If that cannot be written to, or others can write to it, PoCL
+    gets a temporary folder, which is removed at exit.
     """
     environ.setdefault(SPECIALIZATION, "0")
     if environ.get(VARIABLE):
@@ -73,7 +73,7 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
 
 
 def is_on_disk() -> bool:
-    """True if PoCL's folder is in a file system that can hold files, unlike /proc."""
+    """True if PoCL's folder is in a file system that stores files, unlike /proc."""
     try:
         return shutil.disk_usage(_folder()).total > 0
     except OSError:  # a folder of the user's that is not there yet
@@ -81,8 +81,8 @@ def is_on_disk() -> bool:
 
 
 def has_room(folder: Path | None = None) -> bool:
-    """True if the disk has room to compile programs into a folder, by default PoCL's; PoCL aborts the process on a full
-    disk.
+    """True if there is disk space to compile programs into a folder, by default PoCL's; on a full disk PoCL aborts the
+    process.
     """
     try:
         return shutil.disk_usage(folder or _folder()).free >= ROOM
@@ -156,7 +156,7 @@ def _is_ours(folder: Path) -> bool:
 
 def _make_folder(folder: Path) -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with open(folder / LOCK, "ab"):  # a folder may exist and still refuse files
+    with open(folder / LOCK, "ab"):  # a folder may exist, but not be writable
         return folder
 
 
@@ -182,23 +182,23 @@ def _lock(folder: Path) -> Iterator[None]:
 
 
 def _names(folder: Path) -> Iterator[tuple[str, bool]]:
-    """All compiled files, each with True if its folder is unchanged since this process last read it.
+    """Names of all compiled files, each with True if its folder is unchanged since this process last read the folder.
 
-    Plain strings, because this runs after every compilation, and paths take ten times as long.
+    Names are plain strings, because this runs after every compilation, and `Path` takes ten times as long.
     """
     waiting = [""]
     while waiting:
         inside = waiting.pop()
         with suppress(OSError):  # another process removes a cache that grew too large
             (_, files, folders), unchanged = _list_folder(f"{folder}/{inside}")
-            # `last_accessed` is rewritten at every use, and a `tempfile_` is what PoCL leaves behind; it loads neither.
+            # PoCL rewrites `last_accessed` at every use, leaves files `tempfile_` behind, and loads neither.
             if inside:
                 yield from ((inside + name, unchanged) for name in files if name != "last_accessed")
             waiting += [f"{inside}{name}/" for name in folders]
 
 
 def _list_folder(path: str) -> tuple[_Listing, bool]:
-    """Content of a folder, and True if this process has read it before in this state."""
+    """Content of a folder, and True if the folder is unchanged since this process last read it."""
     changed = os.stat(path).st_mtime_ns  # noqa: PTH116
     cached = _listings.get(path)
     if cached is not None and cached[0] == changed:
@@ -216,7 +216,7 @@ def _list_folder(path: str) -> tuple[_Listing, bool]:
 
 
 def _program(name: str) -> str:
-    return "/".join(name.split("/")[:2])  # PoCL's folders: two letters of the hash, then the rest of it
+    return "/".join(name.split("/")[:2])  # PoCL's folders: two letters of a hash, then the other letters
 
 
 def _state(path: str, recorded: list[int] | None = None) -> list[int]:
@@ -237,11 +237,11 @@ def _state(path: str, recorded: list[int] | None = None) -> list[int]:
 def _read_record(folder: Path) -> _Sums:
     try:
         text, _, checksum = read_regular(folder / LIST, MOST_LIST).decode().rpartition("\n")
-        if int(checksum) != zlib.crc32(text.encode()):  # a damaged list may lack the file that is damaged
+        if int(checksum) != zlib.crc32(text.encode()):  # a damaged list may lack the damaged file
             return {}
         entries = json.loads(text).items()
         return {name: [int(size), int(modified), int(crc)] for name, (size, modified, crc) in entries}
-    except (OSError, ValueError, TypeError, AttributeError):  # none yet, or damaged: as good as none
+    except (OSError, ValueError, TypeError, AttributeError):  # no list yet, or a damaged one
         return {}
 
 
@@ -250,14 +250,14 @@ def _write_record(folder: Path) -> None:
     sums: _Sums = {}
     for name, same in _names(folder):
         entry = recorded.get(name)
-        if same and entry is not None:  # PoCL moves a file to its place, and so changes the folder
+        if same and entry is not None:  # a new file changes its folder, as PoCL moves it there
             sums[name] = entry
             continue
         with suppress(OSError):
             sums[name] = _state(f"{folder}/{name}", entry)
     if sums != recorded:
         temporary = folder / f"{LIST}.new"
-        with suppress(OSError):  # a full disk: what is not recorded is compiled anew
+        with suppress(OSError):  # on a full disk, unrecorded programs are compiled again
             text = json.dumps(sums)
             temporary.write_text(f"{text}\n{zlib.crc32(text.encode())}", "utf-8")
             temporary.replace(folder / LIST)

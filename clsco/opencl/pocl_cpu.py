@@ -27,8 +27,8 @@ import pyopencl as cl
 from clsco.opencl import pocl_cache
 
 VARIABLE = "CLSCO_POCL_CPU"
-_UNKNOWN, _BEFORE = b"generic\0", b"x86_64-"  # the name, and how the text begins that the word before it points to
-_WORDS = 128  # of a device's structure; in PoCL 3.0 the name is word 80
+_UNKNOWN, _BEFORE = b"generic\0", b"x86_64-"  # the name, and the start of the text to which the previous word points
+_WORDS = 128  # number of words searched in a device's structure; in PoCL 3.0 the name is word 80
 _BY_FLAGS = (
     ({"avx512f", "avx512cd", "avx512dq", "avx512bw", "avx512vl"}, b"skylake-avx512"),
     ({"avx2", "fma", "bmi2"}, b"haswell"),
@@ -37,11 +37,11 @@ _BY_FLAGS = (
 
 
 def ensure_known(device: cl.Device) -> None:
-    """Give a PoCL device without a name in LLVM a known one; other devices stay unchanged.
+    """Replace the processor name of a PoCL device by a known one if LLVM does not know it; skip other devices.
 
-    Changes nothing if PoCL builds anyway and CLSCO_POCL_CPU is not 1; nor if no name fits or PoCL's structure is not as
-    expected, so that the first build raises the error. Needed and tested on a Zen 5 with the wheel of PoCL 3.0, where
-    all tests use it.
+    Changes nothing if PoCL builds anyway and CLSCO_POCL_CPU is not 1. If no name fits, or PoCL's structure is not as
+    expected, nothing changes either, and the first build raises the error. Needed and tested on a Zen 5 with the wheel
+    of PoCL 3.0, where all tests use it.
     """
     if not _is_nameless(device):
         return
@@ -64,7 +64,7 @@ def _is_nameless(device: cl.Device) -> bool:
 @lru_cache
 def _builds_nothing(device: cl.Device) -> bool:
     """True if a build of an empty kernel fails: 3 ms if it fails, 30 ms if it succeeds."""
-    if not pocl_cache.has_room():  # what succeeds is written there, and would end the process
+    if not pocl_cache.has_room():  # PoCL writes a successful build to the cache, and aborts on a full disk
         return False
     with pocl_cache.exclusive(), warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
@@ -90,7 +90,7 @@ def known_name(flags: set[str]) -> bytes | None:
 def name_in(address: int) -> int | None:
     """Address of the pointer to "generic" in the device's structure at `address`, None if there is none.
 
-    It is the one after the pointer to the kind of machine; matches behind the structure must not be overwritten.
+    This pointer follows the one to the kind of machine; matches behind the structure must not be overwritten.
     """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))
@@ -104,7 +104,7 @@ def name_in(address: int) -> int | None:
 def _read(address: int, count: int) -> bytes:
     """Up to `count` bytes of this process's memory; fewer, or none, beyond mapped memory."""
     try:
-        # By the file, since a word that is no pointer must not end the process.
+        # Through a file, since reading at an invalid address must not crash the process.
         with open("/proc/self/mem", "rb", buffering=0) as memory:
             memory.seek(address)
             return memory.read(count)

@@ -27,8 +27,8 @@ from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
-# Before all others: what OpenCL C 1.2 has, or compilers for processors make more of. And what PoCL's compiler gets in
-# place of its own header, which the option leaves out.
+# Files before all others: functions and unaligned vectors, in a form for processors or for other devices; and the
+# declarations that replace the header of PoCL's compiler, which the option leaves out.
 BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu/pocl.clh", "-D_OPENCL_H_"
 
 
@@ -42,13 +42,13 @@ def build(
     """Build kernel files, with the files that they include, into a program; equal requests share a program, even if
     files have changed since.
 
-    sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, of
-    `clsco.opencl.features.FEATURES`, by default 0; only for structure, as each selected text is compiled anew. structs:
-    C name -> NumPy dtype, as for `struct_text`, nested ones after their parts. real: type of `real` and `real2` to
-    `real16`.
+    sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, names from
+    `clsco.opencl.features.FEATURES`, by default 0; not for values that often change, as each text is compiled anew.
+    structs: C name -> NumPy dtype, as for `struct_text`, nested structs after their parts. real: element type of `real`
+    and `real2` to `real16`.
 
     Kernels get these definitions: the numbers of `clsco.constants`, real, real2, real3, real4, real8, real16,
-    REAL_IS_DOUBLE, HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector; affects only time).
+    REAL_IS_DOUBLE, HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats in the device's widest vector; affects only time).
     Raises KernelError with the compiler's log, DeviceError if `real` is double and the device lacks it, or if a driver
     other than PoCL fails `require_right_arguments` at the first program.
     """
@@ -80,7 +80,7 @@ def _program(
     values = definitions() | {name: macros[name] for name in sorted(macros.keys() & words)}
     options = [f"-D{name}={value}" for name, value in values.items()]
     options.append("-cl-std=CL1.2")
-    if real == "float":  # else 0.5 is a double, and so is the arithmetic around it
+    if real == "float":  # otherwise 0.5 would be a double, and make the expression double
         options.append("-cl-single-precision-constant")
     options.append(f"-DVECTOR_WIDTH={device.vector_width}")
     if device.correctly_rounded:
@@ -113,10 +113,10 @@ def launch(
 
     Long launches are cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on the number
     of groups. global_size is rounded up to whole groups of local_size, so the kernel must begin with a guard.
-    local_size is fixed per kernel, since each new one is compiled anew. args: buffers or None, NumPy scalars, scalars
-    of a structured dtype, in the kernel's order. work: of a work-item, 1 for about the usual work per pixel. origin:
-    number of the first work-item along each axis, by default 0. Raises DeviceError if the device cannot run it,
-    CanceledError between two pieces.
+    local_size is fixed per kernel, since each new size is compiled anew. args: buffers or None, NumPy scalars, scalars
+    of a structured dtype, in the kernel's order. work: units of work of a work-item, 1 for about the usual work per
+    pixel. origin: number of the first work-item along each axis, by default 0. Raises DeviceError if the device cannot
+    run the kernel, CanceledError between two pieces.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
@@ -141,11 +141,11 @@ def launch_whole(
     session: Session, kernel: cl.Kernel, size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
     offset: tuple[int, ...] | None = None,
 ) -> cl.Event:  # fmt: skip
-    """Enqueue a kernel in one piece over `size` work-items, whole groups; offset: number of the first one. As
-    `launch`.
+    """Enqueue a kernel in one piece over `size` work-items, a multiple of the group size; offset: number of the first
+    work-item. Other arguments and errors as for `launch`.
     """
-    # PoCL compiles a kernel at its first launch, for a local size, and other times for small grids and an offset where
-    # the user has it do so (clsco.opencl.pocl_cache).
+    # PoCL compiles a kernel at its first launch with a local size, and again for small grids and for an offset if the
+    # user enables that (clsco.opencl.pocl_cache).
     shape = (kernel, local_size, max(size) < 2**16, offset is None)
     try:
         with session.lock:  # a kernel's arguments and its launch belong together
@@ -163,7 +163,7 @@ def launch_whole(
 
 def _compile_for_device(session: Session, where: str, text: str, options: list[str]) -> Program:
     if session.device.is_pocl and session.device.kind == "cpu":
-        with suppress(KernelError):  # of a version whose header is another one, or a kernel that calls something else
+        with suppress(KernelError):  # the header is of another version, or lacks a function that the kernel calls
             return _compile(session, where, text, [*options, WITHOUT_HEADER])
     return _compile(session, where, text, options)
 
@@ -173,17 +173,17 @@ def _compile(session: Session, where: str, text: str, options: list[str]) -> Pro
         try:
             began = time.perf_counter()
             kernels = cl.Program(session.context, text).build(options).all_kernels()
-            if not kernels:  # PoCL 3.0 cannot read some of the programs that it has kept, and says nothing
+            if not kernels:  # PoCL 3.0 fails silently to read some programs in its cache
                 anew = [*options, f"-DBUILT_ANEW={time.time_ns()}"]
                 kernels = cl.Program(session.context, text).build(anew).all_kernels()
             _LOG.info("%s: built in %.2f s", where, time.perf_counter() - began)
             return {kernel.function_name: kernel for kernel in kernels}
         except cl.Error as error:
-            _LOG.info("%s", error)  # with all options, of which there are about 80
+            _LOG.info("%s", error)  # the full error contains about 80 options
             raise KernelError(f"{where}: must build on {session.device}; got\n{_fault_of(error)}") from error
 
 
 def _fault_of(error: cl.Error) -> str:
-    """The compiler's log in an error of OpenCL, without the options and the lines before it."""
+    """The compiler's log in an OpenCL error, without the compiler's options and the lines before the log."""
     head, _, log = str(error).partition("(options:")[0].partition(">:\n\n")
     return (log or head).strip()

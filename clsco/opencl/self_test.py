@@ -20,7 +20,7 @@ from clsco.resources import ExposedFolderError, private_folder
 
 @dataclass(frozen=True)
 class Check:
-    """One result of `self_test`; `detail` has the wrong result if it failed."""
+    """Result of one check of `self_test`; detail: the wrong value if the check failed."""
 
     name: str
     passed: bool
@@ -83,8 +83,8 @@ def self_test(device: Device) -> list[Check]:
 
 
 def require_right_arguments(session: Session) -> None:
-    """Raise DeviceError if device functions receive wrong arguments, as frames would be noise without any error. A
-    driver that passes is recorded in the user's cache and not tested again.
+    """Raise DeviceError if functions in kernels receive wrong arguments, which would make frames of noise without an
+    error. A driver that passes is recorded in the user's cache and not tested again.
     """
     device, passed = session.device, None
     driver_key = device.name, device.platform, device.platform_version, device.driver, _text(device, _ARGUMENTS)
@@ -110,7 +110,7 @@ def _run_check(session: Session, probe: _Probe) -> Check:
 
 
 def _text(device: Device, probe: _Probe) -> str:
-    """A program with the same beginning as all others."""
+    """Text of a program for the check, which begins as that of all other programs."""
     begin = source_text.program_text([], {}, "float", device.has_fp64, device.has_int64_atomics)
     kernel = "__kernel void probe(__global const float *in, __global long *out)"
     return f"{begin}\n{probe.functions}\n{kernel}\n{{ int i = get_global_id(0); {probe.body} }}"

@@ -45,7 +45,7 @@ class Progress:
     done, total : int
         Time samples, over all strips.
     finished : float
-        Fraction of the frame's time that has passed, 0 while unknown.
+        Fraction of the frame's rendering time that has passed, 0 while unknown.
     """
 
     doing: str = ""
@@ -56,13 +56,13 @@ class Progress:
 
 
 class Session:
-    """A context and an in-order queue that times its commands, on one device, with the programs built in it;
-    released by `close` or `with`.
+    """A context and an in-order queue with profiling on one device, and the programs built in the context; released by
+    `close` or `with`.
 
     A session does not survive a fork: PoCL would hang, even with a new session, so DeviceError is raised. Start
-    processes by spawning. Threads may share a session. `queue`: queue to work in; if it is out of order or does not
-    time its commands, a new queue in its context. `context`: context to work in. Raises DeviceError if the device
-    refuses a context.
+    processes by spawning. Threads may share a session. queue: queue to use; if it is out of order or has no profiling,
+    a new queue in the same context is used. context: context to use. Raises DeviceError if the device refuses a
+    context.
     """
 
     def __init__(self, device: Device, queue: cl.CommandQueue | None = None, context: cl.Context | None = None) -> None:
@@ -109,7 +109,7 @@ class Session:
         return session
 
     def doing(self, step: str) -> None:
-        """Record the step that begins, if progress is watched."""
+        """Record `step` as the current step, if progress is watched."""
         if self.progress is not None:
             self.progress.doing, self.progress.share = step, 0.0
 
@@ -190,8 +190,8 @@ class Session:
             self.queue.finish()
 
 
-# Contexts and built programs are cached, because they take longer than a small image, and because PoCL leaks the memory
-# of released programs (2 MiB each).
+# Contexts and built programs are cached, because creating them takes longer than a small image, and because PoCL leaks
+# the memory of released programs (2 MiB each).
 @lru_cache(maxsize=4)
 def session_on(device: Device) -> Session:
     """A session on a device; the last four sessions are cached."""
@@ -211,7 +211,7 @@ def session_in(context: cl.Context) -> Session:
 
 
 def session_for(device: DeviceLike) -> Session:
-    """The session of a `device` argument from users. Raises DeviceError if there is no such device."""
+    """The session for a user's `device` argument. Raises DeviceError if no device matches."""
     if device is None or isinstance(device, str):
         return session_on(choose(device))
     if isinstance(device, cl.CommandQueue):

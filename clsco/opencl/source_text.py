@@ -1,8 +1,8 @@
 """Preprocessing of program texts, and filtering of compiler messages.
 
-A kernel file includes other files by `#include "common/sources.clh"` with the path below kernels/; for processors, the
-file of that name in a folder `cpu` beside it takes its place if it exists. Text excluded by the features does not reach
-the compiler, so that requests for the same text share one program.
+A kernel file includes other files by `#include "common/sources.clh"` with the path below kernels/. For processors, a
+file of the same name in a subfolder `cpu`, if there is one, replaces the included file. Text excluded by the features
+does not reach the compiler, so that requests for the same text share one program.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ def program_text(
     macros: Mapping[str, float] | None = None,
     on_cpu: bool = False,
 ) -> str:
-    """The whole text for the compiler, with #line before each file, so that errors name it.
+    """The whole text for the compiler, with #line before each file, so that errors name the file.
 
     macros: values for the preprocessor's conditions, such as those of features. Raises KernelError for a missing file.
     """
-    lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c as NumPy has it; fma where a kernel says fma
-    # How wide vectors are passed is of no interest where every function is inlined, but PoCL counts on the terminal.
-    # Compilers for GPUs do not know the warning, and count that.
+    lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c is rounded twice, as in NumPy; only fma() is fused
+    # A warning on the passing of wide vectors, irrelevant as every function is inlined, but PoCL prints the number of
+    # warnings. Compilers for GPUs do not know the warning, and would warn of that.
     lines += ["#ifdef __x86_64__", '#pragma clang diagnostic ignored "-Wpsabi"', "#endif"]
-    # Intel's compiler for processors, where it makes work-items the lanes of vectors, passes vectors of 3 wrongly to
-    # functions that are not inlined, and from them; with the hint it leaves work-items alone.
+    # When Intel's compiler for processors vectorizes over work-items, it passes vectors of 3 wrongly to and from
+    # functions that are not inlined; the hint disables this vectorization.
     hinted = "#define __kernel __attribute__((intel_vec_len_hint(1))) __kernel"
     lines += ["#ifdef cl_intel_vec_len_hint", hinted, "#endif"]
     if has_fp64:
@@ -65,8 +65,8 @@ def program_text(
 
 @dataclass
 class _Condition:
-    """A conditional of a text. active: the current branch is included; done: the included branch was read; deferred:
-    the compiler decides, as a name in the condition is unknown.
+    """A conditional in a text. active: True while the current branch is included; done: True once the included branch
+    was read; deferred: True if the compiler decides, as a name in the condition is unknown.
     """
 
     active: bool
@@ -76,9 +76,9 @@ class _Condition:
 
 @dataclass
 class _Preprocessor:
-    """Files after preprocessing: conditions on known macros are decided, and each file is read once.
+    """Preprocessor of kernel files: evaluates conditions on known macros, and includes each file once.
 
-    macros: by name; on_cpu: prefer files in folders `cpu`; files_read: names of files.
+    macros: values by name; on_cpu: True to prefer files in folders `cpu`; files_read: names of the files read so far.
     """
 
     macros: dict[str, float]
@@ -137,7 +137,7 @@ class _Preprocessor:
         return float(eval(python, {"__builtins__": {}}, self.macros)) if names <= self.macros.keys() else None
 
 
-# Conditionals, includes, and a name for several features.
+# Regular expressions for conditionals, includes, and a name for several features.
 _DIRECTIVE = re.compile(
     r"^#(?:(ifdef|ifndef|if|elif|else|endif) *(.*)|include \"(.*)\"|define (\w+) (\([^?\n]*(?:&&|\|\|)[^?\n]*\)).*)$",
     re.MULTILINE,

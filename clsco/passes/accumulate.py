@@ -35,19 +35,19 @@ class FrameSum:
         features = {"SCAN_COLUMNS": by_columns}
         program = build(session, ["blur/accumulate.cl"], features, structs("float"), "float")
         self.target = Target(session, program, "float")
-        self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # there PoCL compiles it in a third of the time
+        self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # (1, 1) triples PoCL's speed of compilation
         self.sum, self.lost = (empty(session, sizes[name]) for name in ("sum", "lost"))
         self.begins = True
 
     def clear(self) -> None:
-        """Begin a frame or a strip."""
+        """Begin a frame or a strip with a sum of 0."""
         self.begins = True
 
     def add(
         self, plane: Plane, weights: NDArray[np.floating], events: Events, top: int = 0, rows: int | None = None
     ) -> Plane:
-        """Add a plane from row `top` on, with weights (rows,) or (columns,); rows: of the sum, by default those of the
-        plane. Returns the sum so far.
+        """Add a plane to the sum's rows from `top` on, with weights (rows,) or (columns,); rows: number of rows of the
+        sum, by default that of the plane. Returns the sum so far.
         """
         height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]
         if self.begins and plane.rows < height:

@@ -15,8 +15,8 @@ from clsco.scene.model import Scene
 
 
 class Bends:
-    """Planes filled by trace/bend.cl: cached for a lens that does not change in the session; otherwise only for the
-    last time sample or strip.
+    """Planes filled by trace/bend.cl. For a whole frame with a lens that never changes they are cached in the session,
+    otherwise only until the next time sample or strip.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Bends:
         self.latest: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
 
     def planes(self, grid: Struct, lens: Struct, events: Events) -> dict[str, cl.Buffer]:
-        """Buffers "bends" and "slopes" for a grid and a lens, as far as the lens needs them; none for a thin lens."""
+        """Buffers "bends" and "slopes" for a grid and a lens: those that the lens needs; none for a thin lens."""
         sizes = bend_buffers(self.scene, int(grid["width"]) * int(grid["height"]))
         if not sizes:
             return {}

@@ -27,8 +27,8 @@ from clsco.plan.methods import MANY_RADII, Blur, BlurSpec
 from clsco.records import Real, Struct, structs
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
-BLOCKS = (8, 1)  # of kernels with one per TAP_LANES pixels of a row
-GROUP = (GROUP_COLUMNS, GROUP_ROWS)  # of `tiles`
+BLOCKS = (8, 1)  # local size of kernels with a work-item per TAP_LANES pixels of a row
+GROUP = (GROUP_COLUMNS, GROUP_ROWS)  # local size of `tiles`
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
@@ -40,7 +40,7 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "convolve": (),
 }
 
-UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pace`), were all sources as wide as the widest
+UNITS_PER_TAP = 1 / 125  # units of work (`clsco.opencl.pace`) per tap, if all sources had the largest radius
 
 Events = list[tuple[str, cl.Event]]
 Maps = Literal["none", "wide", "float"]
@@ -98,13 +98,13 @@ class Target:
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
         origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue a kernel as `clsco.opencl.program.launch` does; its name and its events are appended to `events`."""
+        """Enqueue a kernel by `clsco.opencl.program.launch`, and append the kernel's name and events to `events`."""
         for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
             events.append((name, event))
 
 
 def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:
-    """Target of the blur: a program with `blur_features`; none for `convolve`, which builds its own."""
+    """Target of the blur, with a program built for `blur_features`; `convolve` builds its own program."""
     files = FILES_OF[spec.method]
     features = blur_features(spec, channels, session.device.has_fp64, maps)
     return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
@@ -119,8 +119,8 @@ class Image:
     value : Buffer
         float (channels, height, width), radiance.
     maps : tuple of Buffer
-        Signed R in px, real (height, width), and a mask of known R, uchar (height, width); or only R, float; or empty
-        for an image with one radius.
+        Signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R,
+        float; or empty for an image with a single radius.
     """
 
     value: cl.Buffer
@@ -144,7 +144,7 @@ class Sources:
     radius : float
         |R| of all sources in px, for "convolve" only.
     label : Buffer, optional
-        Labels of the hits, if rays were cast.
+        Labels of the ray hits, if rays were cast.
     bends : Buffer, optional
         Plane of `clsco.passes.bend.Bends`, if blurs are ellipses.
     """
@@ -234,7 +234,7 @@ class Plane:
 
 
 def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
-    """The frame's part of an image on the padded grid, used as the blurred plane if the scene has no blur."""
+    """The part of an image on the padded grid that lies in the frame; the blurred plane of a scene without blur."""
     names = ("columns", "rows", "width", "height", "above", "guard")
     columns, rows, width, height, above, guard = (int(grid[name]) for name in names)
     return Plane(buffer, (channels, height, width), rows, columns, above, guard)
@@ -273,7 +273,7 @@ class BlurredPlane(ABC):
 
     @property
     def sink(self) -> tuple[object, ...]:
-        """Kernel arguments for the buffer that radiance is added to."""
+        """Kernel arguments of the buffer to which radiance is added."""
         return self.layout
 
     @property
@@ -282,7 +282,7 @@ class BlurredPlane(ABC):
         return int(self.grid["columns"]), int(self.grid["rows"])
 
     def begin(self, grid: Struct) -> None:
-        """Begin a time sample of a frame or a strip, with its grid_t."""
+        """Begin a time sample of a frame or a strip; grid: grid_t of the strip."""
         self.grid = grid
         self.clear()
 
@@ -294,7 +294,7 @@ class BlurredPlane(ABC):
     def add(self, sources: Sources, events: Events) -> None:
         """Add the blurred radiance of sources."""
 
-    def resolve(self, events: Events) -> None:  # noqa: B027  most methods add to that buffer itself
+    def resolve(self, events: Events) -> None:  # noqa: B027  most methods add directly to that buffer
         """Enqueue the kernels that leave the image in the buffer of `layout`."""
 
     def plane(self, events: Events) -> Plane:
@@ -336,7 +336,7 @@ class TableBlur(BlurredPlane):
 
     @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
-        """Enqueue the kernels; head, tail: arguments that all methods share."""
+        """Enqueue the kernels of the method; head, tail: first and last kernel arguments, the same in all methods."""
 
 
 class Tiles(TableBlur):

@@ -22,7 +22,7 @@ from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct, structs
 
 LINES = (8,)  # local size of kernels with a work-item per row or column
-RUNS = (1, 8)  # of those with a work-item per run of a row
+RUNS = (1, 8)  # local size of kernels with a work-item per run of a row
 ZERO = np.zeros(1, np.uint32)
 
 
@@ -34,8 +34,8 @@ class Layers:
     ----------
     count : int
     images : iterator of Image
-        The layers from near to far, with coverage as their last channel; each one is enqueued when requested and may
-        overwrite the previous one. Empty if there is only one layer.
+        The layers from near to far, with coverage as the last channel; each layer is enqueued when requested and may
+        overwrite the previous layer. Empty if there is only one layer.
     image : Image
         Radiance that is added without occlusion; overwritten with border = "renormalize".
     edge : Buffer
@@ -49,8 +49,8 @@ class Layers:
 
 
 def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
-    """Target of layered.cl for images of `channels` channels; a separate program, as nothing else changes its eleven
-    kernels.
+    """Target with layered.cl for images of `channels` channels; a separate program, as the eleven kernels depend on no
+    other feature.
     """
     features = {"CHANNELS": channels + 1, "SCATTER": spec.method == "scatter", "RIMS": len(spec.psf.rims)}
     return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
@@ -74,8 +74,8 @@ class Clusters:
     ----------
     buffers : dict
         By the names of `clsco.plan.buffers.cluster_buffers`. latest: positions of a time sample's discontinuities, by
-        class and bin; layer, seed, hidden, edge: uchar (height, width), the depth layer of each pixel, layers that
-        continue behind it, and a mask of pixels near an edge; offset: int (height, width).
+        class and bin; uchar (height, width): layer, the depth layer of each pixel; seed, hidden: layers that continue
+        behind the pixel; edge, a mask of pixels near an edge. offset: int (height, width).
 
     Raises
     ------
@@ -84,9 +84,9 @@ class Clusters:
     Notes
     -----
     Pixels are assigned to layers so that the two sides of every depth discontinuity beyond DISCONTINUITY px are in
-    different layers; at most MOST_LAYERS. At discontinuities each layer is extrapolated behind nearer ones, as deep as
-    the blurs of both sides reach, from its own nearest pixels, by push-pull (Gortler et al. 1996). A cut through a
-    continuous surface has no hidden part. Validated against `clsco.reference.layered.layered`.
+    different layers; there are at most MOST_LAYERS. At discontinuities each layer is extrapolated behind nearer layers
+    from the nearest pixels of the layer, as far as the blurs of both sides reach, by push-pull (Gortler et al. 1996). A
+    cut through a continuous surface has no hidden part. Validated against `clsco.reference.layered.layered`.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid) -> None:
@@ -97,7 +97,7 @@ class Clusters:
         self._forget()
 
     def find(self, job: Job, image: Image) -> None:
-        """Record the depth discontinuities of a time sample, or of one strip of it."""
+        """Record the depth discontinuities of a time sample, or of one of its strips."""
         far = np.int32(2 * self.reach + 1)
         head = (job.grid, _real(self.low, self.target.real), np.int32(self.bins), far)
         width, height = _size(job.grid)
@@ -117,7 +117,7 @@ class Clusters:
         cl.enqueue_fill_buffer(self.target.session.queue, latest, ZERO, 0, latest.size)
 
     def divide(self, job: Job, image: Image, bounds: LayerBounds) -> Layers:
-        """The layers of an image, or of a strip of it, within these bounds."""
+        """The depth layers between these bounds, of an image or of one of its strips."""
         if not bounds.bounds:
             return Layers(1, iter(()), image, self.buffers["edge"])
         self._label(job, image, bounds)
@@ -140,7 +140,7 @@ class Clusters:
         run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, job.events, *args)
 
     def _extend(self, job: Job, image: Image, index: int, deep: int) -> Image:
-        """One depth layer extended by its hidden part."""
+        """Depth layer number `index`, extended by its hidden part."""
         run, number, (width, height) = self.target.run, np.int32(index), _size(job.grid)
         layer, hidden, pyramid = (self.buffers[name] for name in ("layer", "hidden", "pyramid"))
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))

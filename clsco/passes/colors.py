@@ -9,11 +9,11 @@ from clsco.opencl.buffers import empty
 from clsco.opencl.session import Session
 from clsco.passes.blur import Events, Plane
 
-FLOAT = 4  # bytes
+FLOAT = 4  # size in bytes
 
 
 class JoinedColors:
-    """A plane of all colors, and of coverage if there is one more channel.
+    """A plane with all color channels, and with a coverage channel if `channels` exceeds `colors`.
 
     Parameters
     ----------

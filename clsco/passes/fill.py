@@ -29,8 +29,8 @@ from clsco.records import Struct
 
 ZERO = np.array(0, np.int32)
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
-OWNERS = (1,)  # of those with few, large work-items
-LINES = (8,)  # of those with a work-item per row, column, segment, chunk or vector
+OWNERS = (1,)  # local size of kernels with few, large work-items
+LINES = (8,)  # local size of kernels with a work-item per row, column, segment, chunk or vector
 CHAPTER5 = MeanMedian()
 
 
@@ -43,11 +43,11 @@ class FillPlanes:
     value : Buffer
         float (CHANNELS, height, width), radiance.
     w, coc : Buffer
-        real, inverse depth in 1/mm and signed R in px.
+        real: inverse depth in 1/mm, and signed R in px.
     valid, status : Buffer
-        uchar.
+        uchar: as in `clsco.passes.warp.Warped`.
     object : Buffer, optional
-        uchar, for scenes with several objects.
+        uchar: number of the visible object, for scenes with several objects.
     indices : (Buffer, Buffer)
         Lists of pixels, an int per pixel, used only during filling.
     spans, grown, counters : Buffer
@@ -75,7 +75,7 @@ class FillPlanes:
 
     @classmethod
     def create(cls, session: Session, sizes: Sizes) -> FillPlanes:
-        """Buffers of these sizes (`clsco.plan.buffers.fill_buffers`). Raises DeviceError."""
+        """Allocate buffers of the sizes from `clsco.plan.buffers.fill_buffers`. Raises DeviceError."""
         buffers = allocate(session, sizes)
         for name, bytes_of_lane in (("value", 4), ("valid", 1)):  # vectors read beyond the end, and discard it
             tail = bytes_of_lane * FILL_LANES
@@ -123,8 +123,8 @@ class Filler:
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
 
-        surfaces: `count` of surface_t, which limit the missing pixels with domain "surface"; brightest: largest
-        radiance. Waits for the device once per sweep.
+        surfaces: buffer of `count` surface_t; with domain "surface", pixels are missing only on these surfaces.
+        brightest: largest radiance. Waits for the device once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
         source, remaining = self.planes.indices
@@ -143,7 +143,7 @@ class Filler:
                 filled += counts[COUNTER_FILLED_INSIDE]
                 first = filled if sweeps == 1 else first
             elif minimum > least:
-                minimum -= 1  # fewer neighbors will do where the filling would stall, and then nearer ones
+                minimum -= 1  # a stalled filling accepts fewer neighbors, then nearer ones
             else:
                 break
         if self.smooths and counts[COUNTER_DONE]:
@@ -157,7 +157,7 @@ class Filler:
         }
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
-        """Enqueue listing of all missing pixels; returns their counts."""
+        """List all missing pixels on the device; returns their counts."""
         chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.grid, self.planes.valid)
         self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
         args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
@@ -165,12 +165,12 @@ class Filler:
         return self._read_counters()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
-        """Buffers with depths of neighbors, and the bound computed from them."""
+        """Buffers with the depths of neighbors, and with the bound computed from these depths."""
         return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
-        """Fill pixels of a list of `count` missing ones, as far as they have enough neighbors; wins: bit k is set to
-        use the median of k neighbors.
+        """Fill those of `count` listed missing pixels that have enough known neighbors; wins: bit k is set to use the
+        median of k neighbors.
         """
         p = self.planes
         objects = () if p.object is None else (p.object,)
@@ -208,7 +208,7 @@ class Filler:
         return bits_of(score.median_wins())
 
     def _smooth(self, count: int, events: Events) -> None:
-        """Apply rounds of the median to the filled pixels, in alternation between two sets of planes."""
+        """Smooth the filled pixels by rounds of the median, which alternate between two sets of planes."""
         p = self.planes
         current, next_ = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(current, next_, strict=True):

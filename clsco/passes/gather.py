@@ -17,10 +17,10 @@ from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, bands_at_a_time
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct
 
-HIDDEN_TAP = 3e-9  # s of a tap of a partly hidden source with its sub-pixel sources
-LONGEST = 2.0  # s of a launch if all taps were hidden taps, which the previous frame may not have had
-VECTOR = 1.5e-9  # s of a vector of taps, before any is measured
-BRIEF = 2  # a first piece is shorter by this factor
+HIDDEN_TAP = 3e-9  # time in s of a tap of a partly hidden source, including sub-pixel sources
+LONGEST = 2.0  # longest time in s of an undivided launch if all taps took HIDDEN_TAP, even if none did so far
+VECTOR = 1.5e-9  # assumed time in s of a vector of taps, until one is measured
+BRIEF = 2  # factor by which the first piece is shorter than later ones
 MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # the last two as in gather.cl
 INT2 = cl.cltypes.int2
 
@@ -37,12 +37,12 @@ class Gather(TableBlur):
         self.tap_tables = tuple(
             upload_cached(session, array, (table.place, name)) if array.size else None for name, array in arrays.items()
         )
-        # Rows of sources after which sums go on to the frame, 0 where they are short.
+        # Rows of sources after which partial sums are added to the frame; 0 without partial sums.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
         self.ends = (filled_with(session, sizes["ends"]),) if "ends" in sizes else ()
         self.scratch, self.bands = tuple[object, ...](), -(-tallest.rows // BAND)
-        self.step = tallest.columns  # columns that a piece processes at least
+        self.step = tallest.columns  # least number of columns in a piece
         if {"part", "scratch"} & sizes.keys():
             self.bands = bands_at_a_time(tallest.rows, session.device.compute_units)
         if "scratch" in sizes:
@@ -76,11 +76,11 @@ class Gather(TableBlur):
         return launch_whole(self.target.session, run, (self.bands,), (1,), *before, budget, *after)
 
     def _in_pieces(self, before: tuple[Any, ...], after: tuple[Any, ...], bands: int) -> list[cl.Event]:
-        """Launch a few steps or vectors of each band at a time, as many as the previous times allow; the cost of
-        occlusion is not known in advance.
+        """Launch pieces with a few steps or vectors of each band. Times of the previous pieces determine their size, as
+        the cost of occlusion is not known in advance.
         """
         session, columns = self.target.session, int(self.grid["columns"])
-        at_once = -(-bands // session.device.compute_units)  # bands that a core takes one after the other
+        at_once = -(-bands // session.device.compute_units)  # number of bands that a core processes in sequence
         steps, vectors = 1, max(1, int(pace.PIECE / BRIEF / VECTOR / at_once))
         walked = np.zeros(self.bands, np.int32)
         all_steps = -(-columns // self.step) * bool(self.scratch)

@@ -17,7 +17,7 @@ from clsco.passes.blur import Events
 from clsco.records import Struct
 from clsco.scene.model import Camera
 
-Surfaces = tuple[PlacedSurface | None, ...]  # of every object, None for a depth map
+Surfaces = tuple[PlacedSurface | None, ...]  # surface of every object, None for a depth map
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Job:
     events : list
         List to which launches are appended.
     bounds : tuple of LayerBounds, optional
-        Bounds between depth layers, if they were found over all strips: for all colors, or for each.
+        Bounds between depth layers, if they were computed from all strips: one for all colors, or one per color.
     """
 
     strip: Strip
@@ -52,13 +52,13 @@ class TimeSample:
     camera : Camera
         The camera with its lens at that time.
     poses : tuple of Pose
-        Pose of every object relative to the camera, wherever that is itself.
+        Pose of every object relative to the camera, which may move itself.
     placed : tuple of PlacedSurface or None
         The objects in their poses.
     packed : ndarray
         surface_t of every object.
     surfaces : Buffer
-        The same on the device.
+        `packed` on the device.
     light : (numpy.void,), optional
         light_t, if the scene has a light.
     """
@@ -74,7 +74,7 @@ class TimeSample:
 
 @dataclass(frozen=True, eq=False)
 class SourcePart:
-    r"""Some of the sources of an exposure: the still ones, or the other ones of a time sample.
+    r"""Part of the sources of an exposure: all still sources, or the moving sources of a time sample.
 
         Attributes
         ----------
@@ -105,7 +105,7 @@ class SceneJob(Job):
     noise_stream : int, optional
         `clsco.optics.sensor.camera_word` of the frame, set only for its last time sample.
     part : SourcePart, optional
-        Sources to trace, if the frame splits them into still and other ones.
+        Sources to trace, if the frame splits them into still and moving sources.
     """
 
     sample: TimeSample

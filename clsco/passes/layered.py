@@ -29,7 +29,7 @@ from clsco.plan.buffers import depth_layer_spec, layered_buffers
 class DepthLayers:
     """Blurs depth layers into a plane, with occlusion based on the pinhole image: psf.occlusion = "layered".
 
-    `add` replaces that of the frame's blur.
+    Call `add` of this class in place of the blur's `add`.
 
     Parameters
     ----------
@@ -48,10 +48,10 @@ class DepthLayers:
 
     Notes
     -----
-    Near discontinuities the radiance and the coverage of a layer are blurred by the PSF as one image, and weighted at
-    each pixel by the fraction that the coverage of nearer layers leaves; elsewhere radiance is simply added. A cut
-    through a continuous surface, which has no hidden part, is invisible; with one layer the frame equals that of
-    psf.occlusion = "none", to the bit. Validated against `clsco.reference.layered.layered` and the ray tracer.
+    Near discontinuities the radiance and the coverage of a layer are blurred together by the PSF, and weighted at each
+    pixel by the fraction that nearer layers leave uncovered; elsewhere radiance is simply added. A cut through a
+    continuous surface, which has no hidden part, is invisible; with one layer the frame is bit-identical to that with
+    psf.occlusion = "none". Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class DepthLayers:
         sources = self._sources(job, self.outer, layers.image, behind)
         if layers.count > 1:
             self._keep(job, layers.edge, near_edges=False)
-        # Last, since border = "renormalize" writes to its value.
+        # Last, since border = "renormalize" overwrites the radiance of the image.
         self.outer.add(sources, job.events)
 
     def _sources(self, job: Job, blur: BlurredPlane, image: Image, behind: dict[str, Any]) -> Sources:
@@ -90,7 +90,7 @@ class DepthLayers:
         return Sources(self.source, image.value, **behind)
 
     def _keep(self, job: Job, edge: cl.Buffer, near_edges: bool) -> None:
-        """Remove the sources away from edges (`near_edges`), or those near them."""
+        """Keep only the sources near edges (`near_edges` is True), or only those away from edges (False)."""
         size = int(job.grid["width"]), int(job.grid["height"])
         args = (job.grid, np.int32(near_edges), edge, self.source)
         self.target.run("keep_sources", size, PIXELS, job.events, *args)

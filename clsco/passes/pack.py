@@ -26,7 +26,7 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.records import MOST_RIMS, Real, Struct, filled, structs
 from clsco.scene.model import Camera, Object
 
-EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
+EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an unbounded object in a scene with a bounded one
 
 
 def grid_struct(
@@ -47,7 +47,7 @@ def grid_struct(
     step : float
         Slope between the rays of neighboring pixels, if rays are cast.
     rest_step : float, optional
-        The same in the reference pose, if it differs.
+        `step` in the reference pose, if different.
 
     Returns
     -------
@@ -63,8 +63,8 @@ def grid_struct(
 def camera_grid(
     camera: Camera, guard: int, real: Real, strip: Strip | None = None, reference: Camera | None = None
 ) -> Struct:
-    """grid_t of a camera with a resolution, for a guard band of `guard` px; strip as for `grid_struct`; reference: the
-    camera of the reference pose, if it differs.
+    """grid_t of a camera with a resolution, for a guard band of `guard` px; strip: as for `grid_struct`; reference:
+    camera of the reference pose, if different.
     """
     columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
     grid = grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
@@ -75,7 +75,7 @@ def camera_grid(
 
 
 def towards(grid: Struct, camera: Camera) -> Struct:
-    """grid_t with the rays of another camera, whose lens has another focal length or magnification."""
+    """grid_t changed to the rays of another camera, with another focal length or magnification."""
     grid = grid.copy()
     grid["step"] = ray_step(camera)
     if (distortion := distortion_of(camera)) is not None:
@@ -84,8 +84,8 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set the start of Newton's method, and the largest number of steps for rays of a grid and of its reference
-    pose.
+    """Set in grid_t the first guess of Newton's method, and the number of steps that is enough for all rays of the grid
+    and of its reference pose.
     """
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
@@ -105,8 +105,8 @@ def lens_struct(lens: Lens, real: Real) -> Struct:
 def surface_structs(
     items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
 ) -> NDArray[np.void]:
-    """surface_t of every object at its position in front of the camera, (objects,); textures: number of the texture of
-    each, by default 0.
+    """surface_t of every object at its position in front of the camera, (objects,); textures: texture number of every
+    object, by default 0.
     """
     numbers = textures or [0] * len(items)
     placed = [_surface_struct(*fields, real) for fields in zip(items, surfaces, numbers, strict=True)]
@@ -152,9 +152,9 @@ def texture_map_structs(
     Parameters
     ----------
     maps : sequence of TextureMap or None
-        None for a projected texture.
+        Mapping of each object's texture to its surface; None for a projected texture.
     bases : sequence of int
-        Index of the first float of each mipmap.
+        For each object, index of the first float of its mipmap.
     psf : PointSpread
     covered : float
         Value of the last channel outside of the image: 1 for coverage, else 0.
@@ -173,7 +173,7 @@ def texture_map_structs(
 
 
 def pose_structs(poses: Sequence[Pose], real: Real, step: float = 0.0) -> NDArray[np.void]:
-    """pose_t of every pose, (poses,); step: slope between rays at that time, if points are projected."""
+    """pose_t of every pose, (poses,); step: slope between neighboring rays at that time, if points are projected."""
     placed = [filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift, "step": step}) for p in poses]
     return np.array(placed, structs(real)["pose_t"])
 
@@ -190,14 +190,14 @@ def group_struct(group: OcclusionGroup, objects: int) -> Struct:
 
 
 def exposure_struct(split: StillSplit, still: bool, window: Window | None, real: Real) -> Struct:
-    """exposure_t of a part of an exposure; window None: no sources move."""
+    """exposure_t of a part of an exposure; window: region of the moving sources, None if none moves."""
     ends = dict(zip(("left", "top", "right", "bottom"), window or (0, 0, 0, 0), strict=True))
     values = {"moving": split.moving, "changing": split.changing, "samples": len(split.places), "still": still}
     return filled("exposure_t", real, values | ends)
 
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
-    """psf_t for a main table and, if there are sub-pixel sources, their table."""
+    """psf_t for the table of pixels and, with sub-pixel sources, for the table of these."""
     values: dict[str, Any] = {
         "first": table.first,
         "count": table.count,

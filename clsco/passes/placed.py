@@ -28,7 +28,7 @@ from clsco.passes.pack import light_struct, pose_structs, surface_structs, textu
 from clsco.records import REAL, Real, structs
 from clsco.scene.model import Camera, Scene
 
-# A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/footprint.clh).
+# A source is at most 1 + 4 c times its mean, with c < 0.0901 (kernels/trace/footprint.clh).
 MOST_DETAIL = 1.37
 
 
@@ -51,7 +51,7 @@ class PlacedScene:
 
     Notes
     -----
-    Uploaded arrays stay until `release`, since the host runs ahead of the launches that read them.
+    Uploaded arrays are kept until `release`, since the host runs ahead of the launches that read them.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class PlacedScene:
 
     @property
     def texture(self) -> cl.Buffer:
-        """The textures: float (textures, channels, rows, columns), followed by mipmaps of those on surfaces."""
+        """The textures: float (textures, channels, rows, columns), then the mipmaps of textures on surfaces."""
         if self._texture is None:
             key, cache = self.content, self.session.cache
             self._texture = self._planes() if key is None else cache.get(key, self._planes, lambda planes: planes.size)
@@ -121,7 +121,7 @@ class PlacedScene:
 
     @property
     def texture_maps(self) -> tuple[cl.Buffer, ...]:
-        """texture_map_t of every object, if a texture is on a surface, else empty."""
+        """texture_map_t of every object in one buffer; an empty tuple if no texture is on a surface."""
         if not self.mapped:
             return ()
         if self._maps is None:
@@ -157,7 +157,7 @@ class PlacedScene:
         return self.posed(rest_poses(self.scene))
 
     def split_sources(self, times: Sequence[float]) -> dict[bool | None, SourcePart]:
-        """Still and other sources of an exposure with time samples at these times in s, by `SourcePart.still`."""
+        """Still and moving sources of an exposure with time samples at `times` in s, by `SourcePart.still`."""
         placed = (self._placed(poses_at(self.scene, time, self.eye)) for time in times)
         split = split_still(self.scene.objects, [[s for s in surfaces if s is not None] for surfaces in placed])
         places = self.hold(split.places.astype(REAL[self.real]))
@@ -168,13 +168,13 @@ class PlacedScene:
         return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
 
     def posed(self, poses: Sequence[Pose], time: float = 0.0, camera: Camera | None = None) -> TimeSample:
-        """The objects in given poses, relative to `camera`, by default the scene's."""
+        """The objects in these poses relative to `camera`, by default the camera of the scene."""
         placed = self._placed(poses)
         packed = self._surface_structs(placed)
         return TimeSample(time, camera or reference_camera(self.scene), tuple(poses), placed, packed, self.hold(packed))
 
     def poses(self, sample: TimeSample) -> cl.Buffer:
-        """pose_t of every object."""
+        """pose_t of every object at a time sample, on the device."""
         return self.hold(pose_structs(sample.poses, self.real, ray_step(sample.camera)))
 
     def hold(self, array: NDArray[Any]) -> cl.Buffer:

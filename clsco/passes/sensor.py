@@ -70,7 +70,7 @@ class FrameSensor:
         self.struct = filled("sensor_t", "float", sensor_values(sensor_model))
 
     def expose(self, strip: Strip, plane: Plane, camera: int, events: Events) -> Codes:
-        """Codes for the irradiance of a strip; camera: `clsco.optics.sensor.camera_word` of the frame."""
+        """Codes for the irradiance `plane` of a strip; camera: `clsco.optics.sensor.camera_word` of the frame."""
         padded = padded_columns(plane.columns)
         counts = upload_cached(self.target.session, RECIPROCALS, "reciprocals of counts")
         head = (np.int32(n) for n in (plane.rows, plane.columns, strip.top, padded))

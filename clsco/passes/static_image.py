@@ -1,4 +1,4 @@
-"""Images given with their radii, and static depth maps: the host uploads them, strip by strip."""
+"""Images with known blur radii, and static depth maps, uploaded by the host strip by strip."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class HostImage(ABC):
     guard : int
         Width of the guard band around the frame, px.
     outside : {"symmetric", "constant"}
-        In the guard band both continue as mirror images, as textures do, or are 0.
+        Image and radii in the guard band: mirrored at the border, as textures are, or 0.
     """
 
     def __init__(
@@ -51,8 +51,8 @@ class HostImage(ABC):
         """Signed radii around a strip, "coc", and possibly a mask "valid", as in `Image`."""
 
     def image(self, job: Job, buffers: Mapping[str, cl.Buffer]) -> Image:
-        """The image of a strip, in buffers "value", "coc" and "valid"; kernels read the host's array in place of a
-        missing buffer, and "valid" stays unchanged if `radii` has none.
+        """The image of a strip, in the buffers "value", "coc" and "valid". For a missing buffer, kernels read the
+        host's array; without "valid" in `radii`, that buffer stays unchanged.
         """
         value = self._send(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
         uploaded = {name: self._send(buffers.get(name), array) for name, array in self.radii(job.strip).items()}
@@ -122,7 +122,7 @@ class StaticMap(HostImage):
         return (ends[0] | ends[1]) & ~valid
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Ground truth that needs no differences; arrays as of `clsco.passes.warp.ForwardWarp.truth`."""
+        """Ground truth that needs no differences between pixels; arrays as in `clsco.passes.warp.ForwardWarp.truth`."""
         w, valid = self.inverse_depth, self.inverse_depth > 0
         mask = valid if self.radiance.ndim == 2 else valid[..., None]
         radii = self._radii(w, 0)

@@ -23,9 +23,9 @@ from clsco.optics.psf_tables import PsfTable, narrow_table, rounded_span, span_s
 from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 
-CACHE_BYTES = 2**27  # of tables in this process, beyond the two of the latest rendering
-BLOCK_BYTES = 2**25  # of blocks in this process
-JOINED_BYTES = 2**24  # up to which a table grows by the radii of other renderings
+CACHE_BYTES = 2**27  # memory limit of tables in this process; the latest two are kept even beyond it
+BLOCK_BYTES = 2**25  # memory limit of blocks in this process
+JOINED_BYTES = 2**24  # size up to which a table is extended to include the radii of other renderings
 R = TypeVar("R", PsfTable, WeightBlock)
 
 
@@ -37,7 +37,7 @@ class TableStore:
     disk : ArrayCache
         Cache for blocks of weights.
     limit : int
-        Most bytes of tables; the least recently used ones are evicted, except the latest two.
+        Memory limit of tables in bytes; the least recently used tables are evicted, except the latest two.
     """
 
     def __init__(self, disk: ArrayCache, limit: int = CACHE_BYTES) -> None:
@@ -50,8 +50,8 @@ class TableStore:
     ) -> PsfTable:
         """`clsco.optics.psf_tables.psf_table`; shares the arrays of a cached table that includes the range.
 
-        Each PSF has one cached table that grows, and the latest one above the size limit: so a rendering with wide blur
-        leaves no more in memory than the one before it. go_on: called before each block, and may raise.
+        Each PSF has one cached table, which grows up to JOINED_BYTES, and the latest table above this size: so a series
+        of renderings with wide blur does not fill the memory. go_on: called before each block, and may raise.
         """
 
         def block(psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
@@ -73,13 +73,13 @@ class TableStore:
                 table = self._tables[key] = _in_pages(replace(built, place=place))
                 trim()  # memory that building it used
             self._tables.move_to_end(key)
-            # A rendering has two, of pixels and of sub-pixel sources: one must not push out the other.
+            # A rendering has two tables, of pixels and of sub-pixel sources: neither must evict the other.
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 2:
                 self._tables.popitem(last=False)
         return narrow_table(table, psf, smallest, largest, subpixel > 0)
 
     def block(self, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
-        """A block of weights, from the process or the disk if cached."""
+        """A block of weights, read from the cache in memory or on disk, or computed."""
         key = f"{_code()} {_key(psf, subpixel)} {first}"
         return self.blocks.get(key, lambda: self._block(key, psf, first, subpixel), lambda block: block.nbytes)
 
@@ -107,7 +107,7 @@ def _code() -> str:
 
 @cache
 def shared_tables() -> TableStore:
-    """The tables of this process, with blocks in the user's cache if nobody else can write to it."""
+    """The tables of this process; blocks are cached on disk if only the user can write to the cache folder."""
     return TableStore(user_cache("tables"))
 
 
@@ -121,8 +121,8 @@ def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | No
 
 
 def forget_others(session: Session) -> None:
-    """Release cached data of earlier calls on the device before a call with limited memory, which then holds only
-    planned tables.
+    """Release the device's cached data of earlier calls, before a call with a memory limit: it then holds only planned
+    tables.
     """
     session.cache.clear()
     shared_tables().clear(blocks=False)
@@ -148,7 +148,7 @@ def _is_disc(psf: PointSpread, subpixel: int) -> bool:
 
 @lru_cache(maxsize=256)
 def _size(psf: PointSpread, span: range, subpixel: int) -> int:
-    """Bytes of the table for a range of intervals."""
+    """Size of the table for a range of intervals, bytes."""
     return sum(span_sizes(psf, span, subpixel).values())
 
 

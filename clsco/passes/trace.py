@@ -27,23 +27,21 @@ from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers, silhouette_buffer
 from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
 
-SPARE_SLOTS = 1.25  # times those of a time sample, as the next one may need more
-ROUNDED = 1e-5  # relative: far more than rays and depths in single precision differ from those of the host
+SPARE_SLOTS = 1.25  # ratio of allocated to needed slots, as the next time sample may need more
+ROUNDED = 1e-5  # relative tolerance, far above the rounding errors of rays and depths in single precision
 # The kernels that cast rays.
 TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth.cl", "trace/merge.cl")
-# Statistics at the beginning of a frame: no radius, no slot (trace.cl).
+# Statistics at the beginning of a frame: of no radius, and of no slot (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
-NO_SOURCE = np.array([-1.0], np.float32)  # as a coordinate; its bits are no slot of a mark
+NO_SOURCE = np.array([-1.0], np.float32)  # table coordinate of a missing source; its bits mark no slot
 
 HitPlanes = tuple[cl.Buffer, ...]  # value, depth and label, as in trace.cl
 Cast = Callable[[HitPlanes], None]
 
 
 class HitKey(NamedTuple):
-    """Everything that ray hits depend on: the group, rays and surfaces, and the textures, None if their content is
-    unknown.
-    """
+    """Everything that ray hits depend on: occlusion group, rays and surfaces, and the textures (None if unknown)."""
 
     group: OcclusionGroup
     cast: Hashable
@@ -54,7 +52,7 @@ class Hits(Protocol):
     """Cache of planes of ray hits, shared by several lenses."""
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        """The planes of an occlusion group; on a cache miss, rays are cast into them.
+        """The planes of an occlusion group; on a cache miss, rays are cast to fill the planes.
 
         Parameters
         ----------
@@ -135,7 +133,7 @@ class Tracer:
         return Bends(self.target, self.plan.scene)
 
     def _bends(self, job: SceneJob, *names: str) -> tuple[cl.Buffer, ...]:
-        """Named planes of the lens's effect on rays, as far as they exist: kernel arguments."""
+        """Kernel arguments: those of the named planes of the lens's effect on rays that exist."""
         planes = self.bends.planes(job.grid, self.lens(job), job.events)
         return tuple(planes[name] for name in names if name in planes)
 
@@ -145,7 +143,7 @@ class Tracer:
 
     @cached_property
     def extents(self) -> tuple[cl.Buffer, ...]:
-        """Predicted extents of the objects, if there are several, on the device."""
+        """Predicted extents of the objects on the device; empty for a single object."""
         count = len(self.plan.scene.objects)
         if count == 1:
             return ()
@@ -155,8 +153,8 @@ class Tracer:
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
     def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources | None:
-        """Sources of one occlusion group, None if this part of the exposure has none; reuses the buffers of the
-        previous group, whose launches have ended.
+        """Sources of one occlusion group; None if this part of the exposure has none. The buffers of the previous group
+        are overwritten, so all launches that read them must have ended.
         """
         plan, buffers, head = self.plan, self.buffers, self._head(job, group)
         sizes = hit_buffers(plan.grid, plan.mapped > 0)
@@ -189,7 +187,7 @@ class Tracer:
     def _cast(
         self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]
     ) -> None:  # fmt: skip
-        """Enqueue the rays of one occlusion group, which all lenses share."""
+        """Enqueue the casting of one occlusion group's rays, which are the same for all lenses."""
         grid, lens, surfaces, members, psf = self._head(job, group)
         lens_args, slopes = (lens, psf) if exposure else (), self._bends(job, "slopes")
         args = (*self._appearance(job), *planes, *lens_args, *slopes, *exposure)
@@ -254,7 +252,7 @@ class Tracer:
         cl.enqueue_copy(session.queue, self.buffers["pixels"], before, byte_count=before.size).wait()
 
     def _merge(self, job: SceneJob, sources: Sources) -> Sources:
-        """The sources, merged as far as the tolerance allows."""
+        """Merge sources on the device as far as the plan's tolerance allows; returns `sources`."""
         plan, grid = self.plan, job.grid
         if plan.merged:
             size = (-(-int(grid["width"]) // MERGED_SIDE), -(-int(grid["height"]) // MERGED_SIDE))
@@ -265,7 +263,7 @@ class Tracer:
         return sources
 
     def pinhole(self, job: SceneJob) -> Image:
-        """The pinhole image with its radii."""
+        """The pinhole image with the blur radius of each pixel."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         head = (job.grid, self.lens(job), job.sample.surfaces, everything(self.plan), *self._appearance(job))
         out = value, coc, valid, self.buffers["statistics"], *self._bends(job, "slopes", "bends")
@@ -279,7 +277,7 @@ class Tracer:
         return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
 
     def _key(self, job: SceneJob, group: OcclusionGroup) -> HitKey:
-        """Everything that ray hits depend on: the rays and the surfaces that they may meet."""
+        """Cache key of the ray hits of an occlusion group at a time sample."""
         sample = job.sample
         members = [k for k in range(len(sample.placed)) if group.members >> k & 1]
         light = tuple(light_t.tobytes() for light_t in sample.light)
@@ -288,7 +286,7 @@ class Tracer:
         return HitKey(group, (cast, maps), self.scene.content)
 
     def _appearance(self, job: SceneJob) -> tuple[Any, ...]:
-        """The textures, their mappings, and the light, as far as the scene has them."""
+        """Kernel arguments: the textures and, if the scene has them, texture mappings and a light."""
         return (self.scene.texture, *self.scene.texture_maps, *job.sample.light)
 
     def without_occluders(self, job: SceneJob) -> dict[str, Any]:
@@ -306,8 +304,8 @@ class Tracer:
         return part.split.window(group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
 
     def _window(self, job: SceneJob, group: OcclusionGroup) -> Window | None:
-        """Part of the grid whose sources are traced, aligned to whole groups of pixels, so that all passes pad it
-        equally.
+        """Part of the grid whose sources are traced, aligned to whole groups of pixels, so that all passes use the same
+        padding.
         """
         if job.part is None or job.part.still:
             return whole_grid(job)

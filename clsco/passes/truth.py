@@ -1,4 +1,4 @@
-"""Ground truth of a frame, at the middle of its exposure, or of the exposures of its rows or columns."""
+"""Ground truth of a frame, at the middle of its exposure, or with a rolling shutter at that of each row or column."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class GroundTruth:
         return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._still_outputs() | out
 
     def _still_outputs(self) -> Arrays:
-        """Outputs that are 0 everywhere in static scenes and need no rays."""
+        """Outputs of a static scene that are 0 everywhere and need no rays."""
         shape = self.plan.rows, self.plan.columns
         return {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
 
@@ -110,17 +110,17 @@ class GroundTruth:
         self, reference: TimeSample, sample: TimeSample, after: TimeSample, other_view: TimeSample | None = None,
         earlier: TimeSample | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Kernel arguments of a frame, or of one of its lines, between the grid and the outputs.
+        """Kernel arguments, between the grid and the outputs, for a frame or one of its lines.
 
-        reference: objects in the reference pose; after, earlier: in the next and the previous frame; other_view:
-        in the other view.
+        reference: objects in the reference pose; sample: in this frame; after, earlier: in the next and the previous
+        frame; other_view: in the other view of a stereo pair.
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
         appearance = (scene.texture, *scene.texture_maps, *sample.light)
         lens = lens_struct(Lens.of(sample.camera, plan.scene.lens), scene.real)
         head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *appearance)
-        view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
+        view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read only for a stereo pair
         if other_view is not None:
             view = other_view.surfaces, scene.poses(other_view), np.int32(1 if plan.eye == "right" else -1)
         return *head, *view, poses if earlier is None else scene.poses(earlier), after.surfaces
@@ -129,7 +129,7 @@ class GroundTruth:
         self, strip: Strip, camera: Camera, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
         size: tuple[int, int], origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue the rays of a strip, or of a block of columns and rows of it from `origin` on."""
+        """Enqueue the rays of a strip, or of a block of its pixels; size, origin: columns and rows of the block."""
         grid = camera_grid(camera, self.plan.guard_px, self.scene.real, strip, self.plan.scene.camera)
         out = (buffers["mask"], *(buffers.get(name) for name in RAY_OUTPUTS))
         local = PIXELS if size[0] > 1 else PIXELS[::-1]
@@ -172,7 +172,7 @@ class GroundTruth:
         return out
 
     def _split_colors(self, outputs: Arrays, times: NDArray[np.float64]) -> None:
-        """Convert radii to those of red, green and blue, if the lens separates colors; times: of lines, s."""
+        """Convert blur radii to radii per color, if the lens separates colors; times: time of each line, s."""
         if not self.plan.scene.separates_colors or "blur_radius" not in outputs:
             return
         sizes, shifts, steps = np.empty((*times.shape, 3)), np.empty((*times.shape, 3)), np.empty(times.shape)
@@ -186,8 +186,8 @@ class GroundTruth:
         outputs["blur_radius"] = np.where(outputs["mask"][..., None], radius, 0.0).astype(np.float32)
 
     def _stretch(self, steps: NDArray[np.float64]) -> NDArray[np.float64] | float:
-        """Ratio of sizes (rows, columns, 1) in the distorted image to sizes without distortion; steps: between rays,
-        for each line.
+        """Ratio (rows, columns, 1) of sizes in the distorted image to sizes without distortion; steps: slope between
+        neighboring rays, for each line.
         """
         distortion = Distortion.of(self.plan.scene.lens)
         if distortion is None:
@@ -197,7 +197,7 @@ class GroundTruth:
         return distortion.stretch(*distortion.undistorted(x, y))[..., None]
 
     def _clear_background(self, outputs: Arrays) -> NDArray[np.bool_]:
-        """Give background pixels the output values of pixels without a surface; returns the mask of these pixels."""
+        """Set background pixels to the output values for pixels without a surface; returns the mask of background."""
         if self.plan.background is None:
             return np.zeros((), np.bool_)
         beyond = np.asarray(outputs["object_id"] == self.plan.background)
@@ -220,14 +220,14 @@ class GroundTruth:
             download_into(self.scene.session, buffers[name], array[strip.inside])
 
     def _from_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
-        """Outputs of a scene with depth maps, which rays cannot be cast at: from its warped pixels."""
+        """Outputs of a scene with depth maps, computed from its warped pixels, as rays cannot hit a depth map."""
         scene, plan, pixels = self.scene, self.plan, self.pixels
         now, then = scene.at(time), scene.at(later)
         out: Arrays = {}
         if isinstance(pixels, StaticMap):
             out = pixels.truth()
         elif isinstance(pixels, ForwardWarp):
-            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # these are inputs of others
+            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # inputs of other outputs
         self._split_colors(out, np.array(time))
         beyond = self._clear_background(out)
         points = MapPoints(plan.scene.objects, out["depth"], out["object_id"], now.camera, now.poses)

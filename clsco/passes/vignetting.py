@@ -33,7 +33,7 @@ class Vignetting:
     kind : {"natural"} or tuple of float
         Key of the scene.
     colors : int
-        Number of light channels, which come first in a plane; coverage is not changed.
+        Number of color channels, which precede coverage in a plane; coverage is not changed.
     pixels : int
         Number of pixels in the frame.
 
@@ -45,12 +45,12 @@ class Vignetting:
     def __init__(self, session: Session, kind: Kind, colors: int, pixels: int) -> None:
         program = build(session, ["blur/vignetting.cl"], {}, structs("float"), "float")
         self.target, self.kind, self.colors = Target(session, program, "float"), kind, colors
-        self._buffer = Refilled(session, 4 * pixels)  # the kernels of the time sample before may still read it
+        self._buffer = Refilled(session, 4 * pixels)  # kernels of the previous time sample may still read it
         self._filled: NDArray[np.float32] | None = None
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as of `FrameSum`
 
     def darken(self, plane: Plane, camera: Camera, top: int, events: Events) -> Plane:
-        """Darken a plane of a camera's frame, whose first row is `top`."""
+        """Darken a plane in place; camera: of the frame; top: row of the frame at which the plane begins."""
         share = _share(camera, self.kind)
         if share is not self._filled:
             self._buffer.fill(share)

@@ -30,7 +30,7 @@ from clsco.records import REAL, structs
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
 NOWHERE = np.array(NO_WINNER, np.int32)
 
-# Bands of rows of reproject_nearest: few, as each reads all segments, but enough for all cores.
+# Number of bands of rows in reproject_nearest: few, as each band reads all segments, but enough for all cores.
 BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 
 SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
@@ -42,8 +42,8 @@ class Warped:
 
     value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed blur radius in
     px; valid: uchar, 1 if known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known or not missing, 1
-    filled, 2 not filled; object: uchar, number of the visible object, 255 for none and in the mirror image around a
-    depth map, or None if the scene has only one; counters: as returned by `Filler.fill`.
+    filled, 2 missing and not filled; object: uchar, number of the visible object, 255 for none and in the mirror image
+    around a depth map, or None if the scene has a single object; counters: as returned by `Filler.fill`.
     """
 
     value: cl.Buffer
@@ -56,10 +56,10 @@ class Warped:
 
 
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """Features that warp.cl and fill.cl are compiled for; owned: bands of the image instead of atomics, for CPUs.
+    """Features that warp.cl and fill.cl are compiled for; owned: use bands of the image instead of atomics, for CPUs.
 
-    A depth map has no outline that a ray could miss: with one, domain "surface" becomes "span". Holes are filled from
-    the far side (FILL_FAR) if a scene may have surfaces at several depths: with several objects, or a depth map.
+    In a scene with a depth map, which has no outline that a ray could miss, domain "surface" becomes "span". Holes are
+    filled from the far side (FILL_FAR) if surfaces may have several depths: with several objects, or a depth map.
     """
     fill, mapped = plan.scene.fill, not plan.scene.is_analytic
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
@@ -106,7 +106,7 @@ class ForwardWarp:
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
         self.filler = Filler(self.kernels, self.grid, self.lens, features, fill_sizes(plan.scene, plan.grid))
-        # The filling uses these for its lists, after the pixels are moved.
+        # After the pixels are moved, the filling uses these buffers for its lists.
         self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)
         self.rest, self.moved = (empty(session, sizes[name]) for name in ("rest", "moved"))
@@ -117,7 +117,7 @@ class ForwardWarp:
         depths = [depth for depth in maps if depth is not None]
         self.maps = (upload(session, np.stack(depths).astype(REAL[real])),) if depths else ()
         self.bounds = empty(session, sizes["bounds"]) if self.owned else None
-        # The filling writes its radii later.
+        # The filling writes the radii of filled pixels later.
         self.depth = self.filler.planes.coc if self.owned else empty(session, self.winner.size)
         reference = scene.in_reference_pose()
         self.rest_surfaces = reference.surfaces
@@ -127,7 +127,7 @@ class ForwardWarp:
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
 
     def warp(self, sample: TimeSample, events: Events) -> Warped:
-        """The pixels of the reference pose at a time sample, with missing ones filled as the scene asks for.
+        """The pixels of the reference pose moved to a time sample, with missing pixels filled as the scene specifies.
 
         Parameters
         ----------
@@ -156,8 +156,8 @@ class ForwardWarp:
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
-        """Enqueue the depth test: the target of each pixel of the reference pose, and the nearest pixel that reaches
-        each target. Arguments as for `warp`.
+        """Enqueue the depth test: computes the target of each pixel of the reference pose, and for each target the
+        winner, the nearest pixel moved to it. Arguments as for `warp`.
         """
         scene, real = self.plan.scene, self.scene.real
         if scene.lens_moves or self.plan.only is not None:
@@ -171,8 +171,8 @@ class ForwardWarp:
             self._test_by_atomics(args, events)
 
     def gather(self, events: Events) -> None:
-        """Enqueue copying of the depth test's winners to the planes of `filler`, without filling. Arguments as for
-        `warp`.
+        """Enqueue kernels that copy the winners of the depth test to the planes of `filler`, without filling. Arguments
+        as for `warp`.
         """
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
@@ -188,7 +188,7 @@ class ForwardWarp:
             self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
-        """Store the largest and the smallest radius of `warp` in the first two of these ints."""
+        """Store the largest and the smallest radius of the warped pixels in the first two ints of `statistics`."""
         chunks = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
         planes = (self.filler.planes.coc, self.filler.planes.valid, statistics)
         self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.grid, *planes)
@@ -200,11 +200,11 @@ class ForwardWarp:
     def truth(self, sample: TimeSample, names: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
         """The arrays in `names`, float32 unless stated otherwise, (rows, columns[, channels]).
 
-        "sharp": radiance after the move; "filled": uint8, as `Warped.status`. For a scene with a depth map, at which no
-        ray can be cast, also properties of the pixels' surface, including filled ones: "depth" in mm, +inf for none,
-        float64, because normals are computed from its differences; "blur_radius" in px, 0 for none; "mask", bool;
-        "object_id", int32, -1 for none. These are values of the source that was moved to the pixel, up to half a pixel
-        from its center.
+        "sharp": radiance after the move; "filled": uint8, as `Warped.status`. For a scene with a depth map, which rays
+        cannot hit, also properties of the surface in each pixel, known or filled: "depth" in mm, +inf for none, float64
+        because normals are computed from its differences; "blur_radius" in px, 0 for none; "mask", bool; "object_id",
+        int32, -1 for none. These are values of the source that was moved to the pixel, up to half a pixel from the
+        pixel's center.
         """
         plan = self.plan
         available = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
@@ -229,8 +229,8 @@ class ForwardWarp:
         return {name: array for name, array in arrays.items() if name in available & set(names)}
 
     def _frame(self, buffer: cl.Buffer, dtype: Any, channels: int | None = None) -> NDArray[Any]:
-        """The frame's part (rows, columns) of a plane on the padded grid, or (channels, rows, columns) of several
-        planes.
+        """The frame (rows, columns), cut from a plane on the padded grid; with `channels`, (channels, rows, columns)
+        cut from several planes.
         """
         plan, guard = self.plan, self.plan.guard_px
         shape = (plan.height, plan.width) if channels is None else (channels, plan.height, plan.width)
@@ -238,7 +238,7 @@ class ForwardWarp:
         return np.ascontiguousarray(download(self.scene.session, buffer, shape, dtype)[inside])
 
     def _test_in_bands(self, args: tuple[Any, ...], events: Events) -> None:
-        """Enqueue targets and winners, with work-items that own bands of the image."""
+        """Enqueue the depth test in a form in which each work-item owns a band of the image."""
         rows, cores = self.plan.height, self.scene.session.device.compute_units
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
         segments = self.plan.rows * -(-self.plan.columns // OWNED_PIXELS)
@@ -248,7 +248,7 @@ class ForwardWarp:
         self.kernels.run("reproject_nearest", (-(-rows // band),), OWNERS, events, *owned, *depth)
 
     def _test_by_atomics(self, args: tuple[Any, ...], events: Events) -> None:
-        """Enqueue targets and winners, with a work-item per source."""
+        """Enqueue the depth test in a form with a work-item per source, by atomics."""
         queue, sources = self.scene.session.queue, (self.plan.rows * self.plan.columns,)
         cl.enqueue_fill_buffer(queue, self.depth, ZERO, 0, self.depth.size)
         cl.enqueue_fill_buffer(queue, self.winner, NOWHERE, 0, self.winner.size)

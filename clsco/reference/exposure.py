@@ -24,20 +24,20 @@ from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Object, Scene
 from clsco.scene.sequence import CURVES
 
-CLOSED = 1e-6  # of an exposure: shares that end so near to its end cover it
-STEPS = 64  # of an exposure, for paths in the image
+CLOSED = 1e-6  # share of an exposure; intervals that end this near to its end cover it
+STEPS = 64  # number of steps of an exposure, for paths in the image
 LOOKS = (0, STEPS // 2, STEPS)  # steps at whose times rays sample the objects
-EDGE_ERROR, CHORD = 5e-4, 0.5  # of white, where an edge passes; least share of a lens that it passes in one radius
-MEASURED = 0.8  # of the samples that points on a grid of rays need may be enough
-NEAREST = 1e-3  # mm, px
-MOST = 4095  # time samples while a line is exposed
+EDGE_ERROR, CHORD = 5e-4, 0.5  # error allowed at a moving edge, 1 = white; least share of a lens passed in one radius
+MEASURED = 0.8  # share of the samples needed by points on a grid of rays that counts as sufficient
+NEAREST = 1e-3  # least depth in mm, and least blur radius in px
+MOST = 4095  # largest number of time samples while a line is exposed
 
 
 def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[Array, Array]:
     """Times (samples,) of a frame in s, and weights (samples, lines) for its rows or columns, or (samples, 1) for the
     whole frame.
 
-    claimed, least: time samples while a line is exposed: of the device, and the sufficient number.
+    claimed: number of time samples on the device while a line is exposed; least: the sufficient number.
     """
     if not scene.moves:
         return np.zeros(1), np.ones((1, 1))
@@ -64,8 +64,8 @@ def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[A
 
 
 def light_passed(curve: ArrayLike, time: Array) -> Array:
-    """Fraction of an exposure's light that has passed at times from 0 to 1, by trapezoids; curve: at equal time
-    steps.
+    """Fraction of an exposure's light that has passed at times from 0 to 1, by the trapezoidal rule; curve: shutter
+    curve at equal time steps.
     """
     heights = np.asarray(curve, np.float64) / np.max(curve)
     nodes, inside = np.linspace(0.0, 1.0, len(heights)), np.clip(time, 0.0, 1.0)
@@ -76,8 +76,8 @@ def light_passed(curve: ArrayLike, time: Array) -> Array:
 
 
 def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: int, guard: int) -> float:
-    """Sufficient number of time samples while a line of a frame is exposed: given by the scene, or needed by the
-    visible points of its objects, including guard px around the frame.
+    """Sufficient number of time samples while a line of a frame is exposed: that of the scene, or for "auto" as many as
+    the visible points of the objects need, up to `guard` px around the frame.
     """
     sequence = scene.sequence
     if sequence.samples != "auto" or not scene.moves:

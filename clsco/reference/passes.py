@@ -119,7 +119,7 @@ def _cut_by_rims(plan: ReferencePlan, time: float, guard: int, sources: Sources)
     zeros = np.zeros(len(rays))
     lens, radius = lens_at(scene, time, plan.only), sources.radius[lit]
     local_lens = along_rays(lens, rays)
-    w = (blur_radius(lens, rays, zeros) - radius) / local_lens.blur_scale  # of what depth layers hide as well
+    w = (blur_radius(lens, rays, zeros) - radius) / local_lens.blur_scale  # also of pixels hidden by depth layers
     points = Points(rays, w, radius, zeros, zeros, 1.0, np.zeros((len(rays), 2)))
     state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
     number = np.full(lit.size, -1)
@@ -129,7 +129,7 @@ def _cut_by_rims(plan: ReferencePlan, time: float, guard: int, sources: Sources)
 
 
 def _open_share(plan: ReferencePlan, time: float) -> Array:
-    """Fraction (m, n) of the lens's light that passes the rims to each pixel: that of its own point in focus."""
+    """Fraction (m, n) of the lens's light that passes the rims to each pixel, for a point in focus at that pixel."""
     scene = plan.scene
     camera, lens = colored(camera_at(scene, time), scene.lens, plan.only), lens_at(scene, time, plan.only)
     rays = pixel_ray(camera, *padded_grid(scene.camera, 0)).reshape(-1, 3)
@@ -209,5 +209,5 @@ def warped_image(
 
 
 def crop(array: NDArray[Any], guard: int) -> NDArray[Any]:
-    """The frame's part of the padded grid."""
+    """The part of an array on the padded grid that lies in the frame."""
     return array[guard : array.shape[0] - guard, guard : array.shape[1] - guard]

@@ -29,20 +29,20 @@ from clsco.reference.trace.trace import SILHOUETTE_RANGE, everything, mark_silho
 from clsco.reference.trace.view import View
 from clsco.scene.model import Object, Plane, Rectangle, Scene
 
-Maps = Sequence[Array | None]  # inverse depths in 1/mm, None of analytic objects
-ROUND, BEYOND = 0.01, 1.1  # least part of R by which an ellipse differs from a disc; margin for it
+Maps = Sequence[Array | None]  # inverse depths in 1/mm of every object, None for analytic objects
+ROUND, BEYOND = 0.01, 1.1  # least difference of an ellipse from a disc, as a share of R; margin factor for ellipses
 CASTS = 4  # rays per pixel along each axis, which may hit objects that rays through pixel centers miss
-WIDEST_BAND = 1024  # px
+WIDEST_BAND = 1024  # px, largest width of the guard band
 
 
 @dataclass(frozen=True, eq=False)
 class ReferencePlan:
     """The reference's plan for a view of a scene.
 
-    scene: with its resolution; psf: of its lens; spreads: of red, green and blue, if each is blurred separately; only:
-    the color that it is for, None for all; channels: of the frame; claimed: time samples, guard band and largest |R| of
-    the device. Frames with motion depend on the first, depth layers and moved pixels on the others: they are used if
-    they are sufficient.
+    scene: a scene with a resolution; psf: of its lens; spreads: PSFs of red, green and blue, if each is blurred
+    separately; only: number of the color that the plan is for, None for all; channels: of the frame; claimed: the
+    device's number of time samples, guard band and largest |R|. Frames with motion depend on the first, depth layers
+    and moved pixels on the other two, so these values are used if they are sufficient.
     """
 
     scene: Scene
@@ -185,6 +185,6 @@ def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray
 
 
 def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mask (H, W) of pixels within SILHOUETTE_RANGE px of the given ones, in rows and in columns."""
+    """Mask (H, W) of pixels within SILHOUETTE_RANGE px of a pixel in `mask`, in rows and in columns."""
     padded, size = np.pad(mask, SILHOUETTE_RANGE), 2 * SILHOUETTE_RANGE + 1
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(-1, -2)))

@@ -165,7 +165,7 @@ def _map_truth(plan: ReferencePlan, textures: tuple[Texture, ...], middle: Warpe
     radii = [np.where(valid, blur_radius(lens, rays, w), 0.0) for lens in lenses]
     numbers = crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
     backgrounds = [k for k, item in enumerate(scene.objects) if item.is_background]
-    surface = valid & ~np.isin(numbers, backgrounds)  # the background has radiance and blur, and is no surface
+    surface = valid & ~np.isin(numbers, backgrounds)  # the background has radiance and blur, but is no surface
     number = np.where(surface, numbers, -1).astype(np.int32)
     depth = np.where(surface, 1.0 / np.where(surface, w, 1.0), np.inf)
     times = [middle_time(scene.sequence, k) if scene.moves else 0.0 for k in (index, index + 1, index - 1)]

@@ -27,9 +27,9 @@ from clsco.scene.model import Camera
 from clsco.scene.text import shown
 
 Array = NDArray[np.float64]
-HALF = 4  # depths on each side of the focal surface by default
-FIELD = 4  # places from the middle to the corner by default, where they differ
-LARGEST_STACK = 2**30  # bytes
+HALF = 4  # default number of depths on each side of the focal surface
+FIELD = 4  # default number of places from the middle to the corner, if the blur depends on the place
+LARGEST_STACK = 2**30  # largest size of the weights, bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class PsfStack:
 
     @property
     def reach(self) -> int:
-        """Pixels from the source to the border of `weights`."""
+        """Distance from the source to the border of `weights`, px."""
         return self.weights.shape[-1] // 2
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:

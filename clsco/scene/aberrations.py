@@ -9,7 +9,7 @@ from pydantic import Field, create_model
 
 from clsco.scene.quantities import Strict, Within
 
-MOST_ORDER = 6  # n of Zernike polynomials
+MOST_ORDER = 6  # largest order n of Zernike polynomials
 NAMES = {
     "2,-2": "Oblique astigmatism", "2,0": "Defocus", "2,2": "Astigmatism", "3,-3": "Oblique trefoil",
     "3,-1": "Vertical coma", "3,1": "Horizontal coma", "3,3": "Trefoil", "4,0": "Spherical aberration",
@@ -46,14 +46,14 @@ class Seidel(Strict):
     def radial_distortion(self, wavelength: float, diameter: float, corner: float) -> float:
         """Coefficient k1 of the radial distortion that W311 causes.
 
-        wavelength: of green light, nm; diameter: of the lens, mm; corner: slope of the ray to the corner of the frame.
-        A wavefront tilted by W at the edge of the lens turns rays by 2 W / D, and k1 corner^3 is that change of slope.
+        wavelength: of green light, nm; diameter: D of the lens, mm; corner: slope of the ray to the corner of the
+        frame. A wavefront tilted by W at the edge of the lens changes slopes by 2 W / D, which equals k1 corner^3.
         """
         return 2e-6 * wavelength * self.W311 / (diameter * corner**3)
 
 
 def _polynomials() -> Iterator[tuple[int, int]]:
-    """n and m of all Zernike polynomials that a scene may have."""
+    """Indices n and m of all Zernike polynomials that a scene may have."""
     for n in range(2, MOST_ORDER + 1):
         yield from ((n, m) for m in range(-n, n + 1, 2))
 
@@ -77,8 +77,8 @@ else:
 
 
 def zernike_terms(table: Strict) -> tuple[tuple[int, int, float], ...]:
-    """n, m and waves of each nonzero polynomial of [psf.zernike]."""
-    if not table.model_fields_set:  # a frame asks several times
+    """Indices n and m, and size in waves, of each nonzero polynomial of [psf.zernike]."""
+    if not table.model_fields_set:  # fast path, as each frame calls this several times
         return ()
     terms = ((n, m, float(getattr(table, f"{n},{m}"))) for n, m in _polynomials())
     return tuple(term for term in terms if term[2])

@@ -16,13 +16,13 @@ from pydantic_core import CoreSchema, core_schema
 
 from clsco.scene.quantities import Name, fault
 
-MAX_ARRAY_PIXELS, MAX_ARRAY_SIDE = 2**27, 65536  # as of image files
+MAX_ARRAY_PIXELS, MAX_ARRAY_SIDE = 2**27, 65536  # the limits of image files
 TEXTURE_TYPES = ("u1", "u2", "f2", "f4", "f8")
 Kind = Literal["texture", "depth"]
 
 
 class ArrayInput:
-    """An array that a scene has in place of a file: a read-only copy, compared by content.
+    """An array in a scene in place of a file: a read-only copy, compared by content.
 
     array: texture in uint8, uint16 or float32, (rows, columns[, 3]), or depth in integers or float64, (rows, columns).
     sha256: hash of its type, shape and values, hexadecimal.
@@ -50,7 +50,7 @@ class ArrayInput:
         return f"array of {self.array.dtype} {self.array.shape}, sha256 {self.sha256[:16]}"
 
     def __deepcopy__(self, memo: object) -> ArrayInput:
-        return self  # nobody can change it
+        return self  # it is immutable
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ArrayInput, (self.array, self.kind)
@@ -58,7 +58,7 @@ class ArrayInput:
 
 @dataclass(frozen=True)
 class LayerInput(os.PathLike[str]):
-    """A layer of an EXR file with several; in messages, and for `os.fspath`, its path.
+    """A layer of an EXR file with several layers; its text, and `os.fspath`, are the path of the file.
 
     layer: name as for `clsco.files.layers.image_channels` or `depth_channels`.
     """
@@ -84,7 +84,7 @@ class _InputOf:
     kind: Kind
 
     def check(self, value: Any, text: Callable[[Any], str]) -> str | ArrayInput:
-        """The input in the form stored in the model; raises the fault of an invalid array, and those of `text`."""
+        """The input in the form stored in the model; raises the fault of an invalid array, and the faults of `text`."""
         if isinstance(value, ArrayInput):
             return value if value.kind == self.kind else self.check(value.array, text)
         if isinstance(value, np.ndarray):
@@ -101,13 +101,13 @@ class _InputOf:
 
 
 def _texture(array: NDArray[Any]) -> NDArray[Any]:
-    """Codes unchanged, floats as float32, as `clsco.files.images.read_image` returns them."""
+    """The array as `clsco.files.images.read_image` would return it: codes unchanged, floats as float32."""
     _check_shape(array, array.ndim == 2 or array.shape[2:] == (3,), "(rows, columns) or (rows, columns, 3)")
     if array.dtype.str[1:] not in TEXTURE_TYPES:
         raise fault("an array must hold uint8, uint16, float16, float32 or float64", str(array.dtype))
     if array.dtype.kind == "u":
         return array.astype(array.dtype.newbyteorder("="))
-    with np.errstate(over="ignore"):  # overflow becomes infinite, which is refused next
+    with np.errstate(over="ignore"):  # overflow becomes infinite, which is rejected next
         radiance = array.astype(np.float32)
     wrong = ~np.isfinite(radiance)
     if wrong.any():
@@ -118,7 +118,7 @@ def _texture(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _depth(array: NDArray[Any]) -> NDArray[Any]:
-    """Integers, or float64, as `clsco.inputs.depth_files.read_depth` returns them; any value may mark missing depth."""
+    """The array as `clsco.inputs.depth_files.read_depth` would return it: integers unchanged, floats as float64."""
     _check_shape(array, array.ndim == 2, "(rows, columns)")
     if array.dtype.kind not in "iuf":
         raise fault("an array must hold integers or floats", str(array.dtype))
@@ -146,11 +146,11 @@ class HasInputs(ABC):
         """Inputs by key."""
 
     def files(self) -> dict[str, str]:
-        """Paths of the files among its inputs, by key."""
+        """Paths of the files among the inputs, by key."""
         return {key: str(value) for key, value in self.inputs().items() if not isinstance(value, ArrayInput)}
 
     def arrays(self) -> dict[str, ArrayInput]:
-        """The arrays among its inputs, by key."""
+        """The arrays among the inputs, by key."""
         return {key: value for key, value in self.inputs().items() if isinstance(value, ArrayInput)}
 
 

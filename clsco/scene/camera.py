@@ -51,16 +51,16 @@ class FollowedDistance(float):
     __hash__ = float.__hash__
 
     def __eq__(self, other: object) -> bool:
-        """True only for another following distance; numbers stay unchanged when the lens changes."""
+        """True only for another `FollowedDistance`, since a number does not follow changes of the lens."""
         return isinstance(other, FollowedDistance) and float(self) == float(other)
 
-    __ne__ = object.__ne__  # its inverse, which that of float is not
+    __ne__ = object.__ne__  # the negation of __eq__, unlike that of float
 
 
 def _followed(value: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float:
-    """The sensor distance if a value is "sensor"."""
+    """The sensor distance as a `FollowedDistance` if the value is "sensor", else the checked value."""
     if isinstance(value, FollowedDistance) or (type(value) is str and value == "sensor"):
-        return FollowedDistance(info.data.get("sensor_distance", 1.0))  # that is missing where it is refused
+        return FollowedDistance(info.data.get("sensor_distance", 1.0))  # missing if it was rejected
     return float(check(value))
 
 
@@ -146,6 +146,6 @@ class Camera(Strict):
     @classmethod
     def _one_of_a_pair(cls, value: float, info: ValidationInfo) -> float:
         other = "f_number" if info.field_name == "aperture_diameter" else "focus_distance"
-        if info.data.get(other, "refused") is not None:  # a refused value is missing from `data`
+        if info.data.get(other, "refused") is not None:  # a rejected value is missing from `data`
             raise fault(f"give {other} or {info.field_name}, not both")
         return value

@@ -133,7 +133,7 @@ def dump(scene: Any) -> dict[str, Any]:
     for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):
         displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
-        del data["psf"]["occlusion"]  # the default, which only the plan can resolve
+        del data["psf"]["occlusion"]  # not set, and its default depends on the plan
     for place, item in scene.inputs:
         table_at(data, place).update(item.arrays())
     return data
@@ -148,9 +148,9 @@ def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]
 
 
 def given_keys(value: Any) -> Any:
-    """Content of a scene file with only the keys that were given explicitly, so that defaults are derived again.
+    """Content of a scene file with only the keys that were set explicitly, so that defaults are derived again.
 
-    value: a scene or a table of it, a list or mapping of them, or the value of a key, which stays unchanged.
+    value: a scene or one of its tables, a list or mapping of these, or the value of a key, which is returned unchanged.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
@@ -171,7 +171,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
         raise SceneError(f"scene: {brief(path)}: nested too deeply; got {shown(value)}") from None
     parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]
     known = dump(scene)
-    for end in range(1, len(parts)):  # a component of a default: the others stay what they are
+    for end in range(1, len(parts)):  # if one component of a default is set, keep the others
         default = entry_at(known, parts[:end])
         if default is not None and not isinstance(default, dict) and entry_at(data, parts[:end]) is None:
             put(data, parts[:end], default)
@@ -182,7 +182,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
 
 
 def entry_at(node: Any, parts: Sequence[str]) -> Any:
-    """The entry at `parts`, None if there is none."""
+    """The entry at the key `parts`, None if there is none."""
     for part in parts:
         if isinstance(node, list):
             node = node[int(part)] if part.isdecimal() and len(part) < 10 and int(part) < len(node) else None

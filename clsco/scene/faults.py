@@ -37,7 +37,7 @@ _RULES = {
 
 @lru_cache(maxsize=1)
 def sections(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Models of the tables of a scene, by their keys; root: the scene's model."""
+    """Models of a scene's tables, by the keys of the tables; root: the scene's model."""
     return {
         str(field.validation_alias or name): part
         for name, field in root.model_fields.items()
@@ -48,7 +48,7 @@ def sections(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
 
 @lru_cache(maxsize=1)
 def _places(root: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
-    """All tables with their locations."""
+    """Location and model of every table of a scene; root: the scene's model."""
     known = {name: model for name, model in sections(root).items() if model is not Group}
     shapes = (("object[0]", shape) for shape in SHAPES.values())
     moving: Any = known["camera"].model_fields["motion"].annotation
@@ -76,7 +76,7 @@ def parsed(root: type[Root], mapping: Any, where: str) -> Root:
 
 
 def messages(error: ValidationError, root: type[BaseModel], place: tuple[str | int, ...] = ()) -> list[str]:
-    """Messages on the faults that pydantic found in a scene, or in the table of it at `place`."""
+    """Messages on the faults that pydantic found in a scene, or in the scene's table at `place`."""
     return [_message({**fault, "loc": (*place, *fault["loc"])}, root) for fault in _faults(error)]
 
 
@@ -96,7 +96,7 @@ def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationErro
 
 
 def at_most(where: str, messages: Iterable[str]) -> list[str]:
-    """Messages as `where: message`; beyond MAX_MESSAGES only the first ones, and the number of the others."""
+    """Messages as `where: message`; of more than MAX_MESSAGES, only the first, and the number of the others."""
     listed = list(messages)
     if len(listed) > MAX_MESSAGES:
         listed[MAX_MESSAGES:] = [f"and {len(listed) - MAX_MESSAGES} more faults"]
@@ -123,7 +123,7 @@ def _message(fault: Mapping[str, Any], root: type[BaseModel]) -> str:
     """Message `key: rule; got value` of one fault that pydantic found."""
     kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     loc, shape = tuple(fault["loc"]), None
-    if loc[:1] == ("objects",) and kind != "extra_forbidden":  # of a constructor, or a default at fault
+    if loc[:1] == ("objects",) and kind != "extra_forbidden":  # a constructor's table, or a faulty default
         loc = ("object", *loc[1:])
     if len(loc) > 2 and loc[0] == "object" and loc[2] in SHAPES:
         shape, loc = loc[2], loc[:2] + loc[3:]
@@ -161,7 +161,7 @@ def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> 
 
 
 def _table_at(model: type[BaseModel], loc: Sequence[str | int]) -> type[BaseModel]:
-    """Model of a table inside that of a model, or of an array of tables."""
+    """Model of the table at location `loc`, inside a table described by `model`, or in an array of tables."""
     for key in loc:
         waiting: list[Any] = [model.model_fields[key].annotation] if isinstance(key, str) else []
         while waiting:

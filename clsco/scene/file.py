@@ -23,10 +23,10 @@ from clsco.scene.text import key_name, shown
 from clsco.scene.texture_keys import SixSided, is_drawn, missing_texture
 
 MAX_FILE_BYTES = 2**20
-FILES_ONLY = ("depth", "image")  # keys that name no built-in pattern
+FILES_ONLY = ("depth", "image")  # keys whose value is always a file, never a built-in pattern
 FILE_KEYS = ("texture", "depth", *SixSided.__annotations__, "image")
-MAX_OUTPUTS = 4096  # of a sweep
-MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of a dotted key
+MAX_OUTPUTS = 4096  # largest number of scenes in a sweep
+MAX_DOTS = 100  # per line, as the memory of tomllib grows with the square of the number of parts of a dotted key
 
 SceneLike = Scene | Mapping[str, Any] | str | os.PathLike[str]
 ApertureLike = Aperture | Mapping[str, Any] | str | None
@@ -34,7 +34,7 @@ CameraLike = Camera | Mapping[str, Any] | None
 PsfLike = Psf | Mapping[str, Any] | str | None
 Owner = TypeVar("Owner", AnyShape, Aperture)
 Section = TypeVar("Section", Psf, Aperture, Camera)
-Location = tuple[str | int, ...]  # of a key: ("object", 0, "motion", "velocity")
+Location = tuple[str | int, ...]  # location of a key, as ("object", 0, "motion", "velocity")
 
 SECTIONS = sections(Scene)
 # Sections whose keys may have several values, except keys that hold tables.
@@ -138,7 +138,7 @@ def names_file(key: str, name: str) -> bool:
 
 
 def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
-    """Location and name of each file in the content of a scene file: of objects, and of the aperture."""
+    """Location and name of each file that the content of a scene file names, for objects and the aperture."""
     tables: list[tuple[Location, Any]] = [(("object", index), item) for index, item in enumerate(items(data))]
     for place, table in (*tables, (("aperture",), data.get("aperture"))):
         for key in FILE_KEYS if isinstance(table, Mapping) else ():
@@ -147,7 +147,7 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
-    """A copy of the content of a scene file with renamed files; `name` takes the location and the name of a file."""
+    """A copy of a scene file's content with renamed files; name: returns the new name for a file's place and name."""
     copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
         copy["aperture"] = dict(aperture)
@@ -160,8 +160,8 @@ def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> 
 
 
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
-    """Messages on files that do not exist, for a scene with other faults: for a valid scene, reading its files reports
-    them.
+    """Messages on files that do not exist, for a scene with other faults; in a valid scene, missing files are reported
+    when they are read.
     """
     missing = ((place, name) for place, name in named_files(data) if name and not _exists(folder, name))
     return [
@@ -227,7 +227,7 @@ def table_of(content: Any, where: str) -> Any:
 
 
 def scene_of(scene: SceneLike) -> Scene:
-    """Scene of any form that users may pass: a Scene, a mapping or the path of a file. Raises SceneError."""
+    """The scene for a user's argument: a Scene, a mapping or the path of a file. Raises SceneError."""
     if isinstance(scene, Scene):
         return scene
     if isinstance(scene, str | os.PathLike):
@@ -238,14 +238,14 @@ def scene_of(scene: SceneLike) -> Scene:
 
 
 def psf_of(psf: PsfLike) -> Psf:
-    """PSF of a Psf, a mapping with the keys of [psf], or the name of a model; None: the default. Raises SceneError."""
+    """The PSF for a user's argument: a Psf, a mapping with the keys of [psf], a model's name, or None (the default)."""
     return _section(Psf, psf, "psf", "model")
 
 
 def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
-    """Aperture of any form that users may pass, checked against a PSF. Raises SceneError.
+    """The aperture for a user's argument, checked against a PSF. Raises SceneError.
 
-    aperture: Aperture, a mapping with the keys of [aperture], or the name of a shape; None: a circle.
+    aperture: an Aperture, a mapping with the keys of [aperture], the name of a shape, or None for a circle.
     """
     section = _section(Aperture, aperture, "aperture", "shape")
     if section.rim:
@@ -257,7 +257,7 @@ def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
 
 
 def camera_of(camera: CameraLike) -> Camera | None:
-    """Camera of any form that users may pass; None for None. Raises SceneError as `psf_of` does."""
+    """The camera for a user's argument; None for None. Raises SceneError."""
     return None if camera is None else _section(Camera, camera, "camera")
 
 

@@ -27,7 +27,7 @@ class Group(Strict):
 
 
 def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
-    """Point about which a group rotates, mm; `objects`: all of the scene, at least one of them in the group."""
+    """Point about which a group rotates, mm; objects: all objects of the scene, at least one of them in the group."""
     if group.origin is not None:
         return group.origin
     return next(origin(item) for item in objects if item.group == group.name)
@@ -38,7 +38,7 @@ def unknown_groups(
 ) -> list[tuple[int, PydanticCustomError, str]]:
     """Position, fault and group of each object whose group does not exist.
 
-    members: group of each object, None without one; names: of the groups.
+    members: name of each object's group, None without a group; names: names of the existing groups.
     """
     known = list(dict.fromkeys(name for name in names if name is not None))
     some = ", ".join(map(shown, known[:8])) + (", ..." if len(known) > 8 else "")

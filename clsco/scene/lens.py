@@ -21,7 +21,7 @@ Shift = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 
 
 def _vignetting(value: Any) -> Any:
-    """Reject anything but a name, and coefficients of a function that is nowhere negative."""
+    """Reject any value but a name, or coefficients of a function that is nowhere negative."""
     value = as_python(value)
     if type(value) is str and value in ("none", "natural"):
         return value
@@ -38,7 +38,7 @@ def _vignetting(value: Any) -> Any:
 
 
 def _roots(a: float, b: float, c: float) -> list[float]:
-    """Real x with a x^2 + b x + c = 0; empty if all x are."""
+    """Real x with a x^2 + b x + c = 0; empty if every x is a solution."""
     if a == 0.0:
         return [] if b == 0.0 else [-c / b]
     inside = b * b - 4.0 * a * c
@@ -109,12 +109,12 @@ class Lens(Strict):
 
     @property
     def radial(self) -> tuple[float, float, float]:
-        """Radial distortion k1, k2, k3, with that of the wavefront in k1."""
+        """Radial distortion k1, k2, k3; k1 includes the distortion of the wavefront."""
         return self.distortion
 
     @property
     def distorts(self) -> bool:
-        """True if the lens does not show straight lines as such."""
+        """True if straight lines become curved in the image."""
         return any(self.radial) or any(self.tangential)
 
     @property
@@ -159,7 +159,7 @@ def check_opening(lens: Lens | None, psf: Psf) -> None:
 
 
 def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Lens | None:
-    """The lens of a scene with the distortion term of Seidel's aberrations; the camera has a resolution."""
+    """The lens of a scene, including the distortion term of Seidel's aberrations; camera: must have a resolution."""
     seidel, k1 = psf.seidel, 0.0
     if seidel.W311:
         half = 0.5 * math.hypot(*(size - 1 for size in camera.resolution)) or 1.0

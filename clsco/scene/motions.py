@@ -29,7 +29,7 @@ from clsco.scene.rotations import EulerAngles
 
 NONE: Vector = (0.0, 0.0, 0.0)
 MAX_KEYFRAMES = 256
-EVEN = 1e-6  # of an interval: by how much intervals of a B-spline may differ
+EVEN = 1e-6  # relative tolerance of the equal time intervals of a B-spline
 
 Interpolation = Literal["step", "linear", "cubic", "bspline"]
 Outside = Literal["hold", "linear", "error"]
@@ -47,7 +47,7 @@ class Keyframe(Strict):
 
 
 def in_order(value: Any) -> Any:
-    """Reject keyframes that are not later than the one before."""
+    """Reject keyframes that are not later than the previous keyframe."""
     late = [k for k, (one, next_one) in enumerate(pairwise(value), 1) if not next_one.time > one.time]
     if late:
         rule = fault("must be later than that of the keyframe before")
@@ -61,7 +61,7 @@ def default_of_keyframes(data: dict[str, Any], key: str, value: Any) -> Any:
 
 
 def check_interpolation(value: Any, keyframes: Any) -> Any:
-    """Reject an interpolation without keyframes, or one that their times do not allow; "refused": not known."""
+    """Reject an interpolation without keyframes, or that their times do not allow; keyframes "refused": invalid."""
     if value is None or keyframes == "refused":
         return value
     if keyframes is None:
@@ -117,7 +117,7 @@ class ObjectMotion(Strict):
     @property
     def moves(self) -> bool:
         """True if any component of a velocity, an acceleration or a keyframe differs from 0."""
-        if not self.model_fields_set:  # a frame asks dozens of times
+        if not self.model_fields_set:  # fast path, as each frame calls this dozens of times
             return False
         shifts = (key.position for key in self.keyframe or ())
         return any(map(any, (self.velocity, self.acceleration or NONE, *shifts))) or any(self.turns)

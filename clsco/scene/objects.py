@@ -1,4 +1,4 @@
-"""Objects of a scene: rules for each object, and for all together."""
+"""Objects of a scene: rules for each object, and for all objects together."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def _known_shape(value: Any) -> Any:
 
 
 def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
-    """Position, fault and name of each object whose name an earlier one has.
+    """Position, fault and name of each object that has the name of an earlier object.
 
-    names: of all objects, None for those without one; table: name of their array in a file.
+    names: name of every object, None for objects without a name; table: name of the array of objects in a file.
     """
     first: dict[str, int] = {}
     repeated = []
@@ -79,8 +79,8 @@ def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 
 def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with distinct names: unnamed ones get the name of their shape, numbered from the second on, "sphere
-    2".
+    """Objects with distinct names: an unnamed object gets the name of its shape, from the second of a shape on with a
+    number, as "sphere 2".
     """
     names = [item.name if "name" in item.model_fields_set else None for item in objects]
     if faults := repeated_names(names):
@@ -94,7 +94,7 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
             used.add(chosen)
             if chosen != item.name:
                 item = item.model_copy(update={"name": chosen})
-                item.model_fields_set.discard("name")  # numbered anew in another scene
+                item.model_fields_set.discard("name")  # so that another scene numbers it again
         placed.append(item)
     return tuple(placed)
 
@@ -125,10 +125,10 @@ class _OfItsShape:
 
     @staticmethod
     def check(value: Any) -> AnyShape:
-        """The object; raises the faults that the union of all shapes finds."""
+        """The validated object; raises the same faults as validation by the union of all shapes."""
         model = SHAPES[value["shape"]] if isinstance(value, dict) else type(value)
         if model in SHAPES.values():
-            model.model_rebuild()  # as a whole, before another thread gets what is checked by a part of it
+            model.model_rebuild()  # completely, so that no other thread validates by a half-built model
             with suppress(ValidationError):
                 return model.model_validate(value)
         return cast(AnyShape, _any_shape().validate_python(value, strict=True))

@@ -25,13 +25,13 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 MAX_PIXELS = 2**28
 MIN_LENGTH_MM, MAX_LENGTH_MM = 1e-6, 1e9
-MAX_LISTED = 4096  # numbers in an array that stands for a list
+MAX_LISTED = 4096  # largest number of entries of an array in place of a list
 
 Vector = tuple[float, float, float]
 
 
 def as_python(value: Any) -> Any:
-    """NumPy numbers and small arrays converted to Python's; all else, including images, unchanged."""
+    """NumPy numbers and small arrays converted to Python numbers and lists; other values, as images, unchanged."""
     if isinstance(value, np.longdouble):
         return float(value)
     return value.tolist() if isinstance(value, np.generic | np.ndarray) and value.size <= MAX_LISTED else value
@@ -44,7 +44,7 @@ def fault(rule: str, got: str | None = None) -> PydanticCustomError:
 
 
 def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
-    """Combine faults into one error; of each its location, the error from `fault`, and the invalid value."""
+    """Combine faults into one error; faults: location, error from `fault`, and invalid value of each fault."""
     details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in faults]
     return ValidationError.from_exception_data("scene", details)
 
@@ -89,7 +89,7 @@ class WithinOrInfinite(Within):
     """Constraint on a number that may also be infinite: inf, or "inf" if a file format has no such number."""
 
     def check(self, value: float) -> float:
-        """Return a valid value or raise the fault, as `Within` does."""
+        """Return the value if it is valid, else raise the fault, as `Within.check` does."""
         return value if value == math.inf else super().check(value)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -118,8 +118,8 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
 
 
 def array_of_tables(header: str, what: str, most: int, least: int = 0) -> BeforeValidator:
-    """Constraint on an array of tables, which becomes a tuple: its number of tables. header: as in a file; what: word
-    for the tables.
+    """Constraint on the number of tables in an array of tables, which becomes a tuple. header: as in a file; what: word
+    for the tables in messages.
     """
 
     def convert(value: Any) -> Any:
@@ -156,14 +156,14 @@ def _not_zero(value: Vector) -> Vector:
 
 
 def _surface(value: tuple[float, ...]) -> tuple[float, ...]:
-    """Reject coefficients of a constant, which have no surface."""
+    """Reject the coefficients of a constant polynomial, which describes no surface."""
     if not any(value[:9]):
         raise fault("must not all be 0, or all but a000")
     return value
 
 
 def _count_or_auto(value: Any) -> Any:
-    """Reject anything but a number of samples and "auto"."""
+    """Reject any value but a number of samples or "auto"."""
     value = as_python(value)
     if (type(value) is int and 1 <= value <= 4096) or (type(value) is str and value == "auto"):
         return value
@@ -230,7 +230,7 @@ class Deferred:
         def check(value: Any) -> Any:
             if value is None:
                 return None
-            model.model_rebuild()  # as a whole, before another thread gets what is checked by a part of it
+            model.model_rebuild()  # completely, so that no other thread validates by a half-built model
             return model.model_validate(value)
 
         return core_schema.no_info_plain_validator_function(check, metadata={"source": source})
@@ -244,14 +244,14 @@ class Deferred:
 class Strict(BaseModel):
     """Base of all models of a scene: no conversions, no unknown keys, no changes after validation."""
 
-    # Most scenes have few of the shapes: what checks them is built for those that a process meets. So sections that are
-    # left out are made by `model_construct`: defaults need no check.
+    # Most scenes have few shapes, so the validator of a shape is built at its first use. For the same reason, omitted
+    # sections are created by `model_construct`: defaults need no validation.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     refusal: ClassVar[Callable[[type[BaseModel], ValidationError], Exception]]
     """The error that a constructor raises; given by `clsco.scene.model`, as messages need to know all models."""
 
-    if not TYPE_CHECKING:  # which knows the arguments from the fields
+    if not TYPE_CHECKING:  # type checkers derive the arguments from the fields
 
         def __init__(self, /, **values: Any) -> None:
             """Raise SceneError, with one message per fault, for invalid values."""
@@ -263,7 +263,7 @@ class Strict(BaseModel):
                 return
             raise Strict.refusal(type(self), refused)
 
-        # By this pydantic knows its own constructor, which it passes by for the parts of a model.
+        # This attribute marks pydantic's own constructor, which pydantic does not call for the parts of a model.
         __init__.__pydantic_base_init__ = True
 
     @classmethod

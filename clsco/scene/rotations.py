@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, TypeAdapter
 from clsco.scene.quantities import Angle, Component, Direction, Numbers4, Strict, Triple, Vector, as_python, fault
 
 SMALLEST_QUATERNION = 1e-6  # length below which a quaternion has no direction
-Rows = tuple[Vector, Vector, Vector]  # of a matrix
+Rows = tuple[Vector, Vector, Vector]  # rows of a matrix
 EulerAngles = Annotated[tuple[Angle, Angle, Angle], Triple]
 
 
@@ -84,7 +84,7 @@ def rotation_rows(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> 
 
 
 def depth_row(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> Vector:
-    """Last of `rotation_rows`, which gives a rotated point's z, away from the camera."""
+    """Last row of `rotation_rows`, whose product with a point is the rotated point's z, away from the camera."""
     return rotation_rows(rotation)[2]
 
 
@@ -93,7 +93,7 @@ def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion |
     if first is None or then is None:
         return then if first is None else first
     (a, b, c), (d, e, f), (g, h, i) = _product(rotation_rows(then), rotation_rows(first))
-    # Four times w, x, y and z times the largest of them, each line for one that may be; z is away from the camera.
+    # Each line is 4 (w, x, y, z) times one of w, x, y, z; the line of the largest is used. z is away from the camera.
     lines = (
         (1.0 + a + e + i, h - f, c - g, d - b),
         (h - f, 1.0 + a - e - i, d + b, c + g),

@@ -18,7 +18,7 @@ def scene_schema() -> dict[str, Any]:
 
 
 def list_keys() -> list[str]:
-    """List the keys of a scene as `--set` takes them: "camera.f_number", "object.0.radius"."""
+    """List the keys of a scene in the form of `--set`: "camera.f_number", "object.0.radius"."""
     schema = scene_schema()
 
     def keys(properties: Mapping[str, Any], start: str) -> Iterator[str]:

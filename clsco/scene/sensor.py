@@ -11,7 +11,7 @@ from clsco.scene.quantities import Duration, FNumber, Strict, Triple, Within, at
 MOSAICS = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "grbg": (1, 0, 2, 1), "gbrg": (1, 2, 0, 1)}
 """Channels of the pixels (0, 0), (0, 1), (1, 0), (1, 1) (row, column) of a Bayer mosaic: red, green, blue."""
 MOST_ELECTRONS = 10_000_000
-NOISE_SEEDS = 2**53  # as many as numbers of JSON tell apart
+NOISE_SEEDS = 2**53  # number of seeds, all of which JSON numbers represent exactly
 
 Electrons = Annotated[float, Within(1.0, MOST_ELECTRONS, "e-")]
 Noise = Annotated[float, Within(0.0, 1e6, "e-")]

@@ -11,12 +11,12 @@ from clsco.scene.quantities import Duration, Samples, Strict, Within, as_python,
 
 CURVES = {"box": (1.0, 1.0), "trapezoid": (0.0, 1.0, 1.0, 1.0, 0.0), "triangle": (0.0, 1.0, 0.0)}
 """Weights of the shutter curves that have names, at equal times from opening to closing."""
-MOST_WEIGHTS, LARGEST_WEIGHT = 256, 1e9  # of a shutter curve
+MOST_WEIGHTS, LARGEST_WEIGHT = 256, 1e9  # largest number of weights of a shutter curve, and largest weight
 OF_MIDPOINTS = 'belongs to sequence.sampling = "midpoint", not "endpoint"'
 
 
 def _curve(value: Any) -> Any:
-    """Reject anything but the name of a shutter curve, and a list of weights, one of them above 0."""
+    """Reject any value but the name of a shutter curve, or a list of weights of which one is above 0."""
     value = as_python(value)
     if type(value) is str and value in CURVES:
         return value
@@ -86,7 +86,7 @@ class Sequence(Strict):
 
     @property
     def by_columns(self) -> bool:
-        """True if columns are exposed one after another, not rows."""
+        """True if the shutter exposes columns, not rows, one after another."""
         return self.scan in ("left_to_right", "right_to_left")
 
     @field_validator("readout", mode="before")

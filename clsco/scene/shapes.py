@@ -31,7 +31,7 @@ from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Texture
 
 BACKGROUND_MM = 1e12
 """Distance of surfaces that are infinitely far away: their blur differs from that of infinity by a part in 10^10."""
-ROUNDING = 1e-15  # of a direction's component that a rotation leaves of 0
+ROUNDING = 1e-15  # rounding error of a direction's component that should be 0 after a rotation
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
@@ -60,7 +60,7 @@ class _Object(Textured):
     @classmethod
     def _visible(cls, center: Vector, info: ValidationInfo) -> Vector:
         """Reject a body that ends at or behind the lens."""
-        with suppress(KeyError):  # of a key that was refused
+        with suppress(KeyError):  # a rejected key is missing
             reach = cls._reach(info.data)
             if reach is not None and center[2] + reach <= 0.0:
                 raise fault(IN_FRONT)
@@ -73,7 +73,7 @@ class _Object(Textured):
 
     @property
     def is_background(self) -> bool:
-        """True if the object is behind all others, and no surface in the ground truth."""
+        """True if the object is behind all others; in the ground truth it does not count as a surface."""
         return False
 
 
@@ -175,10 +175,10 @@ class Box(SixSided, _Object):
     def faces(self) -> tuple[Rectangle, ...]:
         """Rectangles named "box front" and so on, which rotate about the center of the box and move with it.
 
-        Faces that are completely behind the lens are omitted, as a scene refuses objects there.
+        Faces that are completely behind the lens are omitted, as a scene rejects objects there.
         """
         x, y, z = self.size
-        # Each is the front turned to its place, so that an image on it is seen from outside.
+        # Each face is the front, rotated to its place, so that an image on the face is seen from outside.
         placed: tuple[tuple[str, tuple[float, float], float, Vector | None], ...] = (
             ("front", (x, y), z, None), ("back", (x, y), z, (0.0, 180.0, 0.0)),
             ("left", (z, y), x, (0.0, 90.0, 0.0)), ("right", (z, y), x, (0.0, -90.0, 0.0)),
@@ -213,7 +213,7 @@ class Cylinder(_Bounded):
     @staticmethod
     def _reach(keys: Mapping[str, Any]) -> float | None:
         axis, row = keys["axis"], depth_row(keys["rotation"])
-        # An axis that leaves the plane of the lens always runs to its front on one side.
+        # One end of an axis that is not parallel to the plane of the lens is always in front of the lens.
         along = abs(sum(a * r for a, r in zip(axis, row, strict=True)))
         return float(keys["radius"]) if along <= ROUNDING * math.hypot(*axis) else None
 
@@ -366,7 +366,7 @@ class DepthMap(_Bounded):
     @field_validator("far")
     @classmethod
     def _beyond_near(cls, value: float | None, info: ValidationInfo) -> float | None:
-        near = info.data.get("near", value)  # missing where it was refused
+        near = info.data.get("near", value)  # missing if it was rejected
         if value is None:
             if near is not None and info.data.get("unit") in ("mm", "m"):
                 raise fault("must be given with near, in units of length", got="nothing")
@@ -379,7 +379,7 @@ class DepthMap(_Bounded):
     @field_validator("baseline")
     @classmethod
     def _of_the_disparity(cls, value: float | None, info: ValidationInfo) -> float | None:
-        unit = info.data.get("unit")  # missing where it was refused
+        unit = info.data.get("unit")  # missing if it was rejected
         if unit == "disparity" and value is None:
             raise fault('must be given with unit = "disparity"', got="nothing")
         if unit not in (None, "disparity") and value is not None:
@@ -422,7 +422,7 @@ SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind fo
 def origin(shape: AnyShape) -> Vector:
     """Origin of an object's own frame, mm: the apex of a cone, (0, 0, distance) of a plane, else the center.
 
-    The object rotates about it, and its bounds are relative to it.
+    The object rotates about its origin, and the object's bounds are relative to the origin.
     """
     if isinstance(shape, Plane):
         return (0.0, 0.0, shape.distance)

@@ -192,9 +192,9 @@ class Psf(Strict):
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
 
     def of_images(self) -> Self:
-        """Copy for images and depth maps, which rays cannot be cast at: occlusion is layered unless it is set.
+        """Copy for images and depth maps, which rays cannot hit: occlusion is "layered" unless set.
 
-        Raises SceneError if it is set to "visibility".
+        Raises SceneError if occlusion is set to "visibility".
         """
         if self.asks_for_rays:
             raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")
@@ -202,7 +202,7 @@ class Psf(Strict):
 
 
 def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
-    """Key of [aperture], the rule that it breaks together with the PSF, and its value; None if both are compatible."""
+    """Key of [aperture] that is incompatible with the PSF, the violated rule, and the key's value; None if all fit."""
     faults: list[tuple[str, str, Any]] = []
     if aperture.shape != "circle":
         faults.append(("shape", f'"{aperture.shape}"', aperture.shape))

@@ -28,13 +28,13 @@ from clsco.scene.sensor import NOISE_SEEDS
 from clsco.scene.text import key_name, shown
 
 RANGE = ("from", "to", "steps")
-DEEPEST = 8  # tables and lists in each other: of a range of velocities of an object, and some to spare
+DEEPEST = 8  # deepest nesting of tables and lists, more than a range of an object's velocities needs
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Scenes of one file, each with a label: its keys and values, in a form valid as a folder name; "" for the only
-    scene of a file.
+    """Scenes of one file, each with a label of the swept keys and their values, which is a valid folder name; "" for
+    the only scene of a file.
     """
 
     labels: tuple[str, ...]
@@ -91,7 +91,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     Keys of [camera], [motion], [sequence], [camera.motion], [object.motion] and [group.motion] may be a list of values,
     or a range { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range
     of vectors. Several such keys give all combinations, the first key of the file changing slowest. Each variant is a
-    separate exposure: its sensor's noise_seed is 1 higher than that of the one before, unless it is swept.
+    separate exposure: the sensor's noise_seed is 1 higher than in the previous variant, unless noise_seed is swept.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep
     if count > MAX_OUTPUTS:
         names = ", ".join(axis.name for axis in axes[:4]) + (f" and {len(axes) - 4} more" if len(axes) > 4 else "")
         faults.append(f"{names}: must give at most {MAX_OUTPUTS} scenes in all; got {count}")
-    if faults:  # faults in the rest of the file are reported too, with the first value of every swept key
+    if faults:  # report also other faults of the file, found with the first value of every swept key
         faults += _faults(mapping, axes, [(0,) * len(axes)])[1]
         raise SceneError(at_most(where, dict.fromkeys(faults)))
     choices = list(product(*(range(len(axis.values)) for axis in axes)))
@@ -183,7 +183,7 @@ def exposed_again(scene: Scene, number: int) -> Scene:
 
 def _listed(value: Any, depth: int = 0) -> Any:
     """A mapping with NumPy values converted to lists and numbers, except textures and depths."""
-    if isinstance(value, Mapping | list) and depth == DEEPEST:  # deeper ones are refused later
+    if isinstance(value, Mapping | list) and depth == DEEPEST:  # deeper nesting is rejected later
         return value
     if isinstance(value, Mapping):
         named = value.items()
@@ -233,7 +233,7 @@ def _at_value(message: str, axes: Sequence[_Axis], choice: tuple[int, ...]) -> s
 
 
 def _with(node: Any, location: Location, value: tuple[Any, ...]) -> Any:
-    """A copy of `node` with the value at `location`, or without that key for an empty tuple; the rest is shared."""
+    """A copy of `node` with another value at `location`, or without that key for (); other parts are not copied."""
     copy = list(node) if isinstance(node, list) else dict(node)
     first: Any = location[0]
     if len(location) > 1:
@@ -246,7 +246,7 @@ def _with(node: Any, location: Location, value: tuple[Any, ...]) -> Any:
 
 
 def _values(name: str, values: Any, faults: list[str]) -> tuple[Any, ...]:
-    """Values of a list or a range; empty, with messages in `faults`, if invalid."""
+    """Values of a list or a range; if it is invalid, () and messages appended to `faults`."""
     if isinstance(values, Mapping):
         return _range(name, values, faults)
     if not 1 <= len(values) <= MAX_OUTPUTS:
@@ -265,7 +265,7 @@ def _values(name: str, values: Any, faults: list[str]) -> tuple[Any, ...]:
 
 
 def _range(name: str, table: Mapping[str, Any], faults: list[str]) -> tuple[Any, ...]:
-    """Values of a range; empty, with messages in `faults`, if invalid."""
+    """Values of a range; if it is invalid, () and messages appended to `faults`."""
     before = len(faults)
     for key in table:
         if key not in RANGE:
@@ -308,7 +308,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def _between(low: float, high: float, step: int, last: int) -> float:
-    """The number after `step` of `last` equal steps, with exact ends; exact integers stay integers."""
+    """The number after `step` of `last` equal steps from low to high; ends are exact, and integers stay integers."""
     if step == last:
         return high
     if isinstance(low, int) and isinstance(high, int) and (high - low) * step % last == 0:
@@ -317,7 +317,7 @@ def _between(low: float, high: float, step: int, last: int) -> float:
 
 
 def _word(value: Any, *, exact: bool) -> str:
-    """A value in a label: six digits of a float, or all digits."""
+    """A value as part of a label: floats with six digits, or with all digits if `exact`."""
     if isinstance(value, list):
         return "_".join(_word(entry, exact=exact) for entry in value)
     if isinstance(value, float):

@@ -26,7 +26,7 @@ def is_drawn(texture: object) -> bool:
 
 
 def in_layer(source: Any, layer: str | None) -> Input:
-    """An input with the layer that a scene names for it, if it is a file that can have layers."""
+    """An input together with the layer named in the scene, if the input is a file that can have layers."""
     is_file = isinstance(source, str) and not is_drawn(source)
     return LayerInput(source, layer) if layer is not None and is_file else cast("Input", source)
 
@@ -44,7 +44,7 @@ def missing_texture(name: str) -> str:
 
 
 def _one_or_two(value: Any) -> Any:
-    """A number, or a list of one or two, as a tuple."""
+    """A tuple from a number, or from a list of one or two numbers."""
     numbers = as_python(value)
     if isinstance(numbers, int | float) and not isinstance(numbers, bool):
         return (numbers,)
@@ -54,8 +54,8 @@ def _one_or_two(value: Any) -> Any:
 
 
 class _Rule(NamedTuple):
-    """Keys that a mapping takes: texture_size ("", "may", "must"), number of texture_repeats, and keys that rotate or
-    shift the image.
+    """Keys that a mapping accepts: texture_size ("": no, "may": optional, "must": required), number of texture_repeats,
+    and whether the image can be rotated and shifted.
     """
 
     size: Literal["", "may", "must"]
@@ -128,7 +128,7 @@ class Textured(HasInputs, Strict):
         return {key: path for key, path in super().files().items() if key == "depth" or not is_drawn(path)}
 
     def textures(self) -> tuple[Input, ...]:
-        """The one texture of the object, or the six of a cube map."""
+        """The single texture of the object, or the six textures of a cube map."""
         return (self.inputs()["texture"],)
 
     def texture_keys(self) -> dict[str, Any]:
@@ -206,7 +206,7 @@ def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
 
 
 def _unfit(item: Textured, takes: _Rule, where: str) -> Iterator[tuple[str, str, Any]]:
-    """Key, rule and value of each key that a mapping does not take, or requires."""
+    """Key, rule and value of each key that a mapping does not accept, and of each required key that is missing."""
     if takes.size == "must" and item.texture_size is None:
         yield "texture_size", f"must be given with texture_mapping = {where}", None
     if not takes.size and item.texture_size is not None:

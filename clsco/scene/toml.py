@@ -1,4 +1,4 @@
-"""Writer of scenes as TOML text, which is read back to equal scenes."""
+"""Writer of scenes as TOML text; reading the text gives an equal scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def toml_text(table: Mapping[str, Any]) -> str:
 
 
 def _parts(table: Mapping[str, Any], name: str, header: str) -> list[str]:
-    """A table under its header, then each table in it."""
+    """Lines of a table under its header, then those of each nested table."""
     values = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
     parts = ["\n".join(([header] if header else []) + values)]
     for key, value in table.items():

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-TOUCHING = 1e-7  # of the largest bound: what is so near to one is not cut
-FARTHEST = 1e12  # mm, of a background
+TOUCHING = 1e-7  # tolerance of bounds, as a share of the largest bound
+FARTHEST = 1e12  # mm, distance of a background
 
 
 def surface_of(item: Any) -> tuple[Array, Any, tuple[float, float]]:

@@ -22,23 +22,23 @@ from clsco.truth.problem import Array, Problem, make_problem, not_judged
 from clsco.truth.pupils import bend, lens_point
 from clsco.truth.waves import HIDDEN, cells_of, spread_light
 
-NOISE = 1e-3  # standard error of a pixel, of white
-LIGHT_NOISE = 4e-3  # of all light around a small object, in px of white
-REPEATS, FRAME_REPEATS = 16, 4  # independent estimates of a pixel, and of each where all of a frame are traced
-FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first, and rays of a pixel at most
-CELL_RAYS = 16  # of a cell whose light waves spread
-RECORD_RAYS = 2**12  # of a pixel, for a frame's record
-ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # of white, and standard errors: more than both is a deviation
+NOISE = 1e-3  # standard error to reach for a pixel, 1 = white
+LIGHT_NOISE = 4e-3  # standard error to reach for the total light around a small object, in px of white
+REPEATS, FRAME_REPEATS = 16, 4  # independent estimates of a selected pixel; of each pixel if a whole frame is traced
+FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first; largest number of rays of a pixel
+CELL_RAYS = 16  # number of rays of a cell whose light is spread by waves
+RECORD_RAYS = 2**12  # number of rays of a pixel, for the record of a frame
+ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # a deviation exceeds both 0.01 of white and 5 standard errors
 COUNTED_ERRORS = 4.0  # pixels are counted beyond ALLOWED and so many standard errors
 
 
 @dataclass(frozen=True)
 class Row:
-    """Deviations of a class of pixels, or of the pixels of an object.
+    """Deviations of a class of pixels, or of the pixels of an object; 1 = white.
 
-    rms, noise: differences between frame and rays, and noise of the rays, 1 = white; mean: signed; beyond: number of
-    pixels off by more than 0.01 and 4 standard errors; column, row, right, got, errors: position, expected value, value
-    and error of the worst pixel, in standard errors if off by more than 0.01.
+    rms, noise: RMS of the differences between frame and rays, and of the rays' noise; mean: signed mean difference;
+    beyond: number of pixels off by more than 0.01 and 4 standard errors. Of the worst pixel: column, row; right:
+    expected value; got: value in the frame; errors: difference in standard errors, if it exceeds 0.01.
     """
 
     name: str
@@ -61,8 +61,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Light:
-    """Total light around a small object, in px of white: by rays with their standard error, and in the frame; `own`:
-    contribution of the object alone.
+    """Total light around a small object, in px of white. right, error: by rays, and its standard error; got: in the
+    frame; own: contribution of the object alone.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Comparison of a view with rays: rows for classes and objects, light of small objects, and the pixels."""
+    """Comparison of a view with rays: a `Row` per class and per object, light of small objects, and tested pixels."""
 
     classes: tuple[Row, ...]
     objects: tuple[Row, ...]
@@ -94,7 +94,7 @@ class Judgement:
 
     @property
     def dim(self) -> tuple[Light, ...]:
-        """Small objects whose light is off by more than 2 % of their own, 0.01 px of white and 5 standard errors."""
+        """Small objects whose light is off by more than each of: 2 % of `own`, 0.01 px of white, 5 standard errors."""
         return tuple(
             light for light in self.lights
             if abs(light.got - light.right) > max(0.02 * abs(light.own), ALLOWED, ALLOWED_ERRORS * light.error)
@@ -172,9 +172,9 @@ def judge(
     image : ndarray (rows, columns[, channels])
         Linear radiance.
     rays : int
-        Most rays per pixel.
+        Largest number of rays per pixel.
     seconds : float
-        Time after which no more rays are started, without compilation.
+        Time in s after which no more rays are started, not counting compilation.
     seed : int
         Seed of pixels and rays: equal seeds give equal bits, unless the time runs out.
 

@@ -17,7 +17,7 @@ from clsco.truth.images import shade
 from clsco.truth.pupils import bend, lens_point
 
 STEP = np.uint64(0x9E3779B97F4A7C15)
-BLOCK = 64  # rays that are cast together: arrays of them are flat, so that loops over them become vectors
+BLOCK = 64  # number of rays that are cast together, in flat arrays, so that loops over them are vectorized
 # Numbers of each ray: lens point in mm, slope, detector's slopes, lens point in radii, two uniform numbers, and weight.
 LENS, SLOPE, SEEN, POINT, UNIFORM, WEIGHT, RAY = 0, 2, 4, 6, 8, 10, 11
 DEPTH, NUMBER, PLACE, HIT = 0, 1, 2, 5  # numbers of each hit: depth, object or -1, and place in its frame
@@ -289,7 +289,7 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
 
 @njit(cache=True)
 def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type: ignore[no-untyped-def]
-    """Rays through their lens points to points around a point in an object's frame, and their weights."""
+    """Set rays from their lens points to points in a box around a point of an object's frame, and set their weights."""
     p0, p1, p2, p3, p4 = place
     for s in range(count):
         lens, m = moments.lenses[moment[s]], posed[s:]
@@ -310,7 +310,7 @@ def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type
 
 @njit(cache=True, inline="always")
 def _moment(u, column, row, n, quantiles, clock, count):  # type: ignore[no-untyped-def]
-    """Number of the moment for a uniform number at a detector position."""
+    """Number of the moment that a uniform number u selects at a detector position."""
     time = u * (len(quantiles) - 1.0)
     i = min(int(time), len(quantiles) - 2)
     time = quantiles[i] + (time - i) * (quantiles[i + 1] - quantiles[i])
@@ -398,7 +398,7 @@ def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moment
                 _add_light(
                     light, 1.0, hits, rays, moment, count, posed, left_out, channel, scratch, surfaces, moments, optics
                 )
-                if aim >= 0:  # less what is seen without the object
+                if aim >= 0:  # subtract the light seen without the object
                     _meet_all(hits, rays, count, aim, posed, shapes)
                     _add_light(
                         light, -1.0, hits, rays, moment, count, posed, aim, channel, scratch, surfaces, moments, optics

@@ -14,7 +14,7 @@ from clsco.truth.problem import Array, Problem
 CLASSES = ("outline", "focus", "random", "small")
 OUTLINE, FOCUS, RANDOM, SMALL = range(4)
 COUNTS = {OUTLINE: 250, FOCUS: 100, RANDOM: 100, SMALL: 50}
-OF_EACH = 10  # pixels of each object, however small
+OF_EACH = 10  # number of pixels tested for each object, however small
 SMALL_PX, FOCUS_PX, AROUND_PX = 3.0, 0.3, 2.0
 LINE = np.linspace(-1.0, 1.0, 65)
 _Places = tuple[NDArray[Any], NDArray[Any], int, int]
@@ -42,7 +42,7 @@ class Extent:
 
     @property
     def around(self) -> float:
-        """Radius in mm of a ball that contains it."""
+        """Radius in mm of a ball that contains the object."""
         return float(self.half.max() if len(self.places) == 1 else np.linalg.norm(self.half))
 
 
@@ -178,7 +178,7 @@ def _around(problem: Problem, number: int, moment: int, count: int, draw: np.ran
 
 
 def _inside(candidates: list[_Places], label: NDArray[np.int64], rows: int, columns: int) -> Pixels:
-    """Pixels of the frame among positions, without duplicates in a class, up to the class's largest number."""
+    """Candidate pixels that lie in the frame, without duplicates in a class, up to the largest number per class."""
     parts = [
         np.stack([row, column, np.full(len(row), kind), np.full(len(row), item)], axis=-1).astype(np.int64)
         for row, column, kind, item in candidates

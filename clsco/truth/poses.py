@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 TOWARDS = np.diag([1.0, 1.0, -1.0])
-SINES = 32  # of each component of a shake
+SINES = 32  # number of sines in each component of a shake
 
 
 def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
@@ -106,7 +106,7 @@ def motion_at(motion: Any, times: Array, axis_rotation: bool) -> tuple[Array, Ar
     shifts = path_at(moments, np.array([key.position for key in keys], float), *how, times)
     if np.any(angles, axis=0).sum() < 2:
         return rotation_matrix(path_at(moments, angles, *how, times), axis_rotation), shifts
-    # From key to key by the shorter way: each turn is done by the share of a path that is 0 before its key, and then 1.
+    # By the shorter way from key to key: each turn is multiplied by a path that rises from 0 to 1 at its key.
     poses = Rotation.from_matrix(rotation_matrix(angles, axis_rotation))
     turns, found_turn = (poses[:-1].inv() * poses[1:]).as_rotvec(), poses[0]
     shares = path_at(moments, np.tri(len(keys), len(keys) - 1, -1), *how, times)

@@ -16,8 +16,8 @@ from clsco.truth.poses import camera_at, lens_at, poses_at, static_rotation
 from clsco.truth.pupils import Pupil, Wavefront, pupil_of, wavefront_of
 
 Array = NDArray[np.float64]
-MOMENTS = 8192  # of the time between the first opening and the last closing of the shutter
-QUANTILES = 4096  # of the light through a shutter
+MOMENTS = 8192  # number of moments from the first opening to the last closing of the shutter
+QUANTILES = 4096  # number of quantiles of the light through a shutter
 
 
 class Surfaces(NamedTuple):

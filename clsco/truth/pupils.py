@@ -20,7 +20,7 @@ from clsco.inputs.textures import picture_of
 
 Array = NDArray[np.float64]
 ROUND, BLADES, CELLS, GAUSSIAN = range(4)
-MOST_CELLS, ORDER = 512, 6  # a side of an image; of the polynomials of a wavefront
+MOST_CELLS, ORDER = 512, 6  # largest side of an aperture image, cells; highest order of a wavefront's polynomials
 
 
 class Pupil(NamedTuple):

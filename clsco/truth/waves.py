@@ -21,11 +21,11 @@ from clsco.truth.pixels import labels_at, radius_of
 from clsco.truth.problem import Array, Problem
 from clsco.truth.pupils import is_open, path_of
 
-FINE = 4  # places along a side of a cell of the opening
-RADII_PER_UNIT = 4  # spreads for each Q px of R
-FAR, FAR_UNITS, RIM = 30.0, 20.0, 1.2  # reach of the window at least: px and Q, beyond so many R
-TILTED = 0.02  # R per px, from which tilt changes how much light goes through each part of the lens by as much
-HIDDEN = 2e-3  # share of a pixel's light that may come from there, or from where one surface may hide another
+FINE = 4  # number of places along a side of a cell of the opening
+RADII_PER_UNIT = 4  # number of computed spreads per Q px of blur radius
+FAR, FAR_UNITS, RIM = 30.0, 20.0, 1.2  # least reach of the window: FAR px and FAR_UNITS Q, beyond RIM R
+TILTED = 0.02  # change of R per px from which on a surface counts as tilted
+HIDDEN = 2e-3  # largest share of a pixel's light from tilted surfaces, or from places where surfaces may be hidden
 
 
 class Cells(NamedTuple):
@@ -62,7 +62,7 @@ def cells_of(problem: Problem) -> Cells:
     lenses[:, 0] /= parts
     pinhole(depth, label, 0, problem.surfaces, problem.moments._replace(lenses=lenses), problem.optics.numbers)
     label = np.where(label < 0, background, label)
-    near = minimum_filter(depth, 3)  # cells at an outline have the depth of what shines in a part of them
+    near = minimum_filter(depth, 3)  # cells at an outline have the depth of the surface in a part of the cell
     radius = radius_of(problem, np.where(label < 0, near, depth), 0)
     around = 2 * math.ceil(RIM * far * parts + parts) + 1
     last, first = maximum_filter(label, around), minimum_filter(np.where(label < 0, 2**31, label), around)
@@ -76,7 +76,7 @@ def cells_of(problem: Problem) -> Cells:
         moments=problem.moments._replace(lenses=lenses), optics=problem.optics._replace(numbers=numbers)
     )
     filled = np.where(shines, radius, 0.0)
-    inner = minimum_filter(shines, 3)  # differences across an outline to nothing say nothing of the surface
+    inner = minimum_filter(shines, 3)  # excludes differences across an outline to empty cells
     tilted = (np.hypot(*np.gradient(filled)) * parts > TILTED) & inner
     return Cells(parts, window, radius, shines, ((first < last) | tilted) & shines, cell_problem, places)
 
@@ -133,7 +133,7 @@ def _spread(problem: Problem, cells: Cells, wavelength: float, radius: float) ->
     field = np.zeros((count, count), complex)
     amplitude, passed = _amplitude(index, pitch, pupil[0], pupil[2])
     field[np.ix_(index, index)] = amplitude * np.exp(2j * np.pi * waves)
-    mean = np.sinc(np.fft.fftfreq(count))  # what means over cells of the opening leave of the amplitude at a place
+    mean = np.sinc(np.fft.fftfreq(count))  # factor of the amplitude due to averaging over cells of the opening
     light = np.abs(np.fft.fft2(field) / (mean * mean[:, None])) ** 2 / (passed * count**2)
     light += (1.0 - light.sum()) / count**2
     f = np.fft.fftfreq(count, 1.0 / fine)

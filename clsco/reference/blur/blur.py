@@ -22,9 +22,9 @@ from clsco.reference.common.visibility_test import cell_visibility, cut_weights,
 from clsco.reference.trace.trace import Sources, SubpixelSources
 
 Shape = tuple[int, int]
-BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
+BLOCK = 16384  # number of sources processed at a time, so that intermediate results stay in the cache
 TINIEST_OFFSET = 1e-6  # px
-OCCLUDED_BLOCK = 2048  # the same of sources with occluders, which take more memory
+OCCLUDED_BLOCK = 2048  # the same number for sources with occluders, which need more memory
 
 
 def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
@@ -57,8 +57,8 @@ def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array, limb: ArrayLike = Fa
 
 
 def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike) -> tuple[Array, Array]:
-    """Offsets in px, clamped to the geometric blur for waves, that represent the part of the lens that light comes
-    from.
+    """Tap offsets in px, which stand for the lens point that the light passes; for waves, offsets beyond the geometric
+    blur are clamped to it.
     """
     dx, dy = np.asarray(dx, np.float64), np.asarray(dy, np.float64)
     if not psf.diffracted:
@@ -72,8 +72,8 @@ def place_weights(
     psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64],
     subpixel: bool = False,
 ) -> Array:  # fmt: skip
-    """Weights (n,) of taps for sources at positions (2, n), row and column in the frame, px: `PointSpread.weights`, or
-    `subpixel_weights`; if they vary over the frame, blended from four grid positions.
+    """Weights (n,) of taps for sources at positions `place` (2, n), row and column in the frame, px. They are
+    `PointSpread.weights` or `subpixel_weights`; weights that vary over the frame are blended from four grid positions.
 
     dx, dy: px, scalar or (n,); radius: (n,) signed, px.
     """
@@ -95,7 +95,7 @@ def place_weights(
 
 
 def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """An offset, with all offsets of equal weight: by sign changes and swapped axes; alone: only the offset itself."""
+    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); alone: with only itself."""
     if alone:
         span = range(-offset_limit, offset_limit + 1)
         yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
@@ -106,9 +106,9 @@ def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, s
 
 
 def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
-    """Groups of partly hidden sources with nearly equal radii, and so equal taps, and their lens cells.
+    """Groups of partly hidden sources that have nearly equal radii, and so equal taps.
 
-    Yields the numbers of the sources in a group, its part of `visibility`, and its `cell_visibility`.
+    For each group: numbers of the sources, their part of `visibility`, and their `cell_visibility`.
     """
     hidden = np.flatnonzero(visibility.row >= 0)
     hidden = hidden[np.argsort(np.abs(visibility.radius[visibility.row[hidden]]), kind="stable")]
@@ -130,7 +130,7 @@ def _tap_shares(
     place = np.stack([axis.ravel() - guard for axis in np.indices(there.shape)])
     row, column = place
     at = np.flatnonzero(there)
-    at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
+    at = at[np.argsort(size[at], kind="stable")]  # so that the sources of a block have nearly the same taps
     blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
     reaches = [spec.psf.reach(float(size[block[-1]])) for block in blocks]
     groups = [] if sources.visibility is None else _group_by_radius(sources.visibility)
@@ -181,7 +181,7 @@ def _subpixel_tap_shares(
     samples = sub.hit.shape[1]
     pixel, i, j = np.nonzero(sub.hit)
     offset = subpixel_offsets(samples)
-    order = np.argsort(np.abs(sub.radius[sub.hit]), kind="stable")  # a block's sources have the same taps
+    order = np.argsort(np.abs(sub.radius[sub.hit]), kind="stable")  # so that the sources of a block have the same taps
     size = BLOCK if sub.visibility is None else OCCLUDED_BLOCK
     for start in range(0, pixel.size, size):
         block = order[start : start + size]
@@ -256,7 +256,7 @@ def renormalize(
     light_sub = np.zeros(int(sub.hit.sum()))
     for source, _, share in _subpixel_tap_shares(spec, replace(sub, visibility=None), shape, guard):
         np.add.at(light_sub, source, share)
-    # Shares include 1/S^2; what is divided by is the share of the source's own radiance.
+    # Shares include 1/S^2; the divisor must be the share of the source's radiance alone.
     light_sub *= sub.hit.shape[1] ** 2
     scale_sub = np.zeros(sub.hit.shape)
     scale_sub[sub.hit] = np.where(light_sub > 0.0, 1.0 / np.where(light_sub > 0.0, light_sub, 1.0), 0.0)
@@ -266,8 +266,8 @@ def renormalize(
 def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
     """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
 
-    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace their pixels' own, or
-    None; shape: (m, n) of the frame; guard: px. With border = "renormalize" see `renormalize`. Weights are
+    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace the source of their
+    pixel, or None; shape: (m, n) of the frame; guard: px. For border = "renormalize" see `renormalize`. Weights are
     `PointSpread.weights`, and `subpixel_weights` for sub-pixel sources. Validated: energy is conserved, the image of a
     constant frontal plane is constant, the result is linear, and equals direct sums.
     """
@@ -277,7 +277,7 @@ def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape
     color = np.zeros((m * n, sources.radiance.shape[2]))
     radiance = sources.radiance.reshape(-1, color.shape[1])
     for source, target, share in _tap_shares(spec, sources, _whole_sources(sources, sub), shape, guard):
-        color[target] += share[:, None] * radiance[source]  # of one offset, so no target occurs twice
+        color[target] += share[:, None] * radiance[source]  # for a single offset, no target occurs twice
     if sub is not None:
         radiance = sub.radiance[sub.hit]
         for source, target, share in _subpixel_tap_shares(spec, sub, shape, guard):

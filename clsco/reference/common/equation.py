@@ -16,10 +16,10 @@ from clsco.optics.quadrics import PlacedSurface
 from clsco.reference.common.geometry import Array, turned
 from clsco.reference.common.occluder import TINY, Mask
 
-SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
-WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
-TAP_LENS = 1.2  # the same of a point, for the blur
-NEAR_LENS = 1.7  # px: pixels' sources of narrower lenses are near the focus
+SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step with the variance of a box of width 1
+WIDE_LENS = 3.2  # px, blur radius from which on visibility is tested once per tap, not on a grid of lens cells
+TAP_LENS = 1.2  # px, the same limit for point sources in the blur
+NEAR_LENS = 1.7  # px, blur radius below which sources that are whole pixels count as near the focus
 FAR_PLACE, FOCUSED, FAR_RADII = 4.0, 0.1, 3.0  # see `sees_by_cells`
 PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # per lens radius, of a pixel's source in focus: of the disc's variance
 
@@ -81,9 +81,9 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
 
 
 def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
-    """The same for the blur with sharp occluder edges: individual taps from TAP_LENS on, and for sources of whole
-    pixels at any blur, because each tap's view of the lens depends on the position of the light within the pixel;
-    by_cells (N,): sources excepted from this.
+    """Division of the lens for the blur, with sharp occluder edges: a test per tap from TAP_LENS on, and at any blur
+    for sources that are whole pixels, because the view of the lens from a tap depends on the position of the light
+    within the pixel; by_cells (N,): True for sources that keep lens cells.
     """
     wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~by_cells
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
@@ -92,7 +92,7 @@ def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
 
 
 def sees_by_cells(division: Division, place: Array) -> Mask:
-    """True (N,) for pixels that use lens cells however narrow their blur is, because all occluders are far: see
+    """True (N,) for pixels that use lens cells for any blur radius, because all occluders are far, see
     kernels/common/visibility_test.clh. place (N,): smallest image displacement of an occluder, px per lens radius.
     """
     least = np.maximum(FAR_PLACE * np.minimum(division.blur / FOCUSED, 1.0), FAR_RADII * division.blur)
@@ -142,7 +142,7 @@ class Equation:
 
 
 def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, on_surface: bool) -> Equation:
-    """The equation of points on rays (N, 3); on_surface: True if they are on the surface, F = 0."""
+    """The equation of a surface and points on rays (N, 3); on_surface: True if the points are on it, so that F = 0."""
     q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
     p = o * w[:, None] + turned(surface.turn, rays)
     right = lens.radius / cells
@@ -164,7 +164,7 @@ def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """B, C and D = B^2 - C F, which is 0 at the outline, as polynomials in the tap (x, y); (N,) each."""
+    """Coefficients (N,) of B, C and D = B^2 - C F, which is 0 at the outline, as polynomials in the tap (x, y)."""
 
     D: Array
     B_x: Array
@@ -182,7 +182,7 @@ class Slopes:
 
 
 def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
-    """Derivatives of the coefficients by the tap; d: D (N,) at the middle of the lens."""
+    """Derivatives of B, C and D by the tap position; d: D (N,) at the middle of the lens."""
     q, l, k, o, side = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset, e.sign  # noqa: E741
     ways = (ex, gx), (ey, gy) = (e.along_x, e.grow_x), (e.along_y, e.grow_y)
     bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u) + g * (e.linear - k * w)) for u, g in ways)
@@ -199,8 +199,8 @@ def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
     closest.
     """
     root = np.sqrt(np.maximum(d, 0.0))
-    # The outline itself is at sqrt(F / C): half of it keeps its edge from growing endlessly where the line passes the
-    # surface next to the point.
+    # The outline is at v = sqrt(F / C); half of this as the lower bound keeps the edge from growing without limit if
+    # the line passes the surface next to the point.
     passed = np.maximum(np.abs(e.B), 0.5 * np.sqrt(np.maximum(e.C * e.F, 0.0))) / e.C
     v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), passed)
     return np.maximum(np.abs(lens.blur_scale * v), TINY)

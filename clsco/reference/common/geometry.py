@@ -24,11 +24,11 @@ Array = NDArray[np.float64]
 Bounds = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 Filter = Literal["nearest", "bilinear", "bicubic"]
 
-BOUNDS_SLACK = 1e-14  # relative
-NEAREST_INVERSE_DEPTH = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
-FARTHEST_TEXEL = 1e9  # px: texture positions beyond are not distinguished
-SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
-STEEPEST_TILT = 1e6  # 1/px: far beyond where a weight is clamped, and finite on a limb
+BOUNDS_SLACK = 1e-14  # relative tolerance of bounds
+NEAREST_INVERSE_DEPTH = 1e6  # 1/mm; surfaces nearer than 1e-6 mm are ignored
+FARTHEST_TEXEL = 1e9  # px, to which texture positions are clamped
+SMALLEST_RADIUS = 1.0  # px, which replaces smaller blur radii when an offset is divided by the radius
+STEEPEST_TILT = 1e6  # 1/px, limit that keeps tilt finite at a limb, far beyond tilts at which weights are clamped
 
 
 def _product_error(a: Array, b: Array, product: Array) -> Array:
@@ -46,8 +46,8 @@ def _product_error(a: Array, b: Array, product: Array) -> Array:
 def difference_of_products(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike) -> Array:
     """a b - c d without cancellation of the products' rounding errors.
 
-    The four broadcast; the unit is that of a b. The error is at most 1.5 ulp (Jeannerod, Louvet, Muller 2013), apart
-    from one more rounding of the last sum. Validated against exact rational arithmetic.
+    The four arguments broadcast; the unit is that of a b. The error is at most 1.5 ulp (Jeannerod, Louvet, Muller
+    2013), apart from one more rounding of the last sum. Validated against exact rational arithmetic.
     """
     a, b, c, d = (np.asarray(v, dtype=np.float64) for v in (a, b, c, d))
     subtracted = c * d
@@ -147,7 +147,7 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Ar
 
 
 def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """`solve_root` for both roots."""
+    """`solve_root` with both roots of the quadric allowed."""
     return solve_root(surface, bounds, rays, 0)
 
 
@@ -171,7 +171,7 @@ def solve_root(
     plus, minus = both_roots(surface, a, b, root)
     inverse_depth = np.zeros_like(a)
     label = np.zeros(a.shape, dtype=np.uint8)
-    # They differ by 2 sqrt(D) / C: the nearer one first.
+    # The roots differ by 2 sqrt(D) / C: the nearer one first.
     plus_first = (surface.constant > 0.0) | (root == 0.0)
     for first in (True, False):
         number = np.where(plus_first == first, np.uint8(1), np.uint8(2))
@@ -275,8 +275,8 @@ def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """w times the position (..., 3) of the surface point that a ray meets, so without unit: relative to the object's
-    center, in the camera's axes in the reference pose.
+    """Position (..., 3) of the surface points that rays meet, multiplied by w and so without unit, relative to the
+    object's center, in the camera's axes in the reference pose.
 
     rays: (..., 3); w: (...) 1/mm.
     """
@@ -284,7 +284,7 @@ def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """w times the position (..., 3) of the surface point in the reference pose, in the camera frame, without unit.
+    """Position (..., 3) of surface points in the reference pose, in the camera frame, multiplied by w: without unit.
 
     rays: (..., 3); w: (...) 1/mm. The third component is positive if the point was in front of the lens.
     """

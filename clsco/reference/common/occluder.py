@@ -17,7 +17,7 @@ from clsco.reference.common.geometry import Array
 Mask = NDArray[np.bool_]
 
 TINY = 1e-30
-LEAST_WIDTH = 0.001  # square of an edge's width, of what it is without a rim
+LEAST_WIDTH = 0.001  # least ratio of an edge's squared width to that without a rim
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Part:
 
 
 def part_slope(part: Part) -> Array:
-    """Length (N,) of the direction."""
+    """Length (N,) of the direction of a `Part`."""
     return np.asarray(np.hypot(part.x, part.y))
 
 
@@ -150,7 +150,7 @@ def leave_free(free_part: Part, hidden: Part) -> Part:
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """One intersection with the lines to taps: w + v, and the derivatives of v by the tap, (N,) each."""
+    """One intersection of the lines to taps with a surface, at w + v: v and its derivatives by the tap, (N,) each."""
 
     v: Array
     x: Array
@@ -185,7 +185,7 @@ def crossing_part(m: Occluder, at: Crossing, x: Array, y: Array, cut: Cut | None
     for limit, needed in zip(m.limits, m.needed, strict=True):
         part = limit_part(m, limit, at, x, y, cut)
         least = part.where(needed & (part.share < least.share), least)
-    # Behind a point of the surface itself the tilt lets no radiance pass; a step there would only show in rounding.
+    # For the point's own surface, tilt removes the radiance behind it; a step there would only add rounding errors.
     return replace(least, share=np.where((m.f0 == 0) | (at.v > 0), least.share, 0.0))
 
 
@@ -236,13 +236,13 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     if cut is not None:
         x, y = x + m.follows * cut.aside_x, y + m.follows * cut.aside_y
     if m.limits and not m.crossings.any():  # a plane
-        inside = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))  # and the direction in which it gets less
+        inside = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))  # with the direction in which less is hidden
         for h, needed in zip(m.limits, m.needed, strict=True):
             steep = sharpened(m, cut, h[:, 1], h[:, 2])
             outside = 1 - two_boxes((h[:, 0] + h[:, 1] * x + h[:, 2] * y) * steep, h[:, 3])
             inside = leave_free(inside, Part(outside, -h[:, 1], -h[:, 2])).where(needed, inside)
         return Part(inside.share, -inside.x, -inside.y)
-    # At the edge, where h = 0, the root is what is before it.
+    # At the edge h = 0, so that the root equals the terms before it.
     fx, fy, fxx, fxy, fyy = m.f.T
     root = 2 * (m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y + m.root)
     across, down = root * m.h[:, 1] - (fx + 2 * fxx * x + fxy * y), root * m.h[:, 2] - (fy + fxy * x + 2 * fyy * y)
@@ -258,7 +258,7 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     steep = m.soft * sharpened(m, cut, outline.x, outline.y)
     within = soft_step(outline.share * steep / (part_slope(outline) + TINY))
     twice = replace(part.where(part.share <= within, outline), share=part.share * within)
-    # Without any condition left, a surface that is crossed twice is as one that never had any.
+    # Without any remaining condition, a surface with two intersections is treated as an unbounded one.
     return part.where((m.f0 == 0) | (m.crossings == 1), twice.where(np.any(m.needed, axis=0), full))
 
 

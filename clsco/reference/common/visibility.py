@@ -51,16 +51,16 @@ from clsco.reference.common.geometry import (
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all, strip_share
 
 CLEAR, PARTLY, HIDDEN = (np.uint8(state) for state in range(3))
-RIM_MARGIN = 1.5  # cells from the rim of the lens to a circle that cuts none of its taps
-PLANES = (  # of `Visibility`
+RIM_MARGIN = 1.5  # least distance, in cells, from the rim of the lens to a circle that cuts no tap
+PLANES = (  # fields of `Visibility` that are arrays over sources
     "radius", "wide", "point", "x", "y", "lean", "limb", "nearest", "bent", "ray_numbers", "ray_parts", "ray_scale",
     "behind", "near", "part",
 )  # fmt: skip
-SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
+SHARP_EDGE = 2.0  # px, width up to which a blurred outline needs sub-pixel sources
 
 
 def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
-    """Conditions on an intersection: the right nappe, and the bounds."""
+    """Conditions on an intersection with a surface: on the right nappe, and within the bounds."""
     p, e = equation.point, np.stack([equation.right, -equation.right], axis=-1)  # e: mm per cell, right and down
     grow, limits = np.stack([equation.grow_x, equation.grow_y], axis=-1), []
     nappe, o = float(surface.canonical.nappe), surface.offset
@@ -262,7 +262,7 @@ def flatten_limits(
         over_v = sum(u * (far[0] * limit[:, 1 + k] - limit[:, 1] * far[k]) for k, u in ((1, x), (2, y)))
         shift = side * division.cells / lens.blur_scale * over_v / square
         moved = np.abs(shift - division.wide)
-        # Not so far if it moves on a tilted surface, and not at all if that ends at this limit.
+        # By fewer cells if the source moves on a tilted surface, and by none if that surface ends at this limit.
         tilted = base / division.cells
         along = np.hypot(x - tilted * division.gradient[:, 0], y - tilted * division.gradient[:, 1])
         width = division.width * moved * np.minimum(along, slope)
@@ -420,7 +420,7 @@ def check_visibility(
         taps |= {"behind": again == HIDDEN, "near": near, "part": np.broadcast_to(division.part, near.shape)}
         taps = {name: value if name == "rays" else value[partly] for name, value in taps.items()}
     occluders = tuple((mask[partly], occluder.select(mask & partly)) for mask, occluder in hits)
-    # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
+    # Hiding and tilt are combined, as both remove the part of the lens behind a surface seen edge-on.
     leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
     lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
     return state, edge, Visibility(
@@ -442,7 +442,7 @@ def _meet_occluders(
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
     occluders, nearest = [], np.full(points.w.shape, np.inf)
     for k, surface in enumerate(surfaces):
-        # The near one of two roots has nothing of its own surface before it.
+        # The nearer of two roots is not hidden by its own surface.
         if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):
             hides = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
             surface_state, changes, occluder, place = hides

@@ -17,13 +17,13 @@ from clsco.reference.common.geometry import Array, tilt_share
 from clsco.reference.common.occluder import Cut, Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
-MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
-BEYOND = 0.5  # px outside of the rim, of waves and sources that are pixels
-DISC_NODES = 8  # of integrals over the width of a disc (Gauss, Chebyshev)
-LEAST_CELL = 1e-3  # px: width of a cell of the lens that pixels see, at least
-LEAST_PART = 1e-6  # of the light of a tap, of a sheet
-PIXEL_CORNER, PIXELS_CORNER = 0.7072, 1.4143  # px: of a pixel from its middle, and what two differ by at most
-NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide see what those see
+MOST_INWARDS = 0.7  # px, largest inward displacement of a tap along an axis, at the corners of a lens mask
+BEYOND = 0.5  # px outside of the rim to which taps farther out are moved, for waves and sources that are whole pixels
+DISC_NODES = 8  # number of nodes of integrals over the width of a disc (Gauss, Chebyshev)
+LEAST_CELL = 1e-3  # px, least width of a lens cell for sources that are whole pixels
+LEAST_PART = 1e-6  # share of a tap's light below which a sheet is ignored
+PIXEL_CORNER, PIXELS_CORNER = 0.7072, 1.4143  # px, distance of a pixel's corner from its middle, and twice this
+NARROW_MIDDLE = 7  # px along an axis; farther taps of a lens that is not wide see the same as taps at this distance
 
 
 def bend_visibility(visibility: Visibility, shape: Array) -> Visibility:
@@ -126,7 +126,7 @@ def response(t: Array, width: Array) -> Array:
 
 
 def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """The same for cells x, y (M,) of narrow lenses, times the tilt of surfaces that partly face away.
+    """Visible fraction (M,) of cells x, y (M,) of narrow lenses, times the tilt of surfaces that partly face away.
 
     A round edge at the distance s from the middle of a cell leaves a part whose mean is (s - 1/2) / 2 from the middle.
     """

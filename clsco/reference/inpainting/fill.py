@@ -139,10 +139,10 @@ def _nearest_known(known: Mask) -> tuple[Pixels, Pixels]:
 
 
 def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, Pixels]:
-    """Linear interpolation along each row between the nearest known pixels; a mask of where both exist; and the left
-    one's column.
+    """Linear interpolation along each row between the nearest known pixels on both sides, a mask of pixels that have
+    both, and the column of the left one.
 
-    far: use only the farther one if the other is nearer by more than the slack.
+    far: True to use only the farther known pixel if the other one is nearer by more than the slack.
     """
     left, right = _nearest_known(known)
     enclosed = (left >= 0) & (right < known.shape[1])
@@ -237,7 +237,7 @@ def fill_objects(
     if method == "mean_median" and holes.any():
         median_wins = score_mean_median(values[..., :-1], known, score_scale(brightest)).median_wins()
     while method != "none" and holes.any():
-        # Fewer neighbors will do where the filling would stall, and then (0) nearer ones.
+        # A stalled filling accepts fewer neighbors, and then (0) nearer ones.
         for minimum in range(1 if method == "ait" else CHAPTER5.minimum, -1 if far else 0, -1):
             within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
             if method == "ait":

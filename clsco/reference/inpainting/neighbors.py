@@ -1,4 +1,4 @@
-"""The eight neighbors of a pixel, which missing pixels are filled from."""
+"""The eight neighbors of a pixel, from which a missing pixel is filled."""
 
 from __future__ import annotations
 

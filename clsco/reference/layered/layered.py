@@ -23,13 +23,13 @@ Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 
-NEVER = 1 << 24  # beyond the last pixel of any frame
-TENT = (0.125, 0.375, 0.375, 0.125)  # of a coarse pixel, over 4 fine ones per axis
-GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
+NEVER = 1 << 24  # an index beyond the last pixel of any frame
+TENT = (0.125, 0.375, 0.375, 0.125)  # weights of a coarse pixel for 4 fine pixels per axis
+GROWTH = 4.0  # a coarse pixel counts as fully known once 1 / GROWTH of its tent is known
 
 
 def _bin(coc: Array, low: float, bins: int) -> Integers:
-    """Bin number of a radius."""
+    """Bin numbers of signed radii `coc`, px."""
     return np.clip(np.floor((coc - low) / LAYER_BIN), 0, bins - 1).astype(np.int64)
 
 
@@ -77,7 +77,7 @@ def seed_hidden(coc: Array, layer: Labels) -> Labels:
 
 
 def column_seeds(seed: Labels) -> Integers:
-    """Row offsets (H, W) to the nearest seed of the same column, NO_SEED for none; of two the upper one."""
+    """Row offsets (H, W) to the nearest seed in the same column, the upper one of two; NO_SEED if there is none."""
     rows = np.arange(len(seed))[:, None]
     above = np.maximum.accumulate(np.where(seed > 0, rows, -NEVER), axis=0) - rows
     below = np.minimum.accumulate(np.where(seed > 0, rows, NEVER)[::-1], axis=0)[::-1] - rows
@@ -144,7 +144,7 @@ def _between(coarse: Array, count: int, axis: int) -> Array:
 
 
 def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
-    """Means (H, W, C + 1) of a coarser level around each pixel of the finer one, and a mask of where they exist."""
+    """Means (H, W, C + 1) of a coarser level around each pixel of a finer level, and a mask of pixels that have one."""
     known = coarse[..., -1:]
     sums = _between(_between(np.concatenate([coarse[..., :-1] * known, known], axis=-1), shape[0], 0), shape[1], 1)
     share = sums[..., -1:]
@@ -176,7 +176,7 @@ def take_depth_layer(
 
 
 def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
-    """Keep only the sources near edges, or only the others. edge: (H, W) from `reach_hidden`."""
+    """Keep only the sources near edges (`near_edges` is True), or only the others. edge: (H, W) from `reach_hidden`."""
     return replace(sources, lit=sources.lit & (edge == near_edges))
 
 

@@ -17,7 +17,7 @@ from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poiss
 
 def photoelectrons(light: Floats, scale: Floats) -> Floats:
     """Mean photoelectrons of pixels, without dark electrons; negative light and NaN count as 0."""
-    with np.errstate(over="ignore", invalid="ignore"):  # there pixels are full
+    with np.errstate(over="ignore", invalid="ignore"):  # pixels with overflow are full
         return np.where(light > 0, light * scale, np.float32(0.0))
 
 

@@ -48,7 +48,7 @@ from clsco.reference.trace.mapping import (
 )
 from clsco.scene.model import Camera
 
-GAUSS_PLACE = 0.5 / np.sqrt(3.0)  # of two places of equal weight, which give the mean of a cubic
+GAUSS_PLACE = 0.5 / np.sqrt(3.0)  # distance from the middle of the two Gauss nodes, exact for the mean of a cubic
 
 
 def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:

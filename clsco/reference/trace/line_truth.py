@@ -17,7 +17,7 @@ from clsco.reference.trace.truth import SurfaceTruth, Truth, outside_frame, surf
 from clsco.reference.trace.view import Texture
 from clsco.scene.model import Camera, Scene
 
-NEARER = 1.0 + 1e-5  # as in clsco.optics.line_truth: a depth that is nearer by this factor is that of another point
+NEARER = 1.0 + 1e-5  # ratio of depths from which on the nearer one belongs to another point (clsco.optics.line_truth)
 
 
 def line_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:

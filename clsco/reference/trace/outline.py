@@ -27,8 +27,8 @@ from clsco.reference.common.geometry import (
 from clsco.scene.model import Camera
 
 UNMARKED = 255  # the label of cells without sources of their own
-SHARP_OUTLINE = 1.5  # px: blur radius below which squares between pixels are cut there
-LEAST_PART = 1e-6  # of a square, for which an empty cell is a source
+SHARP_OUTLINE = 1.5  # px, blur radius below which squares between pixels are cut at outlines
+LEAST_PART = 1e-6  # least covered share of a square for which an empty cell becomes a source
 Labels = NDArray[np.uint8]
 Index = NDArray[np.intp]
 

@@ -132,7 +132,7 @@ def hidden_by_small(
 
 
 def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Intervals narrowed to where a + 2 b x + c x^2 >= 0, if that is an interval."""
+    """Intervals low..high, narrowed to the x with a + 2 b x + c x^2 >= 0 if these form one interval."""
     square, bent = b * b - a * c, c < 0.0
     root, c = np.sqrt(np.maximum(square, 0.0)), np.where(bent, c, -1.0)
     begin = np.maximum(low, (root - b) / c)
@@ -218,7 +218,7 @@ def outline_plane(surface: PlacedSurface, rays: Array) -> tuple[Array, Array]:
 
 
 def small_depth(surface: PlacedSurface, bounds: Bounds | None, group: OcclusionGroup, rays: Array) -> Array:
-    """The same depth, or the surface's own where bounds cut a curved surface."""
+    """Inverse depth (...) as from `outline_plane`, or that of the surface itself if bounds cut a curved surface."""
     plane, _ = outline_plane(surface, rays)
     if bounds is None or not surface.canonical.q.any():
         return plane

@@ -17,9 +17,9 @@ from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Scene
 
 NO_OBJECT = np.uint8(255)
-SAME_DEPTH = np.float32(1.02)  # relative: neighbors in the reference pose that differ by less are one surface
-EDGE_PX = 1  # px from the frame's edge in the reference pose: beyond that pixel the image goes on outside
-SNAP = 4096  # steps per px: rounding errors far below it cannot move a position across a pixel's edge
+SAME_DEPTH = np.float32(1.02)  # ratio of depths below which neighbors in the reference pose are one surface
+EDGE_PX = 1  # px from the frame's edge in the reference pose, within which a surface continues outside the frame
+SNAP = 4096  # snapping steps per px, so that rounding errors cannot move a position across a pixel's edge
 
 Surfaces = Sequence[PlacedSurface | None]
 Maps = Sequence[Array | None]
@@ -60,7 +60,7 @@ def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array,
     nearest, whose = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], dtype=np.uint8)
     for k, (item, surface, depth) in enumerate(zip(scene.objects, surfaces, maps, strict=True)):
         w = depth if surface is None else solve_quadric(surface, cutting_bounds(item), rays)[0]
-        assert w is not None  # an object is either
+        assert w is not None  # every object is a surface or a depth map
         nearer = w > nearest
         nearest, whose = np.where(nearer, w, nearest), np.where(nearer, np.uint8(k), whose)
     return nearest, whose
@@ -117,18 +117,18 @@ def reproject_winner(
 
 
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
-    """Mask of targets (pixels,) with a winner, and the winner's values (pixels, channels), 0 without one.
+    """Mask (H, W) of pixels with a winner, except those visible only through a gap of a surface that has grown.
 
-    values: (sources, channels).
+    winner, depth: (H, W), winner and inverse depth of each pixel; columns: number of columns of the frame.
     """
     height, width = winner.shape
     known = winner != NO_WINNER
     bound = SAME_DEPTH * depth
 
     def nearer(down: int, right: int) -> NDArray[np.int64]:
-        """Number of the first pixel in this direction that is nearer, -1 for none."""
+        """Number of the first nearer pixel in the direction (down, right), -1 for none."""
         numbers = np.full(winner.shape, -1)
-        for step in range(WIDEST_GAP, 0, -1):  # the last one stays: the first on the way
+        for step in range(WIDEST_GAP, 0, -1):  # the last assignment wins, which is the nearest step
             i, j = (np.arange(n) + step * direction for n, direction in ((height, down), (width, right)))
             inside = ((i >= 0) & (i < height))[:, None] & ((j >= 0) & (j < width))
             at = np.ix_(np.clip(i, 0, height - 1), np.clip(j, 0, width - 1))
