@@ -14,6 +14,7 @@ from clsco.optics.field import SeidelField
 from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes, table_weights
 from clsco.optics.pupils.fourier import FourierDiffracted
+from clsco.optics.pupils.wavefront import Wavefront
 from clsco.reference.spreads import spread_weights
 from clsco.scene.model import Aperture, Camera, Psf
 
@@ -82,6 +83,14 @@ def test_tails_of_coma_point_away_from_the_middle(place: tuple[float, float]) ->
     span, weights = np.arange(-14, 15.0), weights_of(lens(0.4).at(*place), 0.0)
     center = np.array([(weights * span).sum(), (weights * span[:, None]).sum()]) / weights.sum()
     assert center == pytest.approx(0.894 * 2.0 * 0.5 * 0.4 * np.array(place), abs=0.004)
+
+
+def test_rays_pass_occluders_at_finite_places_where_the_image_folds() -> None:
+    folding = Wavefront(coma=(-4.0, 0.0), change=(-0.5, 0.0, 0.0, 0.0, 0.0))
+    at = np.linspace(-1.0, 1.0, 41)
+    x, y = np.meshgrid(at, at)
+    assert folding.grown(x, y).min() == 0.0
+    assert np.isfinite(folding.crossings(x, y)).all()
 
 
 def test_astigmatism_blurs_along_the_way_from_the_middle() -> None:

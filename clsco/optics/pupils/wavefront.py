@@ -15,6 +15,7 @@ import numpy as np
 from clsco.optics.pupils.pupil import Array
 
 ON_RADIUS, ON_CIRCLE = 65, 128  # places that the steepest slope is looked for at; it is on the rim of most terms
+LEAST_AREA = 1e-3  # of the image of a small part, relative to its size without aberrations
 STEP, BESIDE = 1e-4, 1e-3  # of the differences that slopes of polynomials are, and changes of slopes
 
 
@@ -106,7 +107,7 @@ class Wavefront:
         occluder) px: the occluder's image is displaced by the wavefront at its own position.
         """
         xx, xy, yx, yy = self._stretch(x, y)
-        area = xx * yy - xy * yx
+        area = np.maximum(xx * yy - xy * yx, LEAST_AREA)  # no light arrives where the image folds
         return (yy * x - xy * y) / area, (xx * y - yx * x) / area
 
     def _stretch(self, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
