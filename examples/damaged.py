@@ -1,6 +1,6 @@
 """Makes damaged.png and damaged_mask.png: python examples/damaged.py, with scikit-image for the photograph.
 
-It is NASA's portrait of Eileen Collins, in the public domain, with scratches and text over it.
+It is NASA's portrait of Eileen Collins, in the public domain, in 256 colors, with scratches and text over it.
 """
 
 from pathlib import Path
@@ -29,7 +29,7 @@ def main() -> None:
         pen.text(place, words, 255, ImageFont.load_default(25))
     missing = np.asarray(drawn) >= 128
     image[missing] = 255
-    write_png(FOLDER / "damaged.png", image)
+    Image.fromarray(image).quantize(256, dither=Image.Dither.NONE).save(FOLDER / "damaged.png", optimize=True)
     write_png(FOLDER / "damaged_mask.png", np.where(missing, 255, 0).astype(np.uint8))
 
 

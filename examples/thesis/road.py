@@ -1,4 +1,4 @@
-"""Makes road.png, what the camera of fig_4_19.toml sees of the road of fig_4_18.toml: python examples/thesis/road.py.
+"""Makes road.jpg, what the camera of fig_4_19.toml sees of the road of fig_4_18.toml: python examples/thesis/road.py.
 
 The upper camera moves there within a second: it turns by 60 deg about the lens and goes so far that its axis meets the
 road where it did.
@@ -8,9 +8,9 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 import clsco
-from clsco.files.images import write_png
 from clsco.files.transfer import encode
 from clsco.scene.model import Scene
 
@@ -33,7 +33,7 @@ def view() -> Scene:
 def main() -> None:
     frame = clsco.render_frame(view(), truth=("sharp",))
     assert frame.sharp is not None
-    write_png(FOLDER / "road.png", encode(frame.sharp, 8, "linear"))
+    Image.fromarray(encode(frame.sharp, 8, "linear")).save(FOLDER / "road.jpg", quality=85, optimize=True)
 
 
 if __name__ == "__main__":

@@ -304,7 +304,7 @@ def test_figures_have_the_settings_of_the_thesis(path: Path) -> None:
     assert (psf.edge, psf.tilt, psf.silhouette_samples, psf.occlusion) == ("sampled", False, 1, "none")
     assert psf.truncation == 2.0 or psf.model == "pillbox"
     assert scene.image.transfer == "linear"
-    seen_by_another = path.with_name("road.png")  # of the road that figure 4.18 shows in bricks
+    seen_by_another = path.with_name("road.jpg")  # of the road that figure 4.18 shows in bricks
     assert scene.objects[0].texture == (str(seen_by_another) if path.stem == "fig_4_19" else "bricks")
     if scene.objects[0].motion.moves:
         assert scene.sequence.sampling == "endpoint"

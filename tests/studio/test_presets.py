@@ -66,14 +66,14 @@ def test_a_saved_preset_has_its_images_beside_it(session: Document, tmp_path_fac
 
 
 def test_images_of_presets_leave_those_of_others(session: Document) -> None:
-    place = session.root / "images" / "road.png"
+    place = session.root / "images" / "road.jpg"
     place.parent.mkdir()
     shutil.copy(EXAMPLES / "depth_map_image.png", place)
     before = place.read_bytes()
     load_preset(session, "thesis/fig_4_19")
     assert place.read_bytes() == before
     (name,) = {file for item in session.scene.objects for file in item.files().values()}
-    assert Path(name).read_bytes() == (EXAMPLES / "thesis" / "road.png").read_bytes()
+    assert Path(name).read_bytes() == (EXAMPLES / "thesis" / "road.jpg").read_bytes()
 
 
 def test_the_method_of_the_thesis_is_a_switch(session: Document) -> None:
