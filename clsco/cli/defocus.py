@@ -91,11 +91,12 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
 
 
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
-    """Write the color of a frame to one file, in the format of its extension. Raises FileError.
+    """Write the color of a frame to one file, in the format of its extension.
 
-    bits: bits per value of the source image, 8, 16 or 32, limited to what the format holds; a format of floats gets
-    linear float32 if `bits` is 32 or it holds no codes. transfer: curve of the codes; for "srgb", the curve of `color`,
-    if it has one. color: color space of the image and the file.
+    bits: bits per value of the source image, 8, 16 or 32. Codes have as many bits, or the most that the format can
+    hold. A format that can hold floats stores linear float32 instead if `bits` is 32, or if the format holds no codes.
+    transfer: transfer curve of the codes, "srgb" or "linear"; if `color` has a curve, that curve replaces "srgb".
+    color: color space of the image and the file. Raises FileError.
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)

@@ -34,7 +34,7 @@ AT_ONCE = 16  # parts that are read at the same time
 
 @dataclass(frozen=True)
 class DataSet:
-    """A set in a storage. about: entries of the card on how the set was made, if it has been begun."""
+    """A data set in a storage; about: the content of its card (`dataset.json`), {} if the set has none yet."""
 
     storage: Storage
     identity: Identity

@@ -68,8 +68,10 @@ class InputFiles:
         self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
-        """The textures of all objects at the size of the frame: radiance of each file or pattern, multiplied by the
-        light that the aperture transmits. Raises FileError as `clsco.inputs.textures.load_texture`.
+        """The texture of each object, in linear radiance; projected textures have the size of the frame.
+
+        With `aperture.exposure = "area"`, radiance is multiplied by the light that the aperture transmits, relative to
+        an open circle. Raises FileError as `clsco.inputs.textures.load_texture`.
         """
         loaded = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
         if scene.aperture.exposure == "normalized":

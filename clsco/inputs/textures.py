@@ -58,7 +58,7 @@ class Texture:
 
     @cached_property
     def brightest(self) -> float:
-        """Largest radiance, or with negative radiance the range including 0; bounds the magnitude of every value."""
+        """Upper bound of |radiance|: range of all values and 0, which is the largest radiance if none is negative."""
         return max(radiance_span(image) for image in self.images)
 
     @property

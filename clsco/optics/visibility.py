@@ -82,7 +82,10 @@ def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.
 
 
 def _widen(hull: Extent, extents: Sequence[Extent], slack: float) -> Extent:
-    """Hull of extents, widened by a fraction `slack` of their differences."""
+    """`hull` with each bound moved outwards by `slack` times the range of this bound over `extents`.
+
+    A bound that is infinite in any extent is not moved; inverse depths remain at least 0.
+    """
 
     def widen(ends: tuple[float, float], intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
         lows, highs = zip(*intervals, strict=True)

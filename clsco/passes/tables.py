@@ -48,10 +48,11 @@ class TableStore:
     def table(
         self, psf: PointSpread, smallest: float, largest: float, subpixel: int = 0, go_on: Callable[[], object] = tuple
     ) -> PsfTable:
-        """`clsco.optics.psf_tables.psf_table`; shares the arrays of a cached table that includes the range.
+        """`clsco.optics.psf_tables.psf_table`, taken from a cached table if one includes the radii.
 
-        Each PSF has one cached table, which grows up to JOINED_BYTES, and the latest table above this size: so a series
-        of renderings with wide blur does not fill the memory. go_on: called before each block, and may raise.
+        A PSF's cached table of up to JOINED_BYTES is extended to include new radii. Of its larger tables only the
+        latest is cached, so that a series of renderings with wide blur does not fill the memory. A sampled disc has
+        one table for each range of radii instead. go_on: called before each block; its exceptions propagate.
         """
 
         def block(psf: PointSpread, first: int, subpixel: int) -> WeightBlock:

@@ -81,7 +81,11 @@ def messages(error: ValidationError, root: type[BaseModel], place: tuple[str | i
 
 
 def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationError) -> SceneError:
-    """Error for a part of a scene created by itself, `Sphere: radius: rule; got value`; root: the scene's model."""
+    """SceneError for an invalid model that was constructed in Python, such as `Sphere(radius=-1)`.
+
+    Each line is like "Sphere: radius: rule; got value". root: class of the scene's model; model: class that was
+    constructed; error: its faults, as found by pydantic.
+    """
     motion = ("object", 0, "sphere", "motion")
     known: dict[Any, tuple[str | int, ...]] = {ObjectMotion: motion, Keyframe: (*motion, "keyframe", 0)}
     known |= {LensKeyframe: ("lens", "keyframe", 0)}

@@ -323,7 +323,10 @@ class Editor:
         self.revision += 1
 
     def _go(self, steps: list[_Step], others: list[_Step]) -> bool:
-        """Go to the last of some steps, and drop invalid values."""
+        """Undo or redo: go to the last state of `steps`, if any, and append the current one to `others`.
+
+        Discards invalid values. Returns False if `steps` is empty.
+        """
         self.refused, self.faults = {}, {}
         if moved := bool(steps):
             others.append(_Step(self._state, self.scene))

@@ -151,7 +151,11 @@ class Pointer:
         self._preview.inspect(x, y, take, "grab")
 
     def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
-        """Move the dragged object by pixels from its start; the whole drag is one undo step."""
+        """Move the dragged object; all moves of one drag are one undo step.
+
+        across, down: pixels to the right and down since the drag began. is_along: True to move the object along z, else
+        it moves at constant depth. drag: number of the drag, as given to `grab`; calls for other drags are ignored.
+        """
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
             _, held, camera = self._held
             value = held.value(camera, across, down, is_along)

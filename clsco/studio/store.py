@@ -80,7 +80,7 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
 
 
 def _content(path: Path | None) -> Any:
-    """Content of the scene's previous file, {} if it is missing."""
+    """Content of the scene's previous file, {} if it is missing or invalid."""
     try:
         return read_mapping(str(path), ()) if path is not None else {}
     except SceneError:

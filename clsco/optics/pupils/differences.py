@@ -89,11 +89,12 @@ def _hold(radius: Array, tent: bool) -> tuple[Array, Array]:
 
 
 def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y: Array, part: Array) -> Array:
-    """Weights for radius `part` R, which is within SMALL, from the weights for radius R and their sums per column and
-    row.
+    """Weights for the radius `part` times R, |R| = SMALL, from the weights `share` for R.
 
-    Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so along each axis the weight of a blur scaled
-    by s is (1 - s) times a point's plus s times the whole blur's.
+    across, down: sums of `share` over each column and over each row; center_x, center_y: 1 where dx or dy is 0, else 0.
+
+    Within |u| < 1 px, the tents at -1, 0 and 1 are linear for either sign of u. So along each axis, scaling the blur by
+    s gives the weights (1 - s) p + s w, where p are the weights of a point and w those of the unscaled blur.
     """
     remainder = 1.0 - part
     inner = remainder * (center_x * down + center_y * across) + part * share

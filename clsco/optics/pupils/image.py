@@ -169,8 +169,10 @@ def _powers(t: Array, order: int) -> Sequence[Array | float]:
 
 @lru_cache(maxsize=KEPT)
 def _running_sums(pupil: Image) -> list[list[Array]]:
-    """Sums at the upper left corner of each cell, and of an empty one after the last, by the number of integrations
-    down (0, 1, 2) and across.
+    """Running integrals of the image at the upper left corner of each cell; [i][j]: i times down and j times across.
+
+    i and j are 0, 1 or 2; 0 is the value of the cell itself. Arrays (n + 1, n + 1): an empty row and an empty column
+    of cells follow the last ones.
     """
     cells = np.pad(pupil.image, (0, 1))
     down = [cells, *_integrals(cells, axis=0)]

@@ -182,7 +182,7 @@ class Outline(Pupil):
             yield x, y, *arc.slope(x, y)
 
     def transmission(self, x: Array, y: Array) -> Array:
-        """Transmission from the number of outlines to the left of each point."""
+        """Transmission: 1 where an odd number of outlines lies to the left of a point, else 0."""
         x, y = np.asarray(x, np.float64) * self.squeeze, np.asarray(y, np.float64)
         inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), bool)
         for arc in self.arcs:
