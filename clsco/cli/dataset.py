@@ -150,7 +150,10 @@ def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ..
 
     drawn = load_distribution(distribution, options["overrides"], options["splits"])
     sheet = Path("dry_run.png" if "://" in out else f"{out.rstrip('/')}_dry_run.png")
-    print_dry_run(dry_run(drawn, options["seed"], len(samples), arrays=arrays, sheet_path=sheet))
+    forecast = dry_run(drawn, options["seed"], len(samples), arrays=arrays, sheet_path=sheet)
+    print_dry_run(forecast)
+    if forecast.fails:
+        raise SceneError(f"{distribution}: at least one sample must be possible; got {forecast.looked_at} that failed")
 
 
 def _line(out: str, status: Status) -> str:

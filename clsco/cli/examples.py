@@ -36,13 +36,14 @@ def examples(names: tuple[str, ...], out: Path | None) -> None:
     """List the example files, or copy some: scenes for clsco render, sets/NAME for clsco dataset make, and images with
     their masks for clsco inpaint."""
     from clsco.cli.tables import print_tables, table
-    from clsco.scene.text import shown
+    from clsco.scene.text import meant, shown
 
     with as_file(folder("examples")) as place:
         files = _files(place)
         known = {name: path for name, path in files.items() if not name.startswith(THESIS)}
         if unknown := [name for name in names if name not in files]:
-            raise SceneError(f"examples: must be some of {', '.join(known)}; got {shown(unknown[0])}")
+            hint = meant(unknown[0], files)
+            raise SceneError(f"examples: must be some of {', '.join(known)}; got {shown(unknown[0])}{hint}")
         if out is None:
             listed = {name: files[name] for name in names} if names else known
             rows = [(name, _title(path)) for name, path in listed.items()]

@@ -34,7 +34,8 @@ def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, 
     counts = {split: sum(count for _, count in own) for split, own in by_split.items()}
     samples = range(*card["samples"])
     total = sum(counts.values())
-    first = _describe_sample(storage, identity, [file for own in by_split.values() for file, count in own if count])
+    largest = sorted(by_split, key=lambda split: -counts[split])  # that to learn from
+    first = _describe_sample(storage, identity, [file for split in largest for file, count in by_split[split] if count])
     source = f"distribution {identity.distribution[:16]}, seed {identity.seed}, clsco {identity.version}"
     card["license"] = card.get("license") or "unspecified"
     card |= {

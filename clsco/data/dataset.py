@@ -25,8 +25,9 @@ from clsco.errors import MissingDependencyError, SceneError
 from clsco.files.atomic import raise_file_error
 from clsco.frame.contact_sheet import contact_sheet, split_into_rows
 from clsco.frame.notebook import html_to_show
-from clsco.frame.outputs import ATTRIBUTES
+from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES
 from clsco.frame.views import Picture
+from clsco.scene.text import meant
 
 if TYPE_CHECKING:
     from clsco.data.record import Record
@@ -148,6 +149,8 @@ class Dataset(Sequence[Record]):
         """One record, or for a slice a view. Raises IndexError beyond the end, FileError if a shard is damaged."""
         if isinstance(index, slice):
             return self._view(span=self._span[index])
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index: must be below {len(self)}, the number of samples; got {index}")
         return self._record(self._span[index])
 
     def __iter__(self) -> Iterator[Record]:
@@ -317,11 +320,18 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     if split is not None and split not in files:
         raise SceneError(f"split: must be one of {', '.join(files)}; got {split}")
     chosen = [each for name, listed in files.items() if split in (None, name) for each in listed]
-    names = None if arrays is None else frozenset([arrays] if isinstance(arrays, str) else arrays)
+    names = None if arrays is None else frozenset(map(_in_files, [arrays] if isinstance(arrays, str) else arrays))
     if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ATTRIBUTES):
-        raise SceneError(f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {unknown[0]}")
+        hint = meant(unknown[0], ATTRIBUTES)
+        raise SceneError(f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {unknown[0]}{hint}")
     shards = _Shards(storage.where, data_set.identity.format, sorted(chosen, key=_shard))
     return Dataset(card, shards, names, range(sum(count for _, count in chosen)))
+
+
+def _in_files(name: str) -> str:
+    """Name of an array in files, such as "v01.coc" for "v01.blur_radius"."""
+    prefix, dot, kind = name.rpartition(".")
+    return f"{prefix}{dot}{FILE_NAMES.get(kind, kind)}"
 
 
 def _shard(file: tuple[str, int]) -> tuple[str, str]:

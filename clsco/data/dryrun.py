@@ -47,7 +47,7 @@ class DryRun:
     `splits`: share of each split; `attempts`: number of draws; `failed`: messages of samples that cannot be drawn or
     rendered; `frames`: mean number of frames per sample, over all variants and views. From the rendered samples:
     `bytes`, mean size of a sample by array before compression; `seconds` for the set with one process; `basis`: which
-    samples these come from, or why they are unknown.
+    samples these come from, or why they are unknown. `fails`: True if each sample that was rendered failed.
     """
 
     count: int
@@ -62,6 +62,7 @@ class DryRun:
     seconds: float | None
     basis: str
     sheet: Path | None
+    fails: bool
 
 
 def dry_run(
@@ -82,6 +83,7 @@ def dry_run(
         raise SceneError(failed)
     frames = [len(s.scenes) * s.scenes[0].sequence.frames * len(views(s.scenes[0])) for s in samples]
     parameters, measures = _summaries(samples), _measures(samples)
+    drawn = len(failed)
     records, seconds, basis = _render(samples[:MOST_RENDERED], seed, arrays, failed)
     if sheet_path is not None and records:
         write_png(sheet_path, record_sheet(records))
@@ -98,25 +100,28 @@ def dry_run(
         seconds=fmean(seconds[1:] or seconds) * count if seconds else None,  # the first one is compiled for
         basis=basis,
         sheet=sheet_path if records else None,
+        fails=len(failed) > drawn and not records,
     )
 
 
 def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:
-    """Summaries of all parameters; objects of a population are summarized together."""
+    """Summaries of all parameters; objects of a population are summarized together, components of vectors apart."""
     values: dict[str, list[Any]] = {}
     for sample in samples:
         for name, value in sample.parameters.items():
-            values.setdefault(_MEMBER.sub(r"\1", name), []).append(value)
+            own = _MEMBER.sub(r"\1", name)
+            for k, each in enumerate(value) if isinstance(value, list) else [(None, value)]:
+                values.setdefault(own if k is None else f"{own}[{k}]", []).append(each)
     return tuple(_summary(name, own) for name, own in values.items())
 
 
 def _summary(name: str, values: list[Any]) -> Summary:
-    numbers = [each for value in values for each in (value if isinstance(value, list) else [value])]
-    if all(isinstance(number, int | float) for number in numbers):
-        return Summary(name, min(numbers), fmean(numbers), max(numbers), "")
+    if all(isinstance(value, int | float) for value in values):
+        return Summary(name, min(values), fmean(values), max(values), "")
     counts = Counter(map(str, values))
     listed = ", ".join(f"{text}: {n / len(values):.1%}" for text, n in sorted(counts.items()))
-    return Summary(name, None, None, None, listed if len(counts) <= VALUES else f"{len(counts)} values")
+    short = len(counts) <= VALUES and not any(isinstance(value, dict) for value in values)
+    return Summary(name, None, None, None, listed if short else f"{len(counts)} values")
 
 
 def _measures(samples: Sequence[Sample]) -> tuple[Summary, ...]:

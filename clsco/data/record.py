@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
+from clsco.errors import SceneError
 from clsco.files.color import exr_color
-from clsco.files.images import save_image, write_npz
+from clsco.files.images import WRITERS, save_image, write_npz
 from clsco.files.ranges import check_values
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import Frame
@@ -101,8 +102,10 @@ class Record(Mapping[str, NDArray[Any]]):
         ------
         KeyError
             The record has no such array.
+        SceneError
+            The array is no image, such as "depth".
         """
-        return codes_to_show(self.radiance(name))
+        return codes_to_show(self._light(name))
 
     def save(self, path: str | os.PathLike[str], name: str = "color") -> None:
         """Write one image, or all arrays, to a file.
@@ -119,6 +122,8 @@ class Record(Mapping[str, NDArray[Any]]):
         ------
         KeyError
             The record has no such array.
+        SceneError
+            The array is no image, and the format stores codes.
         FileError
             The extension is another one, the extra that the format needs is missing, or the file cannot be written.
         """
@@ -127,7 +132,9 @@ class Record(Mapping[str, NDArray[Any]]):
         else:
             prefix = name.removesuffix(name.rpartition(".")[2])
             known = [each.get("chromaticities", ()) for each in self.meta["frames"] if each["prefix"] == prefix]
-            save_image(path, self.radiance(name), color=exr_color(next(iter(known), ())))
+            writer = WRITERS.get(Path(path).suffix.lower())
+            values = self.radiance(name) if writer is None or writer.floats else self._light(name)
+            save_image(path, values, color=exr_color(next(iter(known), ())))
 
     def pictures(self) -> dict[str, NDArray[np.float32]]:
         """Linear radiance of each image of the record, by its name."""
@@ -149,6 +156,13 @@ class Record(Mapping[str, NDArray[Any]]):
         ndarray of float32, (rows, columns[, 3])
         """
         return decode(self[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
+
+    def _light(self, name: str) -> NDArray[np.float32]:
+        """`radiance` of what codes can show: an image. Raises SceneError for other arrays."""
+        radiance = self.radiance(name)
+        if name.rpartition(".")[2] not in PICTURES:
+            raise SceneError(f"name: must be an image, {' or '.join(PICTURES)}; got {name}, which is no light")
+        return radiance
 
     def sha256(self) -> dict[str, str]:
         """SHA-256 of each array's dtype, shape and bytes, which do not depend on the format."""

@@ -161,7 +161,7 @@ def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
         return {}
     data_set = open_set(storage)
     if not resumes:
-        raise SceneError(f"{where}: must hold no data set, unless that is resumed; got one")
+        raise SceneError(f"{where}: must hold no data set, unless it is continued with resume; got one")
     faults = data_set.identity.differences(new.identity.record())
     if data_set.samples.stop > new.samples.stop:
         faults.append(f"count must be at least {data_set.samples.stop}, as in the set; got {new.samples.stop}")

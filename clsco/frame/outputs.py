@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from clsco.errors import SceneError
+from clsco.scene.text import meant
 
 Group = Literal["always", "motion", "surfaces", "stereo", "readout", "lens", "sensor", "image"]
 
@@ -137,9 +138,7 @@ def attributes_of(names: str | Iterable[str], known: Sequence[str]) -> tuple[str
     attributes = [ATTRIBUTES.get(name, name) for name in listed]
     for name, attribute in zip(listed, attributes, strict=True):
         if attribute not in known:
-            from difflib import get_close_matches
-
-            near = get_close_matches(str(name), {*known, *(FILE_NAMES[each] for each in known)}, 1)
-            meant = f" (did you mean {near[0]}?)" if near else ""
-            raise SceneError(f'truth: must be "all" or some of {", ".join(known)}; got {name!r}{meant}')
+            listed = [FILE_NAMES[each] for each in known]
+            hint = meant(name, [*listed, *known])
+            raise SceneError(f'truth: must be "all" or some of {", ".join(listed)}; got {name!r}{hint}')
     return tuple(dict.fromkeys(attributes))

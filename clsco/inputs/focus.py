@@ -20,7 +20,6 @@ from clsco.scene.model import DepthMap, Scene
 from clsco.scene.quantities import MAX_LENGTH_MM, MIN_LENGTH_MM
 
 Array = NDArray[np.float64]
-COARSE_PITCH = 0.1  # mm; a larger pixel pitch is probably a mistake, as pixels of cameras are 0.0005 to 0.03 mm wide
 MOST_POINTS = 2**20  # largest number of pixels from which a quantile of depth is computed
 
 
@@ -49,9 +48,8 @@ def lens_line(scene: Scene, w: Array) -> str:
     if sharp == 0:
         line += f" ({depths}; a pixel or a share of the depths can be focused on)"
     elif sharp == seen.size:
-        line += f" (nothing is blurred by more than a pixel: {depths})"
-    if camera.pixel_pitch > COARSE_PITCH:
-        line += f" (the pixel pitch is {camera.pixel_pitch:g} mm: one of 4.5 um is 0.0045)"
+        lengths = f"focal length {camera.focal_length:g} mm, pixel pitch {camera.pixel_pitch:g} mm"
+        line += f" (nothing is blurred by more than a pixel: {depths}, {lengths}; is the unit of each right?)"
     return line
 
 
@@ -86,6 +84,9 @@ def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
         if not (depths > 0).any():
             raise SceneError("focus: must be on a surface; got nothing in the picture")
         w = float(np.quantile(depths[depths > 0], 1.0 - focus.on, method="nearest"))
+    if w * scene.camera.focal_length >= 1.0:
+        rule = f"focus: must be on a surface beyond the focal length, {scene.camera.focal_length:g} mm"
+        raise SceneError(f"{rule}; got a depth of {1.0 / w:.4g} mm (is it in another unit, such as m?)")
     if w * MAX_LENGTH_MM < 1.0:
         return scene.replace("camera.sensor_distance", scene.camera.focal_length)
     return scene.replace("camera.focus_distance", 1.0 / w)

@@ -35,9 +35,9 @@ def _aperture_mm(data: dict[str, Any]) -> float:
 
 
 def _sensor_distance_mm(data: dict[str, Any]) -> float:
-    """Default of the sensor distance s, mm; 1/s = 1/f - 1/u."""
+    """Default of the sensor distance s, mm: 1/s = 1/f - 1/u, or without u, that of the thesis for its f of 20 mm."""
     f, u = data["focal_length"], data["focus_distance"]
-    return 21.739 if u is None else float(image_distance(f, u))
+    return float(21.739 * f / 20.0 if u is None else image_distance(f, u))
 
 
 def image_distance(f: float, u: float) -> float:
@@ -83,7 +83,7 @@ class Camera(Strict):
     aperture_diameter: Length = Field(default_factory=_aperture_mm)
     """Aperture diameter D, mm. Default 10, or from f_number."""
     sensor_distance: Length = Field(default_factory=_sensor_distance_mm)
-    """Distance s from lens to detector, mm. Default 21.739, or from focus_distance."""
+    """Distance s from lens to detector, mm. Default: from focus_distance, or 1.08695 f, in focus at 12.5 f."""
     normalization_distance: Normalization = Field(default_factory=lambda data: data["focal_length"])
     """Magnification normalization distance s0, mm, or "sensor" for the sensor distance, as in textbooks: x = s0 X / Z.
     Default: focal_length."""

@@ -157,6 +157,8 @@ def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> 
     else:
         keys = [str(field.validation_alias or name) for name, field in root.model_fields.items()]
         known = list(_table_at(sections(root)[loc[0]], loc[1:-1]).model_fields) if len(loc) > 1 else keys
+    if loc == ("vary",):
+        return "belongs to a distribution, from which clsco dataset make draws scenes"
     from difflib import get_close_matches
 
     near = get_close_matches(key[:64], known, n=1)

@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from clsco.scene.arrays import HasInputs, Input, LayerInput, TextureInput
 from clsco.scene.quantities import Angle, Length, Name, Pair, Strict, Within, as_python, fault
+from clsco.scene.text import meant
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 COLOR = re.compile("#[0-9a-fA-F]{6}")
@@ -36,11 +37,8 @@ def missing_texture(name: str) -> str:
     base = PurePath(name).name
     if PurePath(base).suffix:
         return "must be an existing file, a built-in pattern or a color #rrggbb"
-    from difflib import get_close_matches
-
-    near = get_close_matches(base.lower(), BUILT_IN_TEXTURES, n=1)
-    meant = f" (did you mean {near[0]}?)" if near else ""
-    return f"must be one of {', '.join(BUILT_IN_TEXTURES)}, a color #rrggbb, or an image file{meant}"
+    hint = meant(base.lower(), BUILT_IN_TEXTURES)
+    return f"must be one of {', '.join(BUILT_IN_TEXTURES)}, a color #rrggbb, or an image file{hint}"
 
 
 def _one_or_two(value: Any) -> Any:

@@ -131,7 +131,7 @@ def test_a_set_is_gone_on_with_and_grows(place: Path) -> None:
     assert make("-o", "grown", "--count", 6).exit_code == 0
     before = (place / "grown" / "data" / "000000.tar").stat().st_mtime_ns
     assert fault(make("-o", "grown", "--count", 10)) == [
-        f"error: {place}/grown: must hold no data set, unless that is resumed; got one"
+        f"error: {place}/grown: must hold no data set, unless it is continued with resume; got one"
     ]
     (
         place / "grown" / f".work.{open_storage(place).scratch().name.split('.')[2].split('-')[0]}-999999999-0.part"
@@ -162,7 +162,7 @@ def test_a_set_is_gone_on_with_and_grows(place: Path) -> None:
         (["--count", "4", "--part", "3/3"], 2, "must be I/N, with I from 0 to N - 1; got 3/3"),
         (["--count", "4", "--only", "2:5"], 2, "only: must lie within 0:4; got 2:5"),
         (["--count", "4", "--only", "5:2"], 2, "must be A:B, samples A to B - 1 counted from 0; got 5:2"),
-        (["--count", "4", "--truth", "blur"], 2, "some of color, sharp, depth, blur_radius"),
+        (["--count", "4", "--truth", "blur"], 2, "some of color, sharp, depth, coc"),
         (["--count", "4", "--device", "nosuch"], 3, "error: device: must be a part of the name"),
         (["--count", "4", "--split", "log=0.5,test=0.5"], 1, "error: split: names must be others than manifest, log"),
         (["--count", "4", "--scheduler", "tcp://h:1", "--workers", "2"], 2, "--scheduler: its workers have devices"),

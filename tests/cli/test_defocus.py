@@ -196,7 +196,7 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
         ([image, depth, "-o", tmp_path / "a", "--focus-depth", "1.5"], 2, "1.5 is not in the range 0.0<=x<=1.0"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-depth", "0.5"], 2, "without --focus-depth"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-distance", "250"], 2, "got both"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focal-length", "400"], 1, "greater than focal_l"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focal-length", "400"], 1, "beyond the focal length, 400 mm; got a depth of 251 mm"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--unit", "coc", "--scale", "0.1"], 1,
          'image.png: focus: depths must be known; got unit = "coc"'),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--set", "camera.focus_distance=[250, 300]"], 1,

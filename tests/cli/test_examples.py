@@ -43,7 +43,8 @@ def test_what_cannot_be(tmp_path: Path) -> None:
     assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr == f"error: {tmp_path}/sphere.toml: must not be there, or be the same file; got another one\n"
     assert (tmp_path / "sphere.toml").read_text() == "other"
-    result = examples("nothing", "-o", tmp_path)
+    result = examples("spere", "-o", tmp_path)
     assert result.exit_code == 1
     assert result.stderr.startswith("error: examples: must be some of background, bowl")
+    assert result.stderr.endswith('got "spere" (did you mean sphere?)\n')
     assert examples("-o", tmp_path).exit_code == 2

@@ -51,7 +51,7 @@ def test_a_conversion_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert sorted(each.name for each in (tmp_path / "out/manifest").iterdir()) == ["000000.jsonl"]
     monkeypatch.undo()
     run = convert(source, tmp_path / "out", "npz")
-    assert "must hold no data set, unless that is resumed; got one" in run.output
+    assert "must hold no data set, unless it is continued with resume; got one" in run.output
     kept = (tmp_path / "out/manifest/000000.jsonl").stat().st_ino
     assert convert(source, tmp_path / "out", "npz", "--resume").exit_code == 0
     assert contents(tmp_path / "out") == wanted

@@ -140,7 +140,7 @@ def test_other_processes_import_the_function(tmp_path: Path) -> None:
         ({"count": 2, "seed": -1}, "seed: must be an integer between 0 and "),
         ({"count": 2, "shard_size": 2.5}, "shard_size: must be an integer between 1 and 1000000; got 2.5"),
         ({"only": range(0, 4, 2)}, "only: must be a range of numbers from 0 on, one by one; got range(0, 4, 2)"),
-        ({"count": 2, "truth": "blur"}, 'truth: must be "all" or some of color, sharp, depth, blur_radius'),
+        ({"count": 2, "truth": "blur"}, 'truth: must be "all" or some of color, sharp, depth, coc'),
         ({"count": 2, "truth": (), "color": False}, "truth: must name arrays"),
         ({"count": 2, "precision": "half"}, 'precision: must be "double" or "single"; got "half"'),
         ({"count": 2, "types": {"color": "int"}}, "types: color must be one of float32, float16, uint8, uint16"),

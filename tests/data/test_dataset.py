@@ -50,7 +50,7 @@ def test_a_set_is_a_sequence(folder: Path) -> None:
     assert numbers(opened[1:][1:][-2:]) == ORDER[-2:]
     assert len(opened[20:]) == 0
     for index in (9, -10):
-        with pytest.raises(IndexError):
+        with pytest.raises(IndexError, match="must be below"):
             opened[index]
     opened.close()
     assert opened[0].meta["number"] == 0
@@ -60,10 +60,11 @@ def test_splits_and_arrays(folder: Path) -> None:
     assert numbers(clsco.data.open(folder, "train")) == [0, 1, 3, 4, 6, 7, 9]
     some = clsco.data.open(str(folder), split="val", arrays=("depth", "color"))
     assert [list(each.arrays) for each in some] == [["color", "depth"]] * 2
-    assert list(clsco.data.open(folder, arrays="coc")[0].arrays) == ["coc"]
+    for name in ("coc", "blur_radius"):
+        assert list(clsco.data.open(folder, arrays=name)[0].arrays) == ["coc"]
     with pytest.raises(SceneError, match="split: must be one of train, val; got test"):
         clsco.data.open(folder, "test")
-    with pytest.raises(SceneError, match=r"arrays: must be some of color, .*; got colour"):
+    with pytest.raises(SceneError, match=r"arrays: must be some of color, .*; got colour \(did you mean color\?\)"):
         clsco.data.open(folder, arrays=("colour",))
 
 

@@ -126,6 +126,9 @@ def test_a_name_that_a_record_lacks_is_answered_by_those_it_has(tmp_path: Path) 
     for call in (lambda: made["colour"], lambda: made.image("colour"), lambda: made.radiance("colour")):
         with pytest.raises(KeyError, match="record 000000007: must be one of color, depth; got colour"):
             call()
+    for show in (lambda: made.image("depth"), lambda: made.save(tmp_path / "depth.png", "depth")):
+        with pytest.raises(SceneError, match="name: must be an image, color or sharp; got depth"):
+            show()
     made.save(tmp_path / "record.png")
     np.testing.assert_array_equal(read_image(tmp_path / "record.png").data, made["color"])
     made.save(tmp_path / "record.npz")

@@ -131,7 +131,7 @@ def test_a_set_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     assert not check_resumable(wanted, resumes=False)
     wanted.write({"license": "CC0"})
     assert open_set(wanted.storage) == wanted or open_set(wanted.storage).identity == wanted.identity
-    with pytest.raises(SceneError, match="must hold no data set, unless that is resumed; got one"):
+    with pytest.raises(SceneError, match="must hold no data set, unless it is continued with resume; got one"):
         check_resumable(wanted, resumes=False)
     assert check_resumable(wanted, resumes=True)
     assert check_resumable(replace(wanted, samples=range(20)), resumes=True)

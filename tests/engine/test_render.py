@@ -25,7 +25,7 @@ STEREO = clsco.parse_scene(DATA | {"stereo": {"baseline": 10.0}})
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"truth": ["depht"]}, 'truth: must be "all" or some of sharp, depth, blur_radius, '),
+        ({"truth": ["depht"]}, 'truth: must be "all" or some of sharp, depth, coc, '),
         ({"truth": "depths"}, "got 'depths' (did you mean depth?)"),
         ({"truth": "depth,flwo"}, "got 'flwo' (did you mean flow?)"),
         ({"truth": ["color"]}, "got 'color'"),

@@ -17,8 +17,10 @@ CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at 
 FOCUS_AT = "; a pixel or a share of the depths can be focused on)"
 
 
-SHARP = "(nothing is blurred by more than a pixel: depths 250 to {}, focus at 250.017 mm)".format
-COARSE = "(the pixel pitch is 4.5 mm: one of 4.5 um is 0.0045)"
+SHARP = (
+    "(nothing is blurred by more than a pixel: depths 250 to {}, focus at 250.017 mm, focal length 20 mm, "
+    "pixel pitch {} mm; is the unit of each right?)"
+).format
 
 
 @pytest.mark.parametrize(("depths", "camera", "line"), [
@@ -26,10 +28,10 @@ COARSE = "(the pixel pitch is 4.5 mm: one of 4.5 um is 0.0045)"
     ([[200.0] * 199 + [250.0]], CAMERA, "R -10 to 0 px; in focus: under 1 % of the picture"),
     ([[1000.0, 1e13]], CAMERA,
      "R 30 to 40 px; in focus: 0 % of the picture (depths 1000 to infinity, focus at 250.017 mm" + FOCUS_AT),
-    ([[250.0, 251.0]], CAMERA, "R 0 to 0.16 px; in focus: 100 % of the picture " + SHARP(251)),
+    ([[250.0, 251.0]], CAMERA, "R 0 to 0.16 px; in focus: 100 % of the picture " + SHARP(251, 0.01)),
     ([[250.0, 300.0]], Camera(pixel_pitch=4.5),
-     f"R 0 to 0.01 px; in focus: 100 % of the picture {SHARP(300)} {COARSE}"),
-    ([[np.inf, 250.0]], CAMERA, f"R 0 to 0 px; in focus: 50 % of the picture {SHARP(250)}"),
+     f"R 0 to 0.01 px; in focus: 100 % of the picture {SHARP(300, 4.5)}"),
+    ([[np.inf, 250.0]], CAMERA, f"R 0 to 0 px; in focus: 50 % of the picture {SHARP(250, 0.01)}"),
 ])  # fmt: skip
 def test_a_line_says_what_the_lens_does(depths: list[list[float]], camera: Camera, line: str) -> None:
     w = 1.0 / np.array(depths)
@@ -88,7 +90,8 @@ def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
     (scene_of(depth_map(depth=np.zeros((48, 64)), unit="coc")), Focus((0, 0)),
      'focus: depths must be known; got unit = "coc", whose radii say what is in focus'),
     (scene_of(depth_map(), camera={"focal_length": 350.0, "sensor_distance": 2000.0}), Focus((0, 0)),
-     "scene: camera.focus_distance: must be greater than focal_length = 350 mm; got 300.0"),
+     "focus: must be on a surface beyond the focal length, 350 mm; got a depth of 300 mm (is it in another unit, such "
+     "as m?)"),
 ])  # fmt: skip
 def test_what_cannot_be_in_focus_is_refused(scene: Scene, focus: Focus, message: str) -> None:
     with pytest.raises(SceneError) as caught:

@@ -64,6 +64,7 @@ def test_the_thesis_camera_focuses_at_a_quarter_of_a_meter() -> None:
     assert camera.focused_distance == pytest.approx(250.0172, abs=1e-4)  # 1 / (1/20 - 1/21.739) mm by hand
     assert Lens.of(camera).blur_scale == 20.0 * 10.0 / (2.0 * 0.01)
     assert float(blur_radius(camera, 1.0 / camera.focused_distance)) == pytest.approx(0.0, abs=1e-10)
+    assert Camera(focal_length=50.0).focused_distance == pytest.approx(2.5 * camera.focused_distance)
     # "Blur at most about 6 px": at 292 mm, 10^4 (1/250.0172 - 1/292) = 5.75 px.
     assert float(blur_radius(camera, 1.0 / 292.0)) == pytest.approx(1e4 * (1 / 250.0172 - 1 / 292.0), abs=1e-4)
 
