@@ -1,8 +1,8 @@
-"""Bounds of an object that really cut its surface: other bounds would only cost time and soften false edges (pure).
+"""Bounds of an object that cut its surface; other bounds would cost time, and soften edges that do not exist (pure).
 
-A surface is Q(p) = p M p + 2 L p + K = 0 in the object's own frame. With all bounds but one removed, the farthest point
-along that bound's axis is a root of Q at which Q is stationary across the axis: inside the other bounds, on their faces
-or on their edges.
+A surface is Q(p) = p M p + 2 L p + K = 0 in the object's own frame. A bound cuts it if the surface within the bounds of
+the other axes extends beyond this bound. The surface ends along an axis at a root of Q where, for each other axis,
+either a bound is reached or Q is stationary along that axis.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-TOUCHING = 1e-7  # of the largest bound: nearer is a touch, as of bounds that were rounded to float32
+TOUCHING = 1e-7  # fraction of the largest bound: passing a bound by less is a touch, such as by rounding to float32
 FAR = 1e3  # multiple of the largest bound, in place of an infinite one
 NULL = 1e-13  # fraction of the largest coefficient that counts as 0
 Interval = tuple[float, float]
@@ -30,7 +30,7 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
     Parameters
     ----------
     rows : tuple of four tuples of four float
-        (M, L; L, K), for mm.
+        Matrix (M, L; L, K) of the surface, for coordinates in mm.
     nappe : int
         Sign required of the third coordinate, 0 for either.
     bounds : tuple of three (low, high)
@@ -39,7 +39,8 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
     Returns
     -------
     tuple of three (low, high), or None
-        Infinite for a bound that the surface, cut by the others, at most touches; None if all are infinite.
+        `bounds`, with infinity for each bound that the surface, cut by the others, at most touches; None if no bound
+        cuts.
 
     Notes
     -----
@@ -66,7 +67,7 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
 def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
     """Candidates for the ends of a surface along an axis, in both directions; infinite where it has no end.
 
-    matrix: (M, L; L, K); box: (3, 2), low and high; it limits the other axes, and finite candidates lie inside it.
+    matrix: (M, L; L, K); box: (3, 2), low and high limit of each axis. Finite candidates lie inside the box.
     """
     order = [axis, *(k for k in range(3) if k != axis), 3]
     m, (axis_interval, *sides) = matrix[np.ix_(order, order)], box[order[:3]]
@@ -75,7 +76,7 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
     if abs(m[0, 0]) <= least and min(slopes) <= least and max(slopes) >= -least:
         yield from (-inf, inf)  # not of second degree along the axis, and somewhere not of first degree either
         return
-    # Each free axis is a linear function of x where Q does not change along it; the others are at an end of the box.
+    # Where Q is stationary along the free axes, these are linear functions of x; other axes are at an end of the box.
     for fixed in product((0, 1, None), repeat=2):
         free = [k + 1 for k, end in enumerate(fixed) if end is None]
         line = np.zeros((4, 2))  # p = line (x, 1)
@@ -86,7 +87,7 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
         if free:
             part = m[np.ix_(free, free)]
             if abs(np.linalg.det(part)) <= (least if len(free) == 1 else least * np.abs(part).max()):
-                continue  # Q is of first degree along a line, which ends at others
+                continue  # Q is linear along some line, whose ends are other cases
             line[free] = -np.linalg.solve(part, (m @ line)[free])
         for x in _roots(line.T @ m @ line):
             at = line @ (x, 1.0)
@@ -96,7 +97,7 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
 
 
 def _roots(form: Matrix) -> Iterator[float]:
-    """Real x with (x, 1) form (x, 1) = 0."""
+    """Real x with (x, 1) form (x, 1) = 0; form: symmetric, (2, 2)."""
     a, b, c = form[0, 0], form[0, 1], form[1, 1]
     discriminant = b * b - a * c
     if discriminant < 0.0:

@@ -1,5 +1,5 @@
-"""PSF weights as integrals along chords: of ellipses in a distorted image, and of lenses, round or with `Borders`, that
-rims cut (float64, pure).
+"""PSF weights as integrals along chords: of blur ellipses in a distorted image, and of lenses that rims cut, which are
+round or have `Borders` (float64, pure).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Circle = tuple[Array, Array, Array]
 DISC = np.array([1.0, 0.0, 1.0])
 """Shape of a disc, see `clsco.optics.ellipses.shape_of`."""
 FLAT = 1.5
-"""Least distance in px from both ends of an opening at which columns can be flat, with FLAT_CHORDS chords."""
+"""Least distance in px from both ends of an opening at which a column may be flat: FLAT_CHORDS chords are enough."""
 UPRIGHT, FAR = 1e-6, 1e6
-"""UPRIGHT: edges whose normal has a smaller |y| are ends of an opening. FAR: a distance beyond all openings, px."""
+"""UPRIGHT: an edge whose normal has a smaller |y| ends the opening. FAR: a distance beyond all openings, px."""
 FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
-"""Numbers of chords: between two columns if flat, and otherwise; and for the area of half an opening."""
+"""Numbers of chords in a column of 1 px that is flat, in one that is not, and for the area of half an opening."""
 
 
 @cache
@@ -45,14 +45,13 @@ def chord_weights(
     dx, dy : ndarray
         Right and down, px; integers, except for a point source.
     radius : ndarray
-        |R| of the disc of the same area, px, above 0; signed with `borders`.
+        |R| of the disc with the area of the blur, px, above 0; with `borders`, R with its sign.
     shape : ndarray of float64, (..., 3)
-        Form of the ellipse, see `clsco.optics.ellipses.shape_of`. All broadcast.
+        Quadratic form of the ellipse, see `clsco.optics.ellipses.shape_of`. All arrays broadcast.
     rims : sequence of (x, y, radius)
-        Circles that the light also passes: x and y of the center, right and down, and the radius in the disc of the
-        same area, px.
+        Circles that the light must also pass: x, y of the center, right and down, and radius for a round blur, px.
     point : bool
-        The source is a point.
+        True if the source is a point instead of a square pixel.
     borders : Borders, optional
         Edges and circles of a lens that is not round.
 
@@ -62,11 +61,11 @@ def chord_weights(
 
     Notes
     -----
-    Lens and rims together are convex, except for holes, whose light is subtracted: a column has one chord, from the
-    last of their beginnings to the first of their ends. Along a chord the integral over both pixels is in closed form;
-    across chords it is weighted by the tent of both pixels, or for a point by the detector's pixel. Sums over pixels
-    differ from 1 by less than 3e-5, with rims from the area of the opening by less than 5e-4. Validated against the
-    integral.
+    The light of holes is subtracted. Without them, the part of a lens inside all rims is convex, so a column has one
+    chord: from the last beginning to the first end of the chords of all borders. Along a chord, the response of both
+    pixels is integrated in closed form; across chords, it is weighted by the convolution of both pixels, a tent, or for
+    a point source by the detector's pixel. Sums over pixels differ from 1 by less than 3e-5; with rims, they differ
+    from the area of the opening by less than 5e-4. Validated against the integral.
 
     Examples
     --------
@@ -89,7 +88,7 @@ def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
 
 
 def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
-    """Light of a convex opening, px^2."""
+    """Light of a convex opening in pixels at (dx, dy), px^2."""
     total = np.zeros(np.broadcast(dx, dy, opening.low).shape)
     below = _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
@@ -107,7 +106,7 @@ def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
 
 
 def open_share(rims: Sequence[Circle], borders: Borders | None = None) -> Array:
-    """Fraction of a round lens's light that passes the lens and all rims, circles in lens radii; to 3e-5."""
+    """Fraction of a round lens's light that passes the lens and all rims, to 3e-5; rims: circles in lens radii."""
     total = np.zeros_like(rims[0][0])
     flat = np.zeros(total.shape, np.bool_)
     for sign, hole in _parts(borders):
@@ -121,13 +120,13 @@ def open_share(rims: Sequence[Circle], borders: Borders | None = None) -> Array:
 
 
 def _stacked(values: NDArray[Any], axes: int) -> Array:
-    """Reshape values to an axis followed by `axes` others."""
+    """Reshape values to an axis followed by `axes` axes of length 1."""
     return values.astype(np.float64).reshape(-1, *[1] * axes)
 
 
 class _Opening:
-    """An opening as a source sees it, in px: a lens, or the part that a hole covers, cut by rims; it is open in columns
-    from `low` to `high`.
+    """Opening of a lens cut by rims, in px around a source; with `hole`, only its part that the hole covers. Columns
+    from `low` to `high` are open.
     """
 
     def __init__(
@@ -156,9 +155,7 @@ class _Opening:
         self.low, self.high = self.low.max(axis=0), np.maximum(high.min(axis=0), self.low.max(axis=0))
 
     def _circle_chords(self, v: Array) -> Iterator[tuple[Array | float, Array | float]]:
-        """Beginning and end in px of the chord of each circle, and between each pair of edges, along the column at v
-        px.
-        """
+        """Beginning and end in px of the chord inside each circle and inside each edge, along the column at v px."""
         for x, y, far, over in self.circles:
             aside = v - x
             half, middle = np.sqrt(np.maximum((far - aside) * (far + aside), 0.0)) * over, y + self.lean * aside
@@ -168,12 +165,12 @@ class _Opening:
             yield np.where(down < 0.0, at, -FAR), np.where(down < 0.0, FAR, at)
 
     def _ends(self, v: Array) -> tuple[Array, Array]:
-        """Beginnings of all chords, and ends of all chords."""
+        """Beginnings (borders, ...) of the chords inside all borders in the column at v px, and their ends."""
         beginnings, ends = zip(*self._circle_chords(v), strict=True)
         return np.stack(np.broadcast_arrays(*beginnings)), np.stack(np.broadcast_arrays(*ends))
 
     def chords(self, v: Array) -> tuple[Array, Array]:
-        """Beginning and end of the opening's chord."""
+        """Beginning and end in px of the opening's chord in the column at v px; equal if there is none."""
         beginning, ending = np.full(v.shape, -FAR), np.full(v.shape, FAR)
         for first, last in self._circle_chords(v):
             beginning, ending = np.maximum(beginning, first), np.minimum(ending, last)
@@ -184,10 +181,9 @@ class _Opening:
     ) -> Iterator[tuple[Array, Array]]:  # fmt: skip
         """Positions (count, ...) of chords from `start` to `end`, and their quadrature weights in px.
 
-        axes: number of axes of the weights, to which a first axis is added.
-
-        Chords grow with the square root of the distance from an end of the opening: where they are not flat, nodes are
-        placed by that root from the nearer end; a column over the middle has nodes from both.
+        axes: number of axes of the weights, to which a first axis is added for chords. Chords grow with the square root
+        of the distance from an end of the opening. So where a column is not `flat`, this root, from the nearer end, is
+        the variable of the quadrature; a column across the middle of the opening is split there.
         """
         middle = 0.5 * (self.low + self.high)
         straddles = ~flat & (start < middle) & (middle < end)
@@ -205,8 +201,8 @@ class _Opening:
             yield v, np.where(flat, (end - start) * even, steep) * (straddles if second else 1.0)
 
     def is_flat(self, column: Array) -> NDArray[np.bool_]:
-        """True if all chords of the column from `column` to 1 px right of it begin on one circle and end on one, away
-        from the ends of the opening.
+        """True if all chords from `column` to 1 px right of it begin on the same border and end on the same border,
+        away from the ends of the opening.
         """
         flat = (column - self.low >= FLAT) & (self.high - column - 1.0 >= FLAT)
         if len(self.circles) + len(self.edges) == 1:
@@ -220,7 +216,7 @@ class _Opening:
 
 
 def _below(t: Array) -> Array:
-    """Integral of the tent of both pixels up to t, minus 1/2."""
+    """Integral of the convolution of both pixels, a tent, up to t, minus 1/2."""
     t = np.clip(t, -1.0, 1.0)
     return t - 0.5 * t * np.abs(t)
 

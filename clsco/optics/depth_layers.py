@@ -17,8 +17,10 @@ MOST_LAYERS = 8
 
 @dataclass(frozen=True)
 class LayerBounds:
-    """Depth layers of one time sample: first bins of the layers after the first; and the distance in px behind an edge
-    within which the hidden surface may be visible.
+    """Depth layers of one time sample.
+
+    bounds: first bin (`bins_of`) of each layer but the first; deep: distance in px behind an edge within which the
+    hidden surface may be visible.
     """
 
     bounds: tuple[int, ...]
@@ -26,7 +28,7 @@ class LayerBounds:
 
 
 def bins_of(largest: float) -> tuple[float, int]:
-    """Lower end in px of the first bin, and the number of bins, for radii within [-largest, largest] px."""
+    """Lower end in px of the first bin of signed radii, and number of bins, for radii within [-largest, largest] px."""
     half = ceil(largest / LAYER_BIN) + 1
     return -half * LAYER_BIN, 2 * half
 
@@ -34,9 +36,9 @@ def bins_of(largest: float) -> tuple[float, int]:
 def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
     """First bins of the depth layers after the first, at most MOST_LAYERS - 1 of them, increasing.
 
-    latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl. From near to far, a discontinuity
-    that no bound splits yet gets one in the middle of its possible range; if this makes too many, the smallest class is
-    dropped.
+    latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl: by size class and by bin of the far
+    side, the first bin behind the near side, 0 without a discontinuity. From near to far, a discontinuity that no bound
+    splits yet gets a bound in the middle of its bins. If there are too many bounds, the smallest class is dropped.
     """
     for smallest in range(DISCONTINUITY_CLASSES):
         bounds: list[int] = []
@@ -51,8 +53,8 @@ def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
 
 
 def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
-    """Distance in px behind an edge within which the hidden surface may be visible: the reach of both sides' blurs
-    together.
+    """Distance in px behind an edge within which the hidden surface may be visible: the sum of the reaches of both
+    sides' blurs.
 
     largest_sum: sum of the |radii| on both sides of a discontinuity, px.
     """
@@ -60,14 +62,12 @@ def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
 
 
 def level_count(deep: int) -> int:
-    """Levels of a pyramid above the finest one, so that a pixel of the last one depends on all pixels up to deep + 1 px
-    away.
-    """
+    """Number of levels of a pyramid above the finest one; pixels of the last level depend on all within deep + 1 px."""
     return (deep + 1).bit_length()
 
 
 def levels_of(rows: int, columns: int, deep: int, planes: int) -> list[tuple[int, int, int]]:
-    """Rows, columns and start in floats of every level of a pyramid with `planes` planes."""
+    """Rows, columns and start in floats of every level of a pyramid with `planes` planes, from the finest level on."""
     levels = [(rows, columns, 0)]
     for _ in range(level_count(deep)):
         start = levels[-1][2] + planes * rows * columns
@@ -82,11 +82,11 @@ def most_deep(psf: PointSpread, largest: float) -> int:
 
 
 def margin_of_layers(psf: PointSpread, largest: float) -> tuple[int, int]:
-    """Rows beyond a strip that may affect it, and a number that its grid's first row must be a multiple of.
+    """Number of rows beyond a strip that may affect it, and a number of which its grid's first row must be a multiple.
 
-    largest: upper bound of |radius|, px. A hidden pixel that contributes to the strip is interpolated between pixels of
-    the pyramid's last level up to three of them away, each of which depends on one more; these must begin as in the
-    whole frame.
+    largest: upper bound of |radius|, px. A hidden pixel that contributes to the strip is interpolated from pixels of
+    the pyramid's last level that are up to three such pixels away, and each of these depends on one more. The pixels of
+    this level must begin at the same rows as in the whole frame.
     """
     step = 1 << level_count(most_deep(psf, largest))
     return table_reach(psf, largest) + 2 + 4 * step, step

@@ -29,7 +29,7 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
 
 
 def _difference(point: Array, valid: NDArray[np.bool_], axis: int) -> Array:
-    """Step from a pixel's point to the neighbor on this axis whose depth differs less; 0 without a neighbor."""
+    """Step along an axis between a pixel's point and the neighbor whose depth differs less; 0 without a neighbor."""
     step = np.diff(point, axis=axis)
     both_valid = np.logical_and(*(np.delete(valid, end, axis=axis) for end in (0, -1)))
     step = np.where(both_valid[..., None], step, np.inf)
@@ -56,7 +56,7 @@ def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
 
     Notes
     -----
-    Of the two neighbors on an axis, the one whose depth differs less is used, so that a normal does not reach across a
+    Of the two neighbors on an axis, the one whose depth differs less is used, so that differences are not across a
     depth discontinuity. Validated on the depths of analytic surfaces.
     """
     point, valid = _points(camera, depth), np.isfinite(depth)
@@ -155,9 +155,9 @@ def map_stereo(
     Returns
     -------
     disparity : ndarray of float32, (rows, columns)
-        px.
+        px: x in the left view minus x in the right view.
     occluded : ndarray of bool, (rows, columns)
-        As `map_occluded`.
+        As by `map_occluded`.
     """
     flow = map_flow(points, points.camera, poses)
     occluded = map_occluded(points, points.camera, poses, opposite)

@@ -14,20 +14,20 @@ from clsco.scene.lens import Lens
 from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
-FOLDED = 1e-9  # in place of the Jacobian's determinant where the image folds back
-NEGLIGIBLE = 1e-30  # of the largest term of a polynomial: less of another one has roots at slopes that no ray has
-LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls below, it is about to fold back
-MOST_STEPS = 30  # of Newton's method
-CLOSE = 1e-14  # slope: by which the last step may change a place
-NEARLY = 1e-7  # slope: a step after one of this size changes a place by its square
-NODES = 64  # positions at which the start is fitted
+FOLDED = 1e-9  # least determinant of the Jacobian: it is smaller where the image folds back
+NEGLIGIBLE = 1e-30  # of a polynomial's largest coefficient: smaller ones only add roots at slopes that no ray has
+LEAST_STRETCH = 0.05  # local scale of the image along some direction below which the image is about to fold back
+MOST_STEPS = 30  # largest number of steps of Newton's method
+CLOSE = 1e-14  # change of slopes by the last step of Newton's method
+NEARLY = 1e-7  # change of slopes after which one more step ends at CLOSE: convergence is quadratic
+NODES = 64  # number of positions at which `Distortion.start` is fitted
 
 
 @dataclass(frozen=True)
 class Distortion:
     """Polynomial distortion of Brown and Conrady, in the direction of OpenCV: from undistorted to distorted slopes.
 
-    With x = X / Z, y = Y / Z, both right and up here, r^2 = x^2 + y^2 and q = 1 + k1 r^2 + k2 r^4 + k3 r^6
+    With x = X / Z to the right, y = Y / Z up, r^2 = x^2 + y^2 and q = 1 + k1 r^2 + k2 r^4 + k3 r^6
 
         x_d = x q + 2 p1 x y + p2 (r^2 + 2 x^2),   y_d = y q + p1 (r^2 + 2 y^2) + 2 p2 x y.
 
@@ -40,9 +40,9 @@ class Distortion:
 
     Notes
     -----
-    This is the gradient of a potential: its Jacobian is symmetric, and has no eigenvalue below min(q, q + 2 r^2
-    dq/dr^2) - 6 |p| r (Weyl). It is one-to-one within the radius up to which that is positive. Beyond `reach`, slightly
-    smaller, it continues linearly, so that points far outside of the frame stay outside.
+    The mapping is the gradient of a potential: its Jacobian is symmetric, and has no eigenvalue below min(q, q + 2 r^2
+    dq/d(r^2)) - 6 |p| r (Weyl). The mapping is one-to-one up to the r at which this bound reaches 0. Beyond `reach`,
+    which is slightly smaller, it is continued linearly, so that points far outside of the frame stay outside.
 
     Examples
     --------
@@ -107,11 +107,11 @@ class Distortion:
         return x * q + along * x + across * squared, y * q + along * y + up * squared
 
     def undistorted(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Undistorted slopes from distorted slopes x and y, which broadcast, by Newton's method from these.
+        """Undistorted slopes from distorted slopes x and y, which broadcast, by Newton's method that starts there.
 
         Notes
         -----
-        Accurate to 1e-14 within `image_reach`; beyond, some slope at `reach`. Validated as the inverse of `image`.
+        Accurate to 1e-14 within `image_reach`; beyond it, the result is a slope at `reach`. Validated against `image`.
         """
         target_x, target_y = np.broadcast_arrays(*(np.asarray(slope, dtype=np.float64) for slope in (x, y)))
         at_x, at_y = target_x.copy(), target_y.copy()
@@ -130,8 +130,9 @@ class Distortion:
         return self.solved(x, y, target_x - across, target_y - up)
 
     def start(self, radius: float) -> Array:
-        """Start of Newton's method on devices: coefficients (START,) of a polynomial in r_d^2, by which distorted
-        slopes up to `radius` are multiplied to give approximate undistorted ones, without the tangential part.
+        """Coefficients (START,) of a polynomial in r_d^2, with which Newton's method starts on devices.
+
+        Distorted slopes up to `radius`, times the polynomial, are nearly undistorted; the tangential part is left out.
         """
         squared = (radius * np.sin(0.25 * np.pi * (2.0 * np.arange(NODES) + 1.0) / NODES)) ** 2
         distorted = np.sqrt(squared)
@@ -167,7 +168,7 @@ class Distortion:
         )
 
     def solved(self, x: Array, y: Array, right: Array, upwards: Array) -> tuple[Array, Array]:
-        """Change of undistorted slopes, at (x, y), for a given change of distorted ones."""
+        """Change of undistorted slopes, at (x, y), for the change (right, upwards) of distorted slopes."""
         xx, xy, yy = self.jacobian(x, y)
         over = 1.0 / (xx * yy - xy * xy)
         return (yy * right - xy * upwards) * over, (xx * upwards - xy * right) * over
@@ -178,7 +179,7 @@ class Distortion:
         return np.asarray(np.sqrt(xx * yy - xy * xy))
 
     def ellipticity(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Largest relative difference between the axes of the image of a small disc and the disc of the same area."""
+        """Relative excess of the longer axis of a small disc's image over the disc of the same area as the image."""
         xx, xy, yy = self.jacobian(x, y)
         size, half = np.sqrt(np.maximum(xx * yy - xy * xy, FOLDED)), np.hypot(0.5 * (xx - yy), xy)
         return np.asarray((0.5 * (xx + yy) + half) / size - 1.0)
@@ -202,7 +203,7 @@ class DistortedCamera(Camera):
 
 
 def with_distortion(camera: Camera, lens: Lens | None) -> Camera:
-    """The camera with the distortion of its lens, if that has any."""
+    """The camera with the distortion of its lens; unchanged if the lens does not distort."""
     distortion = Distortion.of(lens)
     if distortion is None:
         return camera

@@ -11,9 +11,10 @@ Array = NDArray[np.float64]
 
 
 def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
-    """Blur ellipses on rays of slopes x and y, as quadratic forms (..., 3): offsets (dx right, dy down) with q0 dx^2 +
-    2 q1 dx dy + q2 dy^2 <= R^2 are inside, where R is the radius of the disc of the same area. The form is det J times
-    J^-2, with J the Jacobian of the distortion.
+    """Quadratic forms q (..., 3) of blur ellipses on rays of slopes x and y: det(J) J^-2, J the distortion's Jacobian.
+
+    An offset (dx right, dy down) is inside if q0 dx^2 + 2 q1 dx dy + q2 dy^2 <= R^2, with R the radius of the disc of
+    the same area.
     """
     xx, xy, yy = distortion.jacobian(x, y)
     over = 1.0 / (xx * yy - xy * xy)
@@ -21,9 +22,9 @@ def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
 
 
 def across_of(shape: Array) -> Array:
-    """Matrix (..., 3), xx, xy and yy, that maps offsets in ellipses to offsets in discs of the same area: the square
-    root of `shape` (..., 3).
+    """Symmetric matrices (..., 3), as xx, xy and yy, that map offsets in ellipses to offsets in discs of the same area:
+    square roots of the forms `shape` (..., 3).
     """
     xx, xy, yy = np.moveaxis(np.asarray(shape), -1, 0)
-    over = 1.0 / np.sqrt(xx + yy + 2.0)  # of a matrix of determinant 1
+    over = 1.0 / np.sqrt(xx + yy + 2.0)  # closed form of the root of a matrix of determinant 1
     return np.stack([(xx + 1.0) * over, xy * over, (yy + 1.0) * over], axis=-1)

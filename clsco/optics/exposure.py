@@ -2,9 +2,9 @@
 
 Shutter curves, and lines (rows or columns) that are exposed one after another, affect only `frame_exposure`: rendering,
 predictions and reports take times and weights from here. A curve is sampled at the middles of equal intervals of the
-exposure, weighted by the light of each interval: from one sample per px of motion on, this is more accurate than times
-at equal light. If keyframes make an object jump while the shutter is open, an interval ends there; intervals before and
-after it are equal among themselves.
+exposure, weighted by the light of each interval: from one sample per px of motion on, this is more accurate than
+intervals of equal light. If keyframes make an object jump while the shutter is open, an interval ends at the jump;
+intervals between two jumps are equal.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from clsco.scene.model import Scene, Sequence
 from clsco.scene.sequence import CURVES, ShutterCurve
 
 Array = NDArray[np.float64]
-PREDICTED_TIMES = 33  # of the whole sequence at most
-AT_AN_END = 1e-9  # fraction of an exposure: a jump as near to its end counts as at the end
+PREDICTED_TIMES = 33  # largest number of times of the whole sequence
+AT_AN_END = 1e-9  # fraction of an exposure: a jump this near to one of its ends counts as outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     frame : int
     samples : int
         Number N of time samples while a line of the frame is exposed. "midpoint": t = (i + 1/2) T / N after the shutter
-        opens; "endpoint": t = (i + 1) T / N, the thesis, which displaces the image by half an interval.
+        opens; "endpoint": t = (i + 1) T / N, as in the thesis, which displaces the image by half an interval.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     if lines_overlap(scene):
         ends = share_ends((0.0, sequence.readout + shutter), jumps, count)
         passed = curve_integral(curve, (ends[:, None] - opens) / shutter)
-        passed[-1] = 1.0  # for the last line, whatever rounding is
+        passed[-1] = 1.0  # for the last line, in spite of rounding
         weights = _differences(passed)
         return Exposure(begins + 0.5 * (ends[1:] + ends[:-1]), weights, sequence.by_columns)
     count //= len(opens)
@@ -164,9 +164,9 @@ def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
     span : (float, float)
         Beginning and end of the exposure.
     jumps : ndarray of float64, (n,)
-        Jumps inside it, increasing: each piece between two of them has equal intervals, and longer pieces more of them.
+        Jumps inside the exposure, increasing. Intervals between two jumps are equal; longer pieces have more.
     count : int
-        More than n.
+        Number of intervals, more than n.
 
     Returns
     -------
@@ -223,9 +223,7 @@ def frame_lines(scene: Scene) -> int:
 
 
 def line_openings(scene: Scene) -> Array:
-    """Times (lines,) in s after the frame's shutter opens at which its lines open: 0 for the first line, `readout` for
-    the last one.
-    """
+    """Times (lines,) in s after the frame's shutter opens at which its lines open: from 0 to `readout`."""
     sequence, lines = scene.sequence, frame_lines(scene)
     opens = np.linspace(0.0, sequence.readout, lines) if lines > 1 else np.zeros(1)
     return opens[::-1] if sequence.scan in ("bottom_to_top", "right_to_left") else opens
@@ -268,7 +266,7 @@ def curve_integral(curve: ShutterCurve, times: Array) -> Array:
     [0.0, 0.125, 0.5, 1.0]
     """
     weights = np.asarray(CURVES[curve] if isinstance(curve, str) else curve, dtype=np.float64)
-    weights = weights / weights.max()  # the sum of the largest ones is finite, that of the smallest not 0
+    weights = weights / weights.max()  # so that sums of huge weights are finite, and sums of tiny weights not 0
     intervals = len(weights) - 1
     passed = np.concatenate([[0.0], np.cumsum(0.5 * (weights[1:] + weights[:-1]))])
     place = np.clip(times, 0.0, 1.0) * intervals

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from clsco.optics.pupils.wavefront import Wavefront
 
 Array = NDArray[np.float64]
-CELLS_PER_WAVE = 8.0  # from the middle of the frame to the corner
-LEAST_CELLS, MOST_CELLS = 2, 16  # over the same distance
-BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 of blended weights from exact ones with CELLS_PER_WAVE
+CELLS_PER_WAVE = 8.0  # cells from the middle of the frame to its corner, per wave
+LEAST_CELLS, MOST_CELLS = 2, 16  # cells over the same distance
+BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 error of blended weights with CELLS_PER_WAVE: waves, rays
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class SeidelField:
     Attributes
     ----------
     coma : float
-        W131 h rho^3 cos(phi): optical path at the aperture's edge, for the corner, px
+        Coefficient of h rho^3 cos(phi), W131: optical path in px at the aperture's edge, in the corner of the frame
         (`clsco.optics.pupils.wavefront`).
     astigmatism : float
-        W222 h^2 rho^2 cos^2(phi), px.
+        Coefficient of h^2 rho^2 cos^2(phi), W222, px.
     curvature : float
-        W220 h^2 rho^2, px.
+        Coefficient of h^2 rho^2, W220, px.
     waves : float
         Size of the terms in waves of green light, or in px for rays; it decides the number of cells.
     frame : tuple of int
@@ -104,7 +104,7 @@ class SeidelField:
         )  # type: ignore[return-value]
 
     def wavefront(self, axis: Wavefront, hx: float, hy: float) -> Wavefront:
-        """The wavefront at a position, from the wavefront on the axis."""
+        """The wavefront at a position (hx, hy); axis: the wavefront on the axis."""
         bend = (
             self.astigmatism * hx * hx + self.curvature * (hx * hx + hy * hy),
             self.astigmatism * hx * hy,
@@ -115,11 +115,11 @@ class SeidelField:
         return replace(axis, coma=(self.coma * hx, self.coma * hy), bend=bend, change=change)
 
     def slope(self, axis: Wavefront) -> float:
-        """Largest slope of the wavefront at any grid position, px per radius."""
+        """Largest slope of the wavefront at any grid position, px per lens radius; axis: as for `wavefront`."""
         return max(self.wavefront(axis, *node).upright.slope for node in self.nodes)
 
     def blend(self, column: ArrayLike, row: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-        """Numbers of the `nodes` (4, ...) around pixels of the frame, and their blending factors."""
+        """Indices (4, ...) into `nodes` of the four nodes around each pixel, and their blending factors (4, ...)."""
         positions = []
         for place, count, size in zip((column, row), self.cells, self.frame, strict=True):
             at = np.clip(np.asarray(place, np.float64) * (count / max(size - 1, 1)), 0.0, count)

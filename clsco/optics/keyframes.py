@@ -2,9 +2,10 @@
 
 Between two keys a path is a polynomial of degree 3 or less. Orientations are unit quaternions q_k, and their path is
 q(t) = q_0 exp(c_1(t) w_1) ... exp(c_n(t) w_n) with the rotation vectors w_k = log(q_(k-1)^-1 q_k), where c_k is the
-path of numbers that are 0 before key k and 1 from it on (Kim, Kim and Shin, "A general construction scheme for unit
-quaternion curves with simple high order derivatives", SIGGRAPH 1995). With linear paths this is spherical linear
-interpolation; with cubics and B-splines it is as smooth as the path of positions, and passes through the same keys.
+path through the numbers 0 at keys before key k and 1 from key k on (Kim, Kim and Shin, "A general construction scheme
+for unit quaternion curves with simple high order derivatives", SIGGRAPH 1995). With linear paths this is spherical
+linear interpolation; with cubics and B-splines it is as smooth as the path of positions, and passes through the same
+keys.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from clsco.scene.quantities import Vector
 
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
-"""w, x, y, z; z away from the camera, and turns by the right-hand rule about these axes."""
-LOCKED = 1e-12  # of the sine of a turn about y from 1, where turns about x and z are alike: 1e-4 deg
-HALF_TURN = 1e-9  # least |w| of a turn whose direction is known: 1e-7 deg from 180
+"""w, x, y, z; the z axis points away from the camera, and rotations about the axes are by the right-hand rule."""
+LOCKED = 1e-12  # least 1 - |sine| of a rotation about y without gimbal lock: 1e-4 deg from 90 deg
+HALF_TURN = 1e-9  # least |w| of a rotation whose direction is defined: 1e-7 deg from 180 deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ def path_through(times: ArrayLike, values: ArrayLike, interpolation: Interpolati
         continuous, and 0 at the ends. "bspline": a uniform cubic B-spline with the keys as control points; it passes
         through the first and the last.
     outside : {"hold", "linear", "error"}
-        "hold": the value of the first or the last key. "linear", "error": lines with the velocity there.
+        "hold": the value of the first or the last key. "linear", "error": a line with the velocity at that key.
 
     Returns
     -------
@@ -93,7 +94,7 @@ def path_through(times: ArrayLike, values: ArrayLike, interpolation: Interpolati
         pieces[1:-1, 1] = np.diff(v, axis=0) / steps - steps * (2.0 * bends[:-1] + bends[1:]) / 6.0
         pieces[1:-1, 2], pieces[1:-1, 3] = 0.5 * bends[:-1], np.diff(bends, axis=0) / (6.0 * steps)
     else:
-        # On lines beyond the ends, which makes the path begin and end at keys, as fast as to the keys beside.
+        # Control points beyond the ends extend lines: the path begins at a key, with the mean velocity to the next one.
         a, b, c, d = (np.concatenate([[2 * v[0] - v[1]], v, [2 * v[-1] - v[-2]]])[k : k + len(steps)] for k in range(4))
         pieces[1:-1, 0], pieces[1:-1, 1] = (a + 4.0 * b + c) / 6.0, (c - a) / (2.0 * steps)
         pieces[1:-1, 2] = (a - 2.0 * b + c) / (2.0 * steps**2)
@@ -107,7 +108,7 @@ def path_through(times: ArrayLike, values: ArrayLike, interpolation: Interpolati
 def _second_derivatives(steps: Array, values: Array) -> Array:
     """Second derivatives (n, size) of the natural cubic spline at its keys, by elimination (Thomas).
 
-    steps: (n - 1, 1).
+    steps: times between keys, s, (n - 1, 1).
     """
     slopes, bends = np.diff(values, axis=0) / steps, np.zeros_like(values)
     right, diagonal = 6.0 * np.diff(slopes, axis=0), 2.0 * (steps[:-1] + steps[1:])
@@ -219,7 +220,7 @@ def _angles(q: Quaternion, rotation: str) -> Vector:
 
 
 def _exponential(turn: Vector, share: float) -> Quaternion:
-    """Quaternion of a fraction of a rotation vector in rad."""
+    """Quaternion of the fraction `share` of a rotation vector in rad."""
     angle = hypot(*turn)
     half = 0.5 * share * angle
     scale = sin(half) / angle if angle > 0.0 else 0.0

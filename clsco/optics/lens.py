@@ -67,7 +67,7 @@ class Lens:
         real : clsco.Lens, optional
             Differences from a thin lens.
         color : int, optional
-            Red, green or blue light, 0 to 2; by default light for which the focal length is the camera's.
+            0, 1, 2 for red, green, blue light; by default, light for which the focal length is the camera's.
 
         Returns
         -------
@@ -92,16 +92,14 @@ class Lens:
         return self.sag != 0.0 or self.sphere != 0.0
 
     def focus_rise(self, squared_slope: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Derivative of the inverse depth in focus by the ray's slope, divided by that slope, in 1/mm, at squared
-        slopes.
-        """
+        """Derivative (dK/dt) / t of the inverse depth K in focus on rays of slope t, 1/mm; squared_slope: t^2."""
         bend = 1.0 + self.sag * squared_slope
         by_field = 2.0 * self.detector_power * self.sag / (bend * bend)
         return np.asarray(by_field + self.sphere / np.sqrt(1.0 + squared_slope))
 
     def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
-        """The lens for rays of slopes x and y only, including the scale of the distortion there; its attributes become
-        arrays of the shape of x and y.
+        """The lens for rays of slopes x and y only; with distortion, `blur_scale` is an array that includes the local
+        scale of the image.
         """
         if self.distortion is None:
             return self
@@ -127,7 +125,7 @@ class Lens:
         inverse_depth : array_like of float64, any shape
             1/mm.
         squared_slope : array_like of float64, broadcastable
-            Squared slope t^2 = x^2 + y^2 of the ray (x, y, 1), used if the lens is curved.
+            Squared slope t^2 = x^2 + y^2 of the ray (x, y, 1), used if the surface in focus is curved.
 
         Returns
         -------

@@ -18,8 +18,8 @@ from clsco.scene.camera import FollowedDistance
 from clsco.scene.model import Camera, Scene
 from clsco.scene.model import Lens as SceneLens
 
-DENSE = 33  # positions between two keyframes at which the widest aperture is searched
-WIDER = 1.01
+DENSE = 33  # number of times between two keyframes at which the widest aperture is searched
+WIDER = 1.01  # factor that covers apertures between these times
 
 
 def reference_camera(scene: Scene) -> Camera:
@@ -40,8 +40,8 @@ def camera_at(scene: Scene, time: float) -> Camera:
     -------
     Camera
         The scene's camera if its lens does not change. With a zoom, the image scale s0 is proportional to the focal
-        length, or equals the sensor distance if it was not given (then focusing changes it too); focus distance and
-        f-number stay constant without keyframes of their own, so that sensor distance and aperture follow.
+        length; but if the scene does not give s0, it is the sensor distance, which focusing changes as well. Focus
+        distance and f-number without keyframes stay constant: a zoom changes sensor distance and aperture.
 
     Raises
     ------
@@ -98,17 +98,15 @@ def colored(camera: Camera, lens: SceneLens | None, color: int | None) -> Camera
 
 
 def lens_at(scene: Scene, time: float, color: int | None = None) -> Lens:
-    """The lens at a time in s, for all colors or for one, as for `clsco.optics.lens.Lens.of`. Raises SceneError as
-    `camera_at`.
-    """
+    """The lens at a time in s; color: as for `clsco.optics.lens.Lens.of`. Raises SceneError as `camera_at` does."""
     return Lens.of(colored(camera_at(scene, time), scene.lens, color), scene.lens, color)
 
 
 def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
     """The lenses of red, green and blue if they differ, else one for all colors, on the rays of the camera.
 
-    A color with another magnification sees the same surface at another position, with proportional blur. Arguments as
-    for `lens_at`.
+    A color with another magnification shows the same surface at another position, and its blur radius is proportional
+    to the magnification. Arguments as for `lens_at`.
     """
     camera, lens = camera_at(scene, time), scene.lens
     if lens is None or not scene.separates_colors:

@@ -1,9 +1,10 @@
 """Flow and visibility under a rolling shutter, whose lines (rows or columns) have different times (float64, pure).
 
 A surface point p(t), visible in a pixel at its line's time, appears in another frame or view on the line u that is
-exposed as the point crosses it: line(p(t_u)) = u. Newton's method finds u, or a search through all lines if the point
-moves by more than STEEP anywhere; p is linear between the times of neighboring lines, and lines beyond the frame count
-as its first or last one. Where the image moves by a line or more from line to line, there is no flow.
+exposed as the point crosses it: line(p(t_u)) = u. Newton's method finds u; if the point moves by more than STEEP
+between two lines, a search through all lines does. p is interpolated linearly between the times of neighboring lines,
+and lines beyond the frame count as its first or last line. Where the image moves by a line or more from line to line,
+there is no flow.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
-STEPS, CLOSE = 24, 1e-9  # of Newton's method at most, and lines by which the last one may change
-STEEP = 0.5  # lines from line to line: several lines may show points that move by more
-SAMPLED = 64  # points of an object, and lines, that are tested for STEEP
+STEPS, CLOSE = 24, 1e-9  # largest number of Newton's steps, and change in lines at which they end
+STEEP = 0.5  # lines from line to line: a point that moves by more may be on several lines
+SAMPLED = 64  # number of points of an object, and of lines, that are tested for STEEP
 NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor belongs to another point
 
 
@@ -83,9 +84,10 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
 def _first_crossing(
     at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
 ) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """Positions as by `LinePoints._positions`, for points that several lines may show: on the first such line.
+    """Positions and mask as by `LinePoints._positions`, for points that several lines may show, on the first of these.
 
-    at: returns the positions of the points at a line's time, and a mask of points in front of the lens.
+    at: returns the positions of the points at a line's time, and a mask of points in front of the lens; last: number of
+    the last line; axis: index of the coordinate across the lines.
     """
     before, visible_before = at(0)
     start, end, visible = before, before, visible_before
@@ -158,8 +160,8 @@ class LinePoints:
         return flow
 
     def _positions(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, NDArray[np.bool_]]:
-        """Positions (points, 2), column and row, at which lines show points of an object, and a mask of points with
-        one.
+        """Positions (points, 2), column and row, at which the lines `then` show points of object k, and a mask of
+        points that they show; pixels: rows and columns of the points.
         """
         axis, last, (rotations, shifts) = int(not then.by_columns), len(then.times) - 1, then.object_poses(k)
         body, center = self.bodies[pixels], rest_center(self.items[k])
@@ -190,8 +192,8 @@ class LinePoints:
         return positions, valid
 
     def _project(self, point: Array, then: Lines, line: Pixels | int) -> tuple[Array, NDArray[np.bool_]]:
-        """Positions (points, 2) in px, column and row, of points in mm, at the time of one line or each at that of its
-        own, and a mask of points in front of the lens.
+        """Positions (points, 2) in px, column and row, of points (points, 3) in mm, and a mask of points in front of
+        the lens; line: one line for all points, or a line for each.
         """
         before, (rows, columns) = point[:, 2] > 0.0, self.shape
         ahead = np.where(before, point[:, 2], 1.0)
@@ -211,8 +213,7 @@ class LinePoints:
         Returns
         -------
         ndarray of bool, (rows, columns)
-            True if there is no flow, it leads out of the frame, or another point is nearer there at the time of the
-            nearest line.
+            True if there is no flow, if it leads out of the frame, or if another point is nearer there.
         """
         rows, columns = self.shape
         row, column = np.nonzero(self.number >= 0)
@@ -232,7 +233,7 @@ class LinePoints:
         return hidden
 
     def _covered(self, pixels: tuple[Pixels, Pixels], poses: tuple[Pose, ...]) -> NDArray[np.bool_]:
-        """Mask of points that a nearer surface hides in pixels, with objects in these poses."""
+        """Mask (points,) of the points of these pixels that a nearer surface hides, with all objects in `poses`."""
         point, number, nearest = self.bodies[pixels], self.number[pixels], np.zeros(len(pixels[0]))
         for k, (item, pose) in enumerate(zip(self.items, poses, strict=True)):
             mask = number == k

@@ -21,7 +21,7 @@ from clsco.scene.shapes import origin
 Eye = Literal["left", "right"]
 # The thesis turns an object in a frame whose z axis points towards the camera (2.13).
 TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])
-SHAKE_SINES = 32  # of each component of a shake
+SHAKE_SINES = 32  # number of sines in each component of a shake
 EPSILON = float(np.finfo(np.float64).eps)
 
 
@@ -108,7 +108,7 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     to one turn before conversion to radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
     vector instead of its components. With accelerations each Euler angle, or component of the rotation vector, is w t +
     a t^2 / 2 in deg; the vector's axis is constant if the acceleration is along the angular velocity. Between keyframes
-    about a single axis the angle is interpolated, with whole turns; otherwise the orientation.
+    about a single axis, the angle is interpolated, including whole turns; otherwise, the orientation is.
     """
     if not motion.model_fields_set:
         return AT_REST
@@ -172,16 +172,14 @@ def _camera_rotation(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.
 
 
 def _displacement(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
-    """Displacement v t + a t^2 / 2 (3,)."""
+    """Displacement (3,) v t + a t^2 / 2; speed: v; gain: acceleration a, None for 0."""
     displacement = np.asarray(speed, dtype=np.float64) * time
     return displacement if gain is None else displacement + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
 
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """Paths through keyframes: of the shift in mm, and either of the angle in deg about one axis or of the
-    orientation.
-    """
+    """Paths through keyframes: of the shift in mm, and of the rotation, as angles in deg or as an orientation."""
 
     shifts: Path
     turns: Path | Orientations
@@ -202,14 +200,15 @@ def _track(motion: ObjectMotion, rotation: str) -> _Track:
 
 
 def rest_center(item: Object) -> NDArray[np.float64]:
-    """Center of rotation (3,) of an object in its reference pose, mm: the apex of a cone, (0, 0, a) for a plane."""
+    """Center of rotation (3,) of an object in its reference pose, mm, as by `clsco.scene.shapes.origin`."""
     return np.asarray(origin(item), dtype=np.float64)
 
 
 def static_rotation(item: Object) -> NDArray[np.float64]:
-    """Matrix R0 (3, 3) from an object's own frame to the camera's axes in its reference pose, exactly orthonormal for
-    no rotation and for quarter turns: in a `Pose`, a point p of the object's own frame is at center + shift + rotation
-    R0 p.
+    """Matrix R0 (3, 3) from an object's own frame to the camera's axes in its reference pose.
+
+    In a `Pose`, a point p of the object's own frame is at center + shift + rotation R0 p. R0 is exactly orthonormal for
+    no rotation and for quarter turns.
     """
     return np.array(rotation_rows(item.rotation))
 
@@ -230,9 +229,8 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
 
     Notes
     -----
-    A camera moves and rotates about the center of its lens; shake is applied first, in its own axes. The right camera
-    of a stereo pair is `baseline` to the right of the left one, which is the scene's; both are turned inwards by
-    `toe_in`.
+    A camera moves and rotates about the center of its lens; shake is applied first, in the camera's own axes. The left
+    camera of a stereo pair is the scene's; the right one is `baseline` to its right. `toe_in` turns both inwards.
     """
     rig = pose_at(scene.camera.motion, time, scene.motion.rotation)
     if scene.camera.shake is not None:
@@ -263,10 +261,10 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
     Notes
     -----
     Each component of the rotation vector (right, up, backwards) and of the shift (right, up, forwards) is a sum of
-    SHAKE_SINES sines of equal amplitude, one in each of as many equal parts of the frequency band. Frequency within its
-    part, and phase in turns, are numbers n >> 11, times 2^-53, with n from `numpy.random.Philox(key=seed)` (Salmon et
-    al., 2011), component by component and sine by sine. The path's bits depend only on seed and time. Validated: root
-    mean squares over a long time, within 1 %.
+    SHAKE_SINES sines of equal amplitude, one in each of as many equal parts of the frequency band. The frequency's
+    place in its part, and the phase in turns, are 2^-53 (n >> 11), with n from `numpy.random.Philox(key=seed)` (Salmon
+    et al., 2011), component by component and sine by sine. The path's bits depend only on seed and time. Validated:
+    root mean squares over a long time, within 1 %.
 
     Examples
     --------
@@ -279,7 +277,7 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
     amplitudes = [radians(turns)] * 3 + [shifts] * 3
     waves = _shake_waves(shake.seed, shake.band)
     sums = [fsum(sin(2.0 * pi * ((f * time + phase) % 1.0)) for f, phase in sines) for sines in waves]
-    scale = sqrt(2.0 / (3 * SHAKE_SINES))  # of a sine by which three components have the root mean square 1
+    scale = sqrt(2.0 / (3 * SHAKE_SINES))  # of a sine: three components together have an rms of 1
     components = np.array([scale * size * total for size, total in zip(amplitudes, sums, strict=True)])
     return Pose(TOWARDS_CAMERA @ rotation_matrix(components[:3], "axis") @ TOWARDS_CAMERA, components[3:])
 
@@ -367,8 +365,8 @@ def _group_pose(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[
 
 
 def _compose(pose: Pose, center: NDArray[np.float64], group: Pose, origin: NDArray[np.float64]) -> Pose:
-    """Pose of an object that moves within a group: first its own pose, P0 -> P1, then P = origin + shift + rotation (P1
-    - origin).
+    """Pose of an object that moves within a group: first its own pose moves P0 to P1, then the group's pose moves P1 to
+    P = origin + shift + rotation (P1 - origin).
     """
     arm = center - origin
     shift = group.shift + group.rotation @ pose.shift + (group.rotation @ arm - arm)

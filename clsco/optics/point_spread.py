@@ -1,7 +1,7 @@
-"""Point spread functions of a thin lens: weights in closed form, for any pupil (float64, pure).
+"""Point spread functions of a lens: exact weights for any pupil (float64, pure).
 
-A weight is the fraction of a source's light that one detector pixel receives. Here weights are exact; devices read
-tables of the same weights as piecewise cubics in the blur radius.
+A weight is the fraction of a source's light that one detector pixel receives. Devices read tables of these weights, as
+piecewise cubics in the blur radius.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:  # imported where a scene has them
     from clsco.optics.pupils.traced import Traced
     from clsco.optics.pupils.wavefront import Wavefront
 
-MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
+MINIMUM_BLUR = 0.5  # px; sampled PSFs do not blur with smaller radii (thesis, 2.2)
 GREEN = 1  # color of gray images
 POINT = 1e-9  # px; smaller radii are 0
-MOST_MARGIN = 256.0  # px, of light outside of the rim
-LEAST_UNIT, MOST_UNIT = 0.02, 8.0  # px, of diffraction: finer is a disc, coarser no picture
-PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds
+MOST_MARGIN = 256.0  # px outside of the blur's rim that light may reach
+LEAST_UNIT, MOST_UNIT = 0.02, 8.0  # px, Q: diffraction is not visible below, and no image is left above
+PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2: variance per axis that `edge` adds
 
 Edge = Literal["integrated", "area", "sampled"]
 Layout = Literal["disc", "separable", "symmetric", "general"]
@@ -67,15 +67,16 @@ class PointSpread:
     edge : str
         "integrated" over source and detector pixel, over the detector's "area" only, or "sampled" at pixel centers.
     alignment : int
-        Source positions per px at which intervals of tables begin, for weights with corners there; else 0.
+        If not 0, weights have corners where the blur ends at multiples of 1 / alignment px, so that intervals of tables
+        must begin there.
     rims : tuple of Rim
         Circles that cut off light from some directions.
     varying : SeidelField, optional
-        Change of the wavefront over the frame; the pupil is then that on the axis.
+        Change of the wavefront over the frame; `pupil` then has the wavefront on the axis.
     stretched : float
         In a distorted image, the fraction of R by which ellipses reach beyond discs; 0 for discs only.
     most : tuple of float
-        Largest |blur radius| among negative and among other radii that a wave or aberration PSF is needed for, px; -1
+        Largest |R| in px of negative radii, and of the other radii, for which a wave or aberration PSF is needed; -1
         for none.
 
     Examples
@@ -101,9 +102,8 @@ class PointSpread:
     def layout(self) -> Layout:
         """Layout of the tables.
 
-        "disc": all covered pixels have one weight, so no table is needed (the sampled pillbox). "separable": a weight
-        is the product of one along each axis. "symmetric": the eight octants are equal. "general": whole rows, for both
-        signs of the radius.
+        "disc": all covered pixels have one weight (the sampled pillbox). "separable": a weight is the product of two,
+        one per axis. "symmetric": the eight octants are equal. "general": whole rows, for both signs of the radius.
         """
         if self.sampled and self.pupil.uniform:
             return "disc"
@@ -123,9 +123,7 @@ class PointSpread:
 
     @cached_property
     def places(self) -> tuple[PointSpread, ...]:
-        """PSFs at the grid positions that have tables, by `SeidelField.nodes`; only itself if the PSF is constant over
-        the frame.
-        """
+        """PSFs at the positions `SeidelField.nodes`, which have tables; only this PSF if it does not vary."""
         return (self,) if self.varying is None else tuple(self.at(*node) for node in self.varying.nodes)
 
     @property
@@ -134,7 +132,7 @@ class PointSpread:
         return 1 if self.varying is None else 4
 
     def at(self, hx: float, hy: float) -> PointSpread:
-        """The PSF at a position (hx, hy), as a PSF that is constant over the frame."""
+        """The PSF at a position (hx, hy) of `SeidelField`, as a PSF that is constant over the frame."""
         if self.varying is None:
             return self
         from clsco.optics.pupils.fourier import FourierDiffracted
@@ -150,7 +148,7 @@ class PointSpread:
 
     @property
     def sampled(self) -> bool:
-        """True if weights are taken at pixel centers, so that they jump where R passes one."""
+        """True if weights are taken at pixel centers, so that they jump where the blur's edge passes one."""
         return self.edge == "sampled"
 
     @property
@@ -183,7 +181,7 @@ class PointSpread:
 
     @property
     def has_runs(self) -> bool:
-        """True for a general shape whose fully covered taps have one weight, so that blur columns have runs of it."""
+        """True for a general shape whose fully covered taps have one weight: columns have runs of this weight."""
         return self.layout == "general" and not self.diffracted
 
     @property
@@ -226,9 +224,9 @@ class PointSpread:
         """Fraction of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1, or to
         `Wavefront.grown` in a field.
 
-        The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Pillbox (2.26) through its
-        pupil, and Gaussian (2.27). At radius 0 all light stays, unless `diffracted`. Validated: sum 1 to 1e-12,
-        quadrature, continuity.
+        The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Equations are (2.26) for a
+        pillbox, and (2.27) for a Gaussian. At radius 0, all light stays in its pixel, unless `diffracted`. Validated:
+        sum 1 to 1e-12, quadrature, continuity.
         """
         tent = self.edge == "integrated"
         if self.signed or self.diffracted:
@@ -241,7 +239,7 @@ class PointSpread:
         return np.where(point, center, self.pupil.share(dx, dy, np.where(point, 1.0, r), tent))
 
     def subpixel_weights(self, dx: Array, dy: Array, radius: Array) -> Array:
-        """Fraction of a point source's light in the pixel at (dx, dy) px, also non-integer: exact over its area.
+        """Fraction of a point source's light in the whole area of the pixel at (dx, dy) px, which may be non-integer.
 
         Used for sub-pixel sources at silhouettes, for every `edge`; arguments as for `weights`.
         """
@@ -260,9 +258,7 @@ class PointSpread:
         return np.where(point, offset == 0.0, share)
 
     def rows(self, radii: Array, dx: Array, dy: Array, subpixel: bool) -> Array:
-        """Weights (radii, dy, dx) for dx and dy in steps of 1 px, for positive radii, or for waves of any sign; only
-        for "general".
-        """
+        """Weights (radii, dy, dx) for dx, dy in steps of 1 px; radii: above 0 unless `diffracted`. Only "general"."""
         return self.pupil.rows(radii, dx, dy, self.edge == "integrated" and not subpixel)
 
     def lens_cells(self) -> Array:
@@ -275,13 +271,11 @@ class PointSpread:
 
     @property
     def key(self) -> float:
-        """Factor by which a sampled PSF covers the pixel centers with dx^2 + dy^2 <= key R^2; its table is indexed by
-        this product.
-        """
+        """Squared `extent`: sampled PSFs cover pixel centers with dx^2 + dy^2 <= key R^2, the index of their tables."""
         return self.extent**2
 
     def _sampled_weights(self, dx: Array, dy: Array, r: Array) -> Array:
-        """Equal weights of all pixel centers inside the circle, as in the thesis; no blur below half a pixel."""
+        """Weights of pixel centers inside the circle, equal or Gaussian, as in the thesis; no blur below half a px."""
         square = dx * dx + dy * dy
         key = np.where(r < MINIMUM_BLUR, 0.0, self.key * r * r)
         value = (square <= key).astype(np.float64)
@@ -307,7 +301,7 @@ def point_spread(
     image: Pupil | None = None,
     camera: Camera | None = None,
 ) -> PointSpread:
-    """The PSF that a scene asks for.
+    """The PSF that sections of a scene define.
 
     Parameters
     ----------
@@ -318,7 +312,7 @@ def point_spread(
     image : Pupil, optional
         Pupil of aperture.shape = "image".
     camera : Camera, optional
-        Its f-number and pixels are needed for psf.model = "wave".
+        Its f-number and pixels are needed for psf.model = "wave" and for aberrations.
 
     Returns
     -------
@@ -328,7 +322,7 @@ def point_spread(
     Raises
     ------
     SceneError
-        Waves without a camera, or diffraction that is far finer or far coarser than the camera's pixels.
+        Waves or aberrations without a camera, or far finer or far coarser than its pixels.
 
     Examples
     --------
@@ -370,7 +364,7 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
     Returns
     -------
     tuple of three PointSpread
-        Three equal ones, except for waves.
+        Three equal PSFs, except for waves.
     """
     if psf.model != "wave" or camera is None:
         return spread, spread, spread
@@ -442,7 +436,7 @@ def _field(psf: Psf, camera: Camera) -> SeidelField | None:
 
     unit = diffraction_unit(camera, psf.wavelengths[GREEN])
     coma, astigmatism, curvature = (unit * waves for waves in (psf.seidel.W131, psf.seidel.W222, psf.seidel.W220))
-    by_rays = psf.model != "wave"  # which have no structure finer than pixels
+    by_rays = psf.model != "wave"  # rays, whose spots have no structure finer than pixels
     waves = psf.seidel.varying_waves * (2.0 * unit if by_rays else 1.0)
     return SeidelField(coma, astigmatism, curvature, waves, camera.frame_size, by_rays)
 
@@ -482,7 +476,7 @@ def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float)
 
 
 def exposure_factor(aperture: Aperture, psf: PointSpread) -> float:
-    """Irradiance of a frame relative to an open circular aperture: 1, or the ratio of areas.
+    """Irradiance of a frame relative to an open circular aperture: the ratio of areas if exposure = "area", else 1.
 
     Examples
     --------

@@ -16,9 +16,9 @@ from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths, octant_taps, row_lanes, table_radius
 
 Array = NDArray[np.float64]
-OUTLINE, OUTLINE_RUN = 2, 4  # numbers of an outline, and of one with a run of one weight
-SAME = 1e-9  # of a weight, within which two are the same: shares of wide blurs are exact to 1e-10 of it
-RUN = 16  # intervals whose weights are computed at once, of one half-width
+OUTLINE, OUTLINE_RUN = 2, 4  # lengths of the last axis of outlines, without and with a run of equal weights
+SAME = 1e-9  # relative difference of weights that count as equal: those of wide blurs are exact to 1e-10
+RUN = 16  # largest number of intervals of one half-width whose weights are computed at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +28,13 @@ class WeightBlock:
     Attributes
     ----------
     widths : ndarray of int32, (count,)
-        Half-widths in px.
+        Half-widths of the intervals, px.
     coefficients : ndarray of float32
         Coefficients of all intervals, concatenated.
     negative : ndarray of float32
         The same for negative radii of a signed shape, else empty.
     taps : ndarray of float32, (taps, POWERS, count)
-        Coefficients of a main table, by tap.
+        Coefficients by tap, for a main table (sources at pixel centers).
     outlines : ndarray of int32, (count, half-width + 1, 2)
         Outlines of a main table, see `_outline`; for a ring (.., 4), see `_ring_outline`, and for a general shape
         (count, 2 half-width + 1, 4), see `_column_outline`.
@@ -60,7 +60,7 @@ def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock
     psf : PointSpread
         Not a sampled disc, which has one weight per interval and needs no block.
     first : int
-        A multiple of `block_intervals`.
+        Number of an interval, a multiple of `block_intervals`.
     subpixel : int
         Sub-pixel sources per axis for a table of these, else 0.
 
@@ -108,8 +108,8 @@ def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
 
 
 def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
-    """Block of a general shape: whole rows, for positive and for negative radii (whose blur is mirrored in its center),
-    as far as the PSF needs them.
+    """Block of a general shape: whole rows, for positive and for negative radii as far as `PointSpread.most` includes
+    them; unless diffracted, the blur of -R is that of R mirrored in its center.
     """
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
@@ -131,7 +131,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
             for k, nodes in enumerate(np.split(np.arange(len(radii)), len(radii) // len(NODES)), number):
                 values = squares[0][nodes]
                 outlines[k, columns] = _column_outline(values, _is_open(psf, values, radii[nodes]))
-        if not psf.diffracted:  # rays of a lens cross in focus, and waves that it bends do not
+        if not psf.diffracted:  # the blur of -R is that of R, mirrored in its center
             mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
         for blocks, square in zip(coefficients, (squares, mirrored), strict=True):
             blocks += [block.ravel() for block in _cubics(np.concatenate(square, axis=1), half_width)] if square else []
@@ -183,8 +183,8 @@ def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
 def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
     """Outline of an interval's weights, and of the part where they are all equal: int32 (half-width + 1, 2).
 
-    block: coefficients (|dy|, powers, |dx|). For the column |dx| = n: the first |dy| whose weight, in this or a column
-    nearer the middle, differs from the middle one; and the last |dy| with a positive weight.
+    block: coefficients (|dy|, powers, |dx|). For the column |dx| = n: the first |dy| at which the weight differs from
+    the middle tap's, in this column or in one nearer the middle; and the last |dy| with a positive weight.
     """
     same = (block == block[:1, :, :1]).all(axis=1)
     first = np.where(same.all(axis=0), len(same), same.argmin(axis=0))
@@ -195,7 +195,7 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
 
 
 def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]:
-    """Mask (dy, dx) of taps that are fully covered at all radii of an interval: `values` (radii, dy, dx)."""
+    """Mask (dy, dx) of taps that are fully covered at all radii of an interval; values: weights (radii, dy, dx)."""
     open_weight = 1.0 / (np.pi * psf.pupil.light * radii * radii)
     return np.asarray((np.abs(values / open_weight[:, None, None] - 1.0) < SAME).all(axis=0))
 
@@ -231,7 +231,7 @@ def _ring_outline(block: NDArray[np.float32], is_open: NDArray[np.bool_]) -> NDA
 
 
 def _main_rows(psf: PointSpread, radii: Array, half_width: int) -> Array:
-    """Weights (radii, |dy|, dx) of sources at pixel centers, computed once per octant."""
+    """Weights (radii, |dy|, dx) of sources at pixel centers; only one octant is computed."""
     low, high = np.triu_indices(half_width + 1)
     octant = psf.weights(low.astype(float), high.astype(float), radii[:, None])
     quadrant = np.empty((len(radii), half_width + 1, half_width + 1))
@@ -240,9 +240,9 @@ def _main_rows(psf: PointSpread, radii: Array, half_width: int) -> Array:
 
 
 def _subpixel_rows(psf: PointSpread, radii: Array, half_width: int, samples: int) -> Array:
-    """Weights (radii, rows, dx) of point sources: rows dy = -half..half for each offset oy >= 0 and each ox.
+    """Weights (radii, rows, dx) of point sources: rows dy = -half..half, for each oy >= 0 and each ox in a pixel.
 
-    Only 0 <= ox <= oy is computed: the others follow by mirroring or swapping the axes.
+    Only offsets 0 <= ox <= oy are computed: mirroring or swapping the axes gives the others.
     """
     span = np.arange(-half_width, half_width + 1, dtype=float)
     offsets = subpixel_offsets(samples)[samples // 2 :]

@@ -15,16 +15,16 @@ from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 Array = NDArray[np.float64]
 Widths = TypeVar("Widths", int, NDArray[np.int64])
 
-# Intervals of the tables: TABLE_STEPS or more per octave of the radius and an offset (`octaves_from`), so that they
-# grow with it. The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at
-# R = 1/8 px, and that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
-# tests/optics/test_point_spread.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py to a frame.
-OFFSET, AREA_STEPS = 0.125, 128  # twice as many of general shapes, whose edges lie at any angle
-GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, up to an extent of 2 TABLE_STEPS offsets
+# Tables have TABLE_STEPS or more intervals per octave of the radius plus an offset (`octaves_from`), so that intervals
+# grow with the radius. The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge,
+# first at R = 1/8 px; that of a Gaussian has a corner where its cut-off does. With edge "area", all weights have these.
+# Interpolation errors: tests/optics/test_point_spread.py bounds those of PSFs, tests/kernels/test_blur.py of frames.
+OFFSET, AREA_STEPS = 0.125, 128  # twice as many steps for general shapes, whose edges lie at any angle
+GAUSSIAN_STEPS = 64  # a power of 2, so that intervals begin at the corners, up to an extent of 2 TABLE_STEPS offsets
 # Discs of sub-pixel sources have kinks where they touch pixel edges, at multiples of 1/8 px for 2 or 4 samples: up to
-# R = 16 px an interval begins there. With 48 per octave a small thing before a wall of one radius errs by 1.5e-5.
+# R = 16 px an interval begins there. With 48 steps, a small object before a wall of one radius has an error of 1.5e-5.
 SUBPIXEL_STEPS = 64
-# A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
+# A sampled Gaussian changes fastest with few taps: FINE_STEPS intervals per unit of dx^2 + dy^2 up to FINE_UNTIL.
 FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(POWERS) + 1) * np.pi / 8)
@@ -40,7 +40,7 @@ def sampled_steps(psf: PointSpread) -> tuple[int, int]:
 
 
 def table_steps(psf: PointSpread, subpixel: bool) -> int:
-    """Intervals per octave of the radius, or for waves per px."""
+    """Intervals per octave of the radius, or, for waves and aberrations, per px."""
     if psf.diffracted:
         return psf.pupil.steps
     if psf.edge == "area" and not subpixel:
@@ -53,8 +53,8 @@ def table_steps(psf: PointSpread, subpixel: bool) -> int:
 def octaves_from(psf: PointSpread) -> float:
     """Inverse of the offset that is added to radii before taking their logarithm, 1 / px; a float32.
 
-    For a Gaussian, the offset is at most OFFSET over its extent: with sub-pixel sources, pixel edges are at multiples
-    of 1 / alignment px, and an interval must begin where the cut-off reaches one.
+    For a Gaussian, the offset is at most OFFSET / extent: with sub-pixel sources, pixel edges are at multiples of 1 /
+    alignment px, and an interval must begin where the cut-off reaches one.
     """
     if not psf.alignment:
         return 1.0 / OFFSET
@@ -105,8 +105,10 @@ def half_width(psf: PointSpread, index: int, subpixel: bool) -> int:
 
 
 def block_intervals(psf: PointSpread, subpixel: bool) -> int:
-    """Number of intervals computed together: half an octave, or a quarter for sub-pixel sources; BLOCK for sampled
-    PSFs, waves and aberrations, but those of 1 px if their layout is "general".
+    """Number of intervals computed together: half an octave, or a quarter for sub-pixel sources.
+
+    For sampled PSFs, waves and aberrations it is BLOCK; but for waves and aberrations of layout "general", it is the
+    number per px, at least TAP_LANES.
     """
     if psf.diffracted and psf.layout == "general":
         return max(table_steps(psf, subpixel), TAP_LANES)
@@ -116,10 +118,10 @@ def block_intervals(psf: PointSpread, subpixel: bool) -> int:
 
 @lru_cache(maxsize=256)
 def span_of(psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> range:
-    """Intervals for |blur radii| from smallest to largest px, extended downwards to whole TAP_LANES.
+    """Intervals for |blur radii| from smallest to largest px, extended downwards to a multiple of TAP_LANES.
 
-    Thus windows of intervals begin at the same intervals for every smallest radius, which fixes the order of sums;
-    general shapes spread by waves or aberrations have no windows.
+    Thus the windows of WIDE_LANES intervals that kernels read begin at the same intervals for every smallest radius,
+    which fixes the order of sums. General shapes spread by waves or aberrations have no windows, and are not extended.
     """
     first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
     step = 1 if psf.diffracted and psf.layout == "general" else TAP_LANES
@@ -133,7 +135,7 @@ def table_reach(psf: PointSpread, largest: float, subpixel: bool = False) -> int
 
 
 def octant_taps(reach: int) -> int:
-    """Number of taps a >= b >= 0 up to `reach` px along the axes."""
+    """Number of taps of an octant, at |dx|, |dy| = a, b px with reach >= a >= b >= 0."""
     return (reach + 1) * (reach + 2) // 2
 
 

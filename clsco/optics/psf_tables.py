@@ -27,7 +27,7 @@ from clsco.optics.psf_grid import (
 from clsco.optics.ray_means import has_ray_means, ray_floats
 
 LARGEST_TABLES = 2**30  # bytes
-SHARED_BYTES = 2**26  # up to which a table has whole blocks, for other ranges as well
+SHARED_BYTES = 2**26  # up to which a table is rounded to whole blocks, so that other ranges share it
 Blocks = Callable[[PointSpread, int, int], WeightBlock]
 """Function like `weight_block`: takes a PSF, the first interval and sub-pixel sources per axis; returns the block."""
 Join = Callable[[list[NDArray[np.float32]]], NDArray[np.float32]]
@@ -39,25 +39,28 @@ class PsfTable:
     """Weights for a range of blur radii as piecewise cubics, in the layout that kernels read.
 
     A source of radius R has the coordinate u (see `clsco.optics.psf_grid.table_coordinate`), interval floor(u) and
-    position t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)).
-    intervals: int32 (count, 2): start in `coefficients`, half-width in px.
-    coefficients: float32, per interval rows of (POWERS, lanes): row |dy| = 0..half-width (a main table), or rows
-    -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. For a general shape all rows, for all
-    S x S offsets.
-    first: number of the first interval; count: number of intervals; a signed shape has as many again for negative
-    radii, whose coordinates are larger by count; they have weights as far as `PointSpread.most`. low, end: intervals of
-    the radii that the table was made for; others are clamped to these; reach: largest half-width among them.
-    taps, outlines: of a main table, else empty. taps: the same weights again, float32 (taps, count / TAP_LANES, POWERS,
-    WIDE_LANES): for the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b, or for a separable shape those
-    along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th one on; zeros beyond an interval's
-    reach, and after the last one; for a ring preceded by the weight inside the ring. outlines: int32, (count, reach +
-    1, 2), see `clsco.optics.psf_blocks._outline`, or for a ring (.., 4), see `clsco.optics.psf_blocks._ring_outline`;
-    none for a separable shape. For a general shape, unless spread by waves, taps (.., POWERS, WIDE_LANES) hold for each
-    such window first the weight of runs, then the weights of all dx from the left and for each all dy, as far as the
-    window's widest interval reaches; outlines (.., 4) are `_share_outlines` for each interval and dx, followed for
-    each window by its start in taps and its number of dy. For a sampled disc, coefficients and taps hold the one weight
-    of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
-    stride: coefficients per position of a field (`PointSpread.places`); positions are concatenated.
+    position t = u - floor(u); its weight at (dx, dy) is c0 + t (c1 + t (c2 + t c3)). A main table is for sources at
+    pixel centers; other tables are for S x S sub-pixel sources in each pixel.
+
+    first, count: number of the first interval, and number of intervals. low, end: intervals of the radii that the table
+    was made for, to which other radii are clamped. reach: largest half-width among these intervals.
+    intervals: int32 (count, 2): start in `coefficients`, half-width in px. A signed shape has `count` more entries, for
+    negative radii. Weights of either sign are stored as far as `PointSpread.most`.
+    coefficients: float32, rows of (POWERS, lanes) for each interval. A main table has rows |dy| = 0..half-width, or one
+    row if separable. A table of sub-pixel sources has rows -half-width..half-width for S/2 x S of their offsets. For a
+    general shape, either has rows -half-width..half-width, for all S x S offsets.
+    taps: the same weights again for a main table, else empty: float32 (taps, count / TAP_LANES, POWERS, WIDE_LANES),
+    in windows of WIDE_LANES intervals from every TAP_LANES-th interval on. Taps are a >= b >= 0 of an octant, in the
+    order of a (a + 1) / 2 + b; for a separable shape, the taps along an axis; for a ring, preceded by the weight inside
+    the ring. Coefficients are 0 beyond an interval's reach, and after the last interval.
+    outlines: int32 (count, reach + 1, 2) for a main table, else empty, see `clsco.optics.psf_blocks._outline`; for a
+    ring (.., 4), see `clsco.optics.psf_blocks._ring_outline`; empty for a separable shape.
+    General shapes, unless spread by waves or aberrations: taps (.., POWERS, WIDE_LANES) hold for each window the weight
+    of runs, then for all dx from the left the weights of all dy, as far as the window's widest interval reaches;
+    outlines (.., 4) hold `_share_outlines` for each interval and dx, then for each window its start in taps and its
+    number of dy. Sampled discs: coefficients and taps hold the one weight of each interval, and outlines the square
+    roots of 0, 1, ... up to the last interval's number, rounded down.
+    stride: coefficients per position of a field (`PointSpread.places`), whose coefficients are concatenated.
     place: cache key; a table for more radii replaces an earlier one under it.
     """
 
@@ -75,7 +78,7 @@ class PsfTable:
 
 
 def psf_features(psf: PointSpread) -> dict[str, int]:
-    """Compile-time features for a PSF: its kind; EDGES is the number of edges of its lens mask."""
+    """Compile-time features of kernels for a PSF; EDGES is the number of straight edges of its pupil."""
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
     features = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
     features |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
@@ -123,8 +126,9 @@ def table_bytes(psf: PointSpread, smallest: float, largest: float, subpixel: int
 
 
 def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes: int, occluded: bool) -> None:
-    """Raise SceneError if tables for |blur radii| within [smallest, largest] px, and ray means if some are `occluded`
-    (`clsco.optics.ray_means`), exceed LARGEST_TABLES.
+    """Raise SceneError if tables for |blur radii| within [smallest, largest] px exceed LARGEST_TABLES.
+
+    silhouettes: sub-pixel sources per axis, 0 for none; occluded: True to include ray means (`clsco.optics.ray_means`).
     """
     size = table_bytes(psf, smallest, largest)
     size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
@@ -152,7 +156,7 @@ def rounded_span(psf: PointSpread, smallest: float, largest: float, subpixel: in
     """Intervals of a table for |blur radii| from smallest to largest px.
 
     Rounded to whole blocks (`block_intervals`), so that a few tables serve all ranges; not rounded for a sampled disc,
-    and if the blocks exceed SHARED_BYTES.
+    nor if the blocks exceed SHARED_BYTES.
     """
     span = span_of(psf, smallest, largest, subpixel > 0)
     if psf.layout == "disc" and not subpixel:
@@ -186,7 +190,7 @@ def psf_table(
 
 
 def narrow_table(table: PsfTable, psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> PsfTable:
-    """A table for fewer radii that shares the arrays."""
+    """A table for fewer radii that shares the arrays of `table`."""
     span = span_of(psf, smallest, largest, subpixel)
     return replace(table, low=span.start, end=span.stop, reach=half_width(psf, span[-1], subpixel))
 
@@ -201,7 +205,7 @@ def table_of(
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
     starts = range(span.start // size * size, span.stop, size)
-    # Block by block: places of a field that mirror each other share weights, which are kept for a short while.
+    # Block by block: positions of a field that mirror each other share weights, which stay cached for a short time.
     by_start = [
         [
             _part(place, blocks(_of_block(place, start, subpixel), start, subpixel), start, span, subpixel)
@@ -244,9 +248,11 @@ def _counts(psf: PointSpread, span: range, subpixel: int) -> tuple[int, int]:
 
 
 def _intervals(psf: PointSpread, widths: NDArray[np.int32], span: range, subpixel: int) -> NDArray[np.int32]:
-    """Value of `PsfTable.intervals`. An interval without weights gets the last with some, else of the other sign."""
+    """Value of `PsfTable.intervals`. An interval without weights gets the entry of the last interval with weights of
+    its sign, or else of the other sign.
+    """
     counts = _counts(psf, span, subpixel) if psf.signed else (len(widths),)
-    numbers = np.concatenate([np.arange(count) for count in counts])  # of what is stored
+    numbers = np.concatenate([np.arange(count) for count in counts])  # of stored intervals
     sizes = _interval_size(psf, widths.astype(np.int64), subpixel)[numbers]
     stored = np.stack([np.cumsum(sizes) - sizes, widths[numbers]], axis=1).astype(np.int32)
     signs = np.split(stored, np.cumsum(counts)[:-1])
@@ -292,9 +298,7 @@ def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -
 
 
 def _join_taps(parts: list[WeightBlock]) -> NDArray[np.float32]:
-    """Coefficients by tap, in windows of WIDE_LANES intervals every TAP_LANES (axis 1 of four); zeros beyond a block's
-    taps.
-    """
+    """Coefficients by tap, in windows of WIDE_LANES intervals every TAP_LANES, on axis 1; 0 beyond a block's taps."""
     most, count = max(len(block.taps) for block in parts), sum(block.taps.shape[2] for block in parts)
     if not count:
         return np.zeros(0, np.float32)
@@ -308,7 +312,7 @@ def _join_taps(parts: list[WeightBlock]) -> NDArray[np.float32]:
 
 
 def _window_sides(widths: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Taps along an axis for windows of WIDE_LANES intervals every TAP_LANES, for a general shape."""
+    """Number of taps along an axis in each window of WIDE_LANES intervals, see `PsfTable`, for a general shape."""
     last = np.minimum(np.arange(0, len(widths), TAP_LANES) + WIDE_LANES, len(widths)) - 1
     return 2 * widths[last].astype(np.int64) + 1
 
@@ -363,8 +367,8 @@ def _center_outlines(parts: list[WeightBlock], widest: int) -> NDArray[np.int32]
 
 
 def _share_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Outlines valid for WIDE_LANES intervals: for each, the union of lit taps up to it, and the intersection of runs
-    from it on.
+    """Outlines that are valid for WIDE_LANES intervals: for each interval, the union of lit taps over the WIDE_LANES
+    intervals that end with it, and the intersection of runs over those that begin with it.
     """
     far = np.int32(2**30)
     dark, closed = outlines[..., 1] < outlines[..., 0], outlines[..., 3] <= outlines[..., 2]
@@ -394,7 +398,7 @@ def _join_outlines(parts: list[WeightBlock]) -> NDArray[np.int32]:
 
 
 def _disc_table(psf: PointSpread, span: range) -> PsfTable:
-    """Table of a sampled disc, with an interval for every integer below R^2."""
+    """Table of a sampled disc: interval n is for R^2 from n to n + 1."""
     widths = np.floor(np.sqrt(span)).astype(np.int32)
     intervals = np.stack([np.arange(len(span)), widths], axis=1).astype(np.int32)
     center = np.zeros(1)

@@ -32,7 +32,7 @@ from clsco.scene.model import (
 Vector = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
 NULL_CURVATURE = 1e-13
-# The square is completed along an axis where that moves the origin by at most so many distances of the quadric.
+# The square is completed along an axis only if this moves the origin by at most this multiple of the center's distance.
 FARTHEST_CENTER = 4.0
 
 
@@ -45,7 +45,7 @@ class Canonical:
     q, l : ndarray of float64, (3,)
         Coefficients of X_i^2 and 2 X_i.
     k : float
-        Constant.
+        Constant in sum q_i X_i^2 + 2 sum l_i X_i = k.
     axes : ndarray of float64, (3, 3)
         Rows are the canonical axes in the object's frame.
     origin : ndarray of float64, (3,)
@@ -53,7 +53,7 @@ class Canonical:
     nappe : int
         Sign that the third canonical coordinate must have, 0 for either.
     radius : float
-        Radius in mm of a disc about the third axis, for a plane that is cut to it.
+        Radius in mm of the disc about the third axis to which a plane is cut; infinite if it is not cut.
     """
 
     q: Vector
@@ -86,12 +86,12 @@ class PlacedSurface:
     canonical : Canonical
     turn : ndarray of float64, (3, 3)
     offset : ndarray of float64, (3,)
-        Camera to canonical frame, mm.
+        Position of the lens in the canonical frame, mm.
     body_turn, body_offset
-        From the camera's frame to its axes in the reference pose, about the object's center: maps points back to that
-        pose.
+        Turn and offset from the camera's frame to a frame at the object's center, with the axes of the reference pose:
+        they move points back to that pose.
     own_turn, own_offset
-        From the camera's frame to the object's own frame, for bounds: the same without a static rotation.
+        Turn and offset to the object's own frame, for bounds: the static rotation is undone as well.
     rest : ndarray of float64, (3,)
         Center in the reference pose, mm.
     constant : float
@@ -102,8 +102,8 @@ class PlacedSurface:
     extent : Extent
         Bounds of the surface in the image and in depth.
     width : float
-        Approximate width of the image across its longest direction, as a slope of rays; infinite for unbounded
-        surfaces; negative if it varies between two lines, as for cylinders and cones.
+        Approximate width of the image across its longest direction, as a difference of slopes; infinite for unbounded
+        surfaces, negative for cylinders and cones, whose width varies (`outline_lines`).
     """
 
     canonical: Canonical
@@ -121,7 +121,7 @@ class PlacedSurface:
 
 
 def _axes_along(axis: Vector) -> NDArray[np.float64]:
-    """Right-handed orthonormal rows, the third along `axis`."""
+    """Right-handed orthonormal axes as rows, the third along `axis`."""
     third = axis / np.linalg.norm(axis)
     helper = np.eye(3)[int(np.argmin(np.abs(third)))]
     first = np.cross(helper, third)
@@ -130,8 +130,10 @@ def _axes_along(axis: Vector) -> NDArray[np.float64]:
 
 
 def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Canonical:
-    """Coefficients of 3.39 in principal axes; the origin is shifted by at most `farthest` mm to make l_i 0, and onto a
-    plane, so that planes have no k, as visibility tests expect.
+    """Canonical form of the quadric with the coefficients of (3.39), in its principal axes.
+
+    The origin is shifted to make l_i 0, except along axes where the shift would exceed `farthest` mm. The origin of a
+    plane is shifted onto the plane, so that k = 0, as visibility tests expect.
     """
     xx, yy, zz, xy, yz, zx, x, y, z, constant = coefficients
     matrix = np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])
@@ -193,7 +195,7 @@ def canonical(item: Object) -> Canonical:
         return Canonical((largest / axes_mm) ** 2, zero, largest**2, still, zero)
     assert isinstance(item, Quadric)
     distance = float(np.linalg.norm(item.center))
-    # Any multiple means the same; this one keeps products of coefficients within float32, and changes no digit.
+    # Multiples are the same surface; this power of 2 keeps products of coefficients within float32, and all digits.
     second, first = np.abs(item.coefficients[:6]).max(), np.abs(item.coefficients[6:9]).max()
     factor = 2.0 ** -int(np.frexp(max(second, first / max(distance, 1.0)))[1])
     return _canonical_quadric(tuple(factor * c for c in item.coefficients), FARTHEST_CENTER * distance)
@@ -255,8 +257,9 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
 
 
 def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
-    """Symmetric matrix M (3, 3) of the discriminant r M r of a curved surface along rays r, whose sign tells if a ray
-    hits: its outline in the image is the conic r M r = 0.
+    """Symmetric matrix M (3, 3) such that r M r is the discriminant of a curved surface along ray r.
+
+    A ray misses if r M r < 0. The surface's outline in the image is the conic r M r = 0.
     """
     gradient = (surface.canonical.q * surface.offset + surface.canonical.l) @ surface.turn
     square = surface.turn.T @ (surface.canonical.q[:, None] * surface.turn)
@@ -264,8 +267,10 @@ def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
 
 
 def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector, Vector]:
-    """Approximate distance of rays with slopes x and y (any one shape) from the midline of the two lines that outline a
-    cylinder or a cone, and half of the distance between these lines; infinite where it is large.
+    """Approximate distances, as slopes, of rays from the midline of the two lines that outline a cylinder or a cone,
+    and half of the distance between these lines.
+
+    x, y: slopes of the rays, of one shape. Both results are infinite if the image is wide.
     """
     form = outline_form(surface)
     bend = -float(form[0, 0] + form[1, 1])
@@ -277,8 +282,8 @@ def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector,
 
 
 def _width(item: Object, surface: PlacedSurface) -> float:
-    """Value of `PlacedSurface.width`: an area A at depth Z in a plane at `distance` mm from the lens has an image of
-    area A distance / Z^3, no longer than that of the ball.
+    """Value of `PlacedSurface.width`. For a flat shape, it is the area of the image over the length of the ball's
+    image; an area A at depth Z, in a plane at `distance` mm from the lens, has an image of area A distance / Z^3.
     """
     depth, radius = surface.ball[2:].tolist()
     ball_width = 2.0 * radius / depth if depth > radius else inf
@@ -337,7 +342,7 @@ def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
 def predict_inverse_depth(
     item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Inverse depth along rays (x, y, 1), only for the plan's predictions.
+    """Inverse depth along rays (x, y, 1), for predictions and ground truth, not for rendering.
 
     Parameters
     ----------
@@ -365,7 +370,7 @@ def predict_inverse_depth(
     discriminant = b * b - a * c
     root, hit = np.sqrt(np.maximum(discriminant, 0.0)), discriminant >= 0
     best = np.zeros_like(a)
-    # Of a surface that nothing cuts, one sign gives the nearer point.
+    # If nothing cuts the surface, one sign gives the nearer point.
     is_whole = bounds is None and not shape.nappe and shape.radius == inf
     for sign in (np.copysign(1.0, c),) if is_whole else (1.0, -1.0):
         with np.errstate(all="ignore"):  # NaN is not kept

@@ -1,11 +1,11 @@
-"""Means and variances of lens points over the light that a pixel receives from a source; needed for visibility tests of
-wide lenses if light from a lens point l does not only arrive at R l, or the aperture's edge is neither a circle nor
-straight (float64, pure).
+"""Means and variances of lens points over the light that a pixel receives from a source (float64, pure).
 
-A ray through l arrives R l + 2 grad W px from its source (`clsco.optics.pupils.wavefront`). For all rays from a source
-to a pixel, the mean of l is the part of the lens through which the pixel sees the source, and the variance gives the
-softness of an edge there. With wavefront errors, light from several parts of the lens may meet in a pixel, and its
-origin within the source does not follow from l: then there are means for each of two sheets of rays.
+Visibility tests need them if light through a lens point l does not arrive at R l only, or if the aperture's edge is
+neither a circle nor straight. A ray through l arrives R l + 2 grad W px from its source
+(`clsco.optics.pupils.wavefront`). Over all rays from a source to a pixel, the mean of l tells through which part of the
+lens the pixel sees the source, and the variance how soft an occluder's edge is there. With wavefront errors, light from
+several parts of the lens may meet in a pixel, and l does not determine its origin within the source: then there are
+means for each of two sheets of rays.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.wavefront import Wavefront
 
-PLANES = 5  # numbers of each pixel
-SHEET_PLANES, SHEETS = 10, 2  # the same where rays are bent, of each sheet
-STEPS = 4  # radii per px; between two of them means change in proportion
-EVEN = 4.0  # |R|, px, beyond which there are fewer
-PER_PX, FEWEST, MOST = 3, 24, 128  # rays per radius of the lens
-LEAST_LIGHT = 1e-6  # of all, from which on a pixel has a mean of its own
-ROUNDING = 1e-3  # px: of places of sources in their pixels
-SPREADINGS = 2  # px that means go on beyond the blur
-IN_FOCUS = 0.577  # px per lens radius, at least
-TENT = 6.0  # over the variance of the tent of two pixels
-SPLIT = 3.0  # variance along both axes, of that of a tent, beyond which there are two sheets; it is 2 of a plain lens
-LOPSIDED = (0.3, 0.1)  # px, or so: what tells two sheets apart that are as far from the middle of the lens
+PLANES = 5  # numbers per pixel
+SHEET_PLANES, SHEETS = 10, 2  # numbers per pixel and sheet if rays are bent, and number of sheets
+STEPS = 4  # radii per px; between two radii, means are interpolated linearly
+EVEN = 4.0  # |R|, px, beyond which there are fewer radii per px
+PER_PX, FEWEST, MOST = 3, 24, 128  # rays per px of the blur's radius; least and largest number per radius of the lens
+LEAST_LIGHT = 1e-6  # fraction of all light: with more, a pixel has a mean of its own
+ROUNDING = 1e-3  # px: rounding errors of positions of sources in their pixels
+SPREADINGS = 2  # px by which means are continued beyond the blur
+IN_FOCUS = 0.577  # px per lens radius: least scale of a blur
+TENT = 6.0  # 1 / variance of the convolution of two pixels, a tent, in px^-2
+SPLIT = 3.0  # sum of the variances along both axes, over a tent's, above which there are two sheets; 2 for a plain lens
+LOPSIDED = (0.3, 0.1)  # asymmetry that decides which of two sheets counts as farther if both are equally far
 
 
 @dataclass(frozen=True, eq=False)
 class RayMeans:
-    """Mean lens points by blur radius and pixel.
+    """Mean lens points by position of the field, blur radius and pixel.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class RayMeans:
     scales : ndarray, (places, radii)
         px per lens radius of the blur, from its second moments, unsigned; for each position of the field.
     means : ndarray, (places, radii, planes, rows, pitch)
-        x and y of lens points, in lens radii, and xx, xy and yy of the identity minus their covariance divided by that
-        of a tent, at the scale; row and column relative to the source; rows are padded with 0. With bent rays: the
-        fraction of the light on the second sheet; then for each sheet, times its fraction, the same numbers, twice the
-        mean origin x, y in the source in px, and xx, xy, yy of the covariance of origin and lens point, plus its
-        transpose, divided by the same, times the scale.
+        Rows and columns are relative to the source; rows are padded with 0. Planes: mean x and y of the lens point l
+        (`Wavefront.crossings`), in lens radii; xx, xy and yy of I - s^2 cov(l, l) / v, with s the scale and v the
+        variance of a tent. With bent rays, the first plane is the fraction of the light on the second sheet; then for
+        each sheet, times its fraction of the light: the same five planes; mean x and y of o, twice the origin in the
+        source, px; xx, xy and yy of s (cov(o, l) + cov(l, o)) / v.
     """
 
     first: int
@@ -62,8 +62,8 @@ class RayMeans:
     means: Array
 
     def floats(self) -> NDArray[np.float32]:
-        """Layout for kernels: first, radii, half-width, pitch; then for each position and radius its scale and, after
-        TAP_LANES floats, its means.
+        """Layout for kernels: TAP_LANES floats that begin with first, number of radii, half-width and pitch; then for
+        each position and radius, its scale TAP_LANES times, and its means.
         """
         places, radii, _, _, pitch = self.means.shape
         head = np.zeros(TAP_LANES)
@@ -73,8 +73,10 @@ class RayMeans:
         return np.concatenate([head, records.ravel(), np.zeros(2 * TAP_LANES)]).astype(np.float32)
 
     def around(self, radius: Array, places: NDArray[np.int64], shares: Array) -> tuple[NDArray[np.int64], Array, Array]:
-        """Means for sources of signed radii (n,) between positions (k, n) of the field with blending factors `shares`:
-        indices (n, 2 k) into a list of all, their fractions, and signed scales (n,).
+        """Means between which those of n sources are interpolated.
+
+        Returns indices (n, 2 k) into a list of all means, their fractions, and signed scales (n,). radius: signed,
+        (n,); places: positions (k, n) of the field, with blending factors `shares`.
         """
         at = np.clip(step_of(radius) - self.first, 0.0, self.means.shape[1] - 1.0)
         number = np.minimum(at.astype(np.int64), self.means.shape[1] - 2)
@@ -98,7 +100,7 @@ class RayMeans:
 
 
 def step_of(radius: Array) -> Array:
-    """Index, from 0, of signed blur radii in px; the steps grow with the square root of wide radii."""
+    """Fractional index of signed blur radii in px, 0 for R = 0; beyond EVEN px, steps grow as the root of |R|."""
     size = np.abs(radius)
     return np.copysign(STEPS * np.where(size > EVEN, 2.0 * np.sqrt(EVEN * size) - EVEN, size), radius)
 
@@ -140,7 +142,7 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
 
 
 def _steps(psf: PointSpread, largest: float) -> range:
-    """Indices, by `step_of`, of blur radii up to `largest` px as far as `PointSpread.most`, and one beyond."""
+    """Indices, by `step_of`, of blur radii up to `largest` px and `PointSpread.most`, and one more at each end."""
     before, last = (ceil(float(step_of(np.asarray(max(min(largest, most), 0.0))))) + 1 for most in psf.most)
     return range(-before, last + 1)
 
@@ -154,7 +156,9 @@ def _pitch(half_width: int) -> int:
 
 
 def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int, bent: bool) -> tuple[float, Array]:
-    """Scale of a blur, and planes (planes, rows, columns) of means for square sources: each ray lights four pixels."""
+    """Scale of a blur, and planes (planes, rows, columns) of means for square sources: each ray lights four pixels;
+    bent: True for two sheets.
+    """
     from clsco.optics.pupils.traced import bends, lens_points
 
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
@@ -201,15 +205,17 @@ def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int,
 
 
 def _sums(cells: NDArray[np.int64], light: Array, values: list[Array], count: int) -> Array:
-    """Sums (values, count) per cell of values times light."""
+    """Sums (values, count) of values times light in each of `count` cells; cells: cell of each ray."""
     return np.stack([np.bincount(cells.ravel(), (light * value).ravel(), count) for value in values])
 
 
 def _second_sheet(
     cells: NDArray[np.int64], light: Array, values: list[Array], sums: Array, most: float
 ) -> NDArray[np.bool_]:
-    """Mask of rays on the second sheet of their cells. If lens points in a cell vary by more than `most`, these are the
-    rays beyond the mean along the axis of largest variance, on the side farther from the lens center.
+    """Mask of rays on the second sheet of their cells.
+
+    If the variance of lens points in a cell exceeds `most`, these are the rays beyond the mean along the axis of
+    largest variance, on the side farther from the lens center.
     """
     _, x, y, xx, _, yy = values
     at_x, at_y, square_x, product, square_y = sums[1:] / np.where(sums[0] > 0.0, sums[0], 1.0)

@@ -20,11 +20,11 @@ def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array
     camera : Camera
         Camera with a resolution.
     row, column : array_like
-        px, may be fractional and outside of the frame; they broadcast.
+        Pixel positions, px, which broadcast; may be fractional and outside of the frame.
 
     Returns
     -------
-    x, y : ndarray of float64, of the shape to which they broadcast
+    x, y : ndarray of float64, of the shape to which `row` and `column` broadcast
 
     Examples
     --------
@@ -39,9 +39,7 @@ def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array
 
 
 def slopes_at(camera: Camera, right: ArrayLike, up: ArrayLike) -> tuple[Array, Array]:
-    """Slopes of the rays through image points given in px right of and above the middle of the image, which
-    broadcast.
-    """
+    """Slopes x, y of the rays through image points; right, up: px from the middle of the image, which broadcast."""
     step, distortion = ray_step(camera), distortion_of(camera)
     x, y = np.broadcast_arrays(*(step * np.asarray(offset, dtype=np.float64) for offset in (right, up)))
     return (x, y) if distortion is None else distortion.undistorted(x, y)
@@ -54,15 +52,13 @@ def places_of(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]
 
 
 def image_slopes(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Slopes that a camera without distortion would image to the same positions as this one images x and y."""
+    """Distorted slopes of rays whose slopes in the scene are x and y; the same slopes without distortion."""
     distortion = distortion_of(camera)
     return (np.asarray(x), np.asarray(y)) if distortion is None else distortion.image(x, y)
 
 
 def ray_changes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of a ray's slopes x and y per px: of x to the right, of y to the right (equal to x upwards), of y
-    upwards.
-    """
+    """Derivatives of a ray's slopes by its image position, per px: dx/d(right), dy/d(right) = dx/d(up), dy/d(up)."""
     step, distortion = ray_step(camera), distortion_of(camera)
     if distortion is None:
         return np.full(x.shape, step), np.zeros(x.shape), np.full(x.shape, step)

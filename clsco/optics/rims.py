@@ -14,15 +14,15 @@ from clsco.optics.vignetting import throughput
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
-LEAST_SPREAD = 1e-6  # of the lens radius: least spread in a rim of rays through different lens points
-CELLS = 24  # of the lens, per radius, that its light is summed over
-POINTS = 1024  # at a time, so that their data stays in the caches
-NODES = 257  # of a frame along each side, between which `frame_throughput` is linear
+LEAST_SPREAD = 1e-6  # of the lens radius: least spread in a rim of the rays from a point through the lens
+CELLS = 24  # cells per lens radius over which light is summed
+POINTS = 1024  # number of points at a time, so that their data stays in the caches
+NODES = 257  # positions along each side of a frame between which `frame_throughput` is linear
 
 
 def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> tuple[Array, Array, Array]:
     """Circle in lens coordinates inside which light from points passes a rim: x, y of its center, right and down, and
-    its radius (N,), in lens radii; infinite for points in front of the rim.
+    its radius (N,), in lens radii; the radius is infinite for points between rim and lens.
 
     A ray to lens point l (of radius D / 2) passes a rim at distance d in front of the lens at l D/2 (1 - d w) + d
     slope, and behind it, d < 0, on its way to the detector, at l D/2 (1 + d / s + d R / kappa) + d slope.
@@ -82,7 +82,7 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
 def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:
     """Fraction (N,) of the light through the aperture that passes all rims; arguments as for `rim_circle`.
 
-    Computed by area if the aperture has borders, else by summing over cells of the lens, to 0.5 %.
+    Computed as an area if the PSF is `cut_by_chords`, else as a sum over cells of the lens, to 0.5 %.
     """
     shares = np.ones(w.shape)
     parts = [slice(start, start + POINTS) for start in range(0, w.size, POINTS)]

@@ -18,11 +18,11 @@ from clsco.scene.sensor import MOSAICS, Sensor
 
 GRAY = 1  # gray light is taken for green
 PLANES = 3
-STREAM_BITS = 8  # lower bits of a word, for the stream of a plane; above are the upper bits of noise_seed
+STREAM_BITS = 8  # number of lower bits of a word that hold a plane's stream; the others are upper bits of noise_seed
 LEAST_DARK_NOISE = 0.4  # DN rms, below which rounding no longer adds 1/12 DN^2 (EMVA 1288)
 MOST_MEAN = 2.0**24  # electrons of a pixel, beyond any full well
 MOST_SCALE = 1e30  # electrons of white, within float32
-MOST_DOUBLINGS = 100.0  # doublings of the dark current, at which any pixel is full
+MOST_DOUBLINGS = 100.0  # doublings of the dark current: any pixel is full
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,11 @@ def sensor_model(scene: Scene, channels: int) -> SensorModel:
 
     Notes
     -----
-    Order and notation are those of EMVA 1288: mean electrons white_electrons qe light + i t, with the dark current i =
-    dark_current 2^((temperature - temperature_reference) / temperature_doubling) over the time t that the shutter is
-    open; code gain e + black_level. With iso, irradiance 1 gives iso_base / iso times as many electrons. A physical
-    exposure instead gives t / reference_shutter (reference_f_number / N)^2 times as many, with N = s0 / D, for any iso.
+    Order and notation are those of EMVA 1288. The mean number of electrons is e = white_electrons qe light + i t, with
+    the dark current i = dark_current 2^((temperature - temperature_reference) / temperature_doubling) over the time t
+    that the shutter is open. The code is gain e + black_level. With iso, irradiance 1 gives iso_base / iso times as
+    many electrons. A physical exposure instead gives t / reference_shutter (reference_f_number / N)^2 times as many,
+    with N = s0 / D, for any iso.
 
     Examples
     --------
@@ -174,7 +175,7 @@ def noise_variance(model: SensorModel, photoelectrons: NDArray[np.float64]) -> N
 
     Notes
     -----
-    Shot noise of light and dark current, PRNU, DSNU, read noise, and 1/12 DN^2 of rounding; without hot pixels.
+    The sum of shot noise of light and dark current, PRNU, DSNU, read noise, and 1/12 DN^2 of rounding; no hot pixels.
 
     Examples
     --------

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from clsco.constants import LONGEST_RUN
 from clsco.optics.point_spread import PointSpread
 
-SUMMED = 12  # px, half-width of discs from which rectangles are worth the sums that they need
-# What a pair of sums and a weight of the quadrant, which is four taps, take, in units of the same time.
+SUMMED = 12  # px, least half-width of discs for which rectangles save more time than their sums cost
+# Relative times of a pair of sums, and of a weight of the quadrant, which is four taps.
 PAIR_COST, WEIGHT_COST = 4.0, 2.0
 
 Weights = NDArray[np.float32]
@@ -27,13 +27,15 @@ class Stencil:
     Attributes
     ----------
     runs : ndarray of int32, (count, 4)
-        |dx|, first dy, number of weights, index of the first. The kernel adds every run at -dx and at dx, so runs with
-        dx = 0 hold half of the weights.
+        |dx|, first dy, number of weights, index of the first in `weights`. The kernel adds every run at -dx and at dx,
+        so weights of runs with dx = 0 are halved.
     weights : ndarray of float32
+        Weights of all runs, concatenated.
     rectangles : tuple of (half-width in x, half-width in y)
-        Ordered from wide to narrow, so from low to high. Their union has the weight `share`; runs add to it or subtract
-        from it.
+        Ordered from wide to narrow, which is from low to high. Their union has the weight `share`; runs add to this
+        weight or subtract from it.
     share : float
+        Weight of the union of the rectangles.
     """
 
     runs: NDArray[np.int32]
@@ -115,7 +117,7 @@ def stencils(psf: PointSpread, radius: float) -> tuple[Stencil, ...]:
     inside = np.zeros_like(quadrant)
     for a, b in rectangles:
         inside[: b + 1, : a + 1] = share
-    # Without rounding, as these weights are at least half of the share.
+    # The difference is exact, as weights inside rectangles are at least half of the share.
     return (Stencil(*_runs(quadrant - inside), rectangles, float(share)),)
 
 

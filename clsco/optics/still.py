@@ -21,10 +21,10 @@ from clsco.scene.model import Camera, Object
 
 Array = NDArray[np.float64]
 Window = tuple[int, int, int, int]
-"""Left, top, right, bottom of a part of the grid of a frame or strip, guard band included, px; the ends excluded."""
+"""Left, top, right and bottom in px of a part of a grid with its guard band; right and bottom are excluded."""
 
-SAME_SHAPE = 1e-12  # relative: differences of rounding, in poses that turn a shape about its axis
-WINDOW_MARGIN = 2 * MOVING_MARGIN + 1  # px: sources that are not still, and the pixels that determine their outlines
+SAME_SHAPE = 1e-12  # relative difference that is rounding, between poses that turn a shape about its axis
+WINDOW_MARGIN = 2 * MOVING_MARGIN + 1  # px around moving objects: sources there, and the pixels that determine outlines
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class StillSplit:
         Bit k of `moving`: the shape of object k moves. Bit k of `changing`: its shape or its texture moves. A cylinder
         that rotates about its axis is changing but not moving: it hides the same points as before.
     places : ndarray of float64, (samples, objects, PLACE_NUMBERS)
-        Bounds of each object at each time sample: low and high x and y of rays, low and high inverse depth in 1/mm
-        (`PlacedSurface.extent`); and, for the ball around it, x and y of the ray to its center, the center's inverse
-        depth, and this times the radius, infinite without a ball.
+        Numbers for each object at each time sample. Its extent (`PlacedSurface.extent`): low and high x, low and high y
+        of rays, low and high inverse depth in 1/mm. The ball around it: x and y of the ray to its center, inverse depth
+        of the center, and this times the radius, infinite without a ball.
     """
 
     moving: int
@@ -47,14 +47,14 @@ class StillSplit:
     places: Array
 
     def has_still(self, group: OcclusionGroup) -> bool:
-        """True if sources of an occlusion group may be still, because all moving objects near them are bounded."""
+        """True if sources of a group may be still: a member does not change, and its moving objects are bounded."""
         moving = numbers(self.moving & (group.members | group.occluders))
         return bool(group.members & ~self.changing) and bool(np.isfinite(self.places[:, moving, 9]).all())
 
     def window(
         self, group: OcclusionGroup, camera: Camera, reach: float, guard: int, first: int, height: int
     ) -> Window | None:  # fmt: skip
-        """Part of a grid that contains all moving sources of an occlusion group; None if all are still.
+        """Part of a grid that contains all sources of an occlusion group that are not still; None if all are still.
 
         Parameters
         ----------
@@ -90,14 +90,14 @@ def numbers(bits: int) -> list[int]:
 
 
 def _cells(low: float, high: float, size: int) -> tuple[int, int]:
-    """First and end of the pixels, out of `size`, within WINDOW_MARGIN of an interval."""
+    """First and end of the pixels, out of `size`, within WINDOW_MARGIN of the interval from `low` to `high` px."""
     first = floor(low) - WINDOW_MARGIN if isfinite(low) else 0
     last = ceil(high) + WINDOW_MARGIN + 1 if isfinite(high) else size
     return min(max(first, 0), size), max(min(last, size), 0)
 
 
 def split_still(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]]) -> StillSplit:
-    """Determine the changes during an exposure of analytic objects, given their surfaces at each time sample.
+    """Determine the changes of analytic objects during an exposure; times: surfaces of all `items` at each time sample.
 
     Examples
     --------
@@ -124,7 +124,7 @@ def split_still(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]
 def _place(surface: PlacedSurface) -> list[float]:
     """One entry of `StillSplit.places`."""
     extent, (x, y, z, radius) = surface.extent, surface.ball.tolist()
-    w, size = (0.0, inf) if isinf(extent.w[1]) else (1.0 / z, radius / z)  # infinite: the lens is in the ball
+    w, size = (0.0, inf) if isinf(extent.w[1]) else (1.0 / z, radius / z)  # infinite: no ball, or the lens is in it
     return [*extent.x, *extent.y, *extent.w, x * w, y * w, w, size]
 
 
@@ -141,8 +141,8 @@ def _same_shape(item: Object, first: PlacedSurface, second: PlacedSurface) -> bo
 
 
 def _hiding(item: Object, surface: PlacedSurface) -> Iterator[tuple[Array, float]]:
-    """Numbers that determine which points an object hides, in the camera's frame, each with the size of its terms: the
-    quadratic, linear and constant part of its equation, the axis of its nappe, the center of a disc, and bounds.
+    """Numbers that determine which points an object hides, in the camera's frame, each with the magnitude of its terms:
+    the quadratic, linear and constant part of its equation, the axis of its nappe, the center of a disc, and bounds.
     """
     shape, turn, offset = surface.canonical, surface.turn, surface.offset
     size, far, straight = float(np.abs(shape.q).max()), float(np.linalg.norm(offset)), float(np.linalg.norm(shape.l))

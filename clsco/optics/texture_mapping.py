@@ -6,11 +6,11 @@ A point p of an object's own frame (mm) is q = frame p. Two coordinates of q are
     cylinder    (phi, q_y),  phi = atan2(q_x, q_z)                    rad, mm
     longitude   (phi, theta),  theta = atan2(q_y, hypot(q_x, q_z))    rad
     cone        s (sin psi, cos psi),  s = |q|,  psi = phi sin(half angle): the cone rolled out    mm
-    triplanar   the two other components of q, for each of three axes, weighted by ((n^2 - 0.1)+)^2    mm
+    triplanar   the two other components of q, for each of three axes, weighted by max(n^2 - 0.1, 0)^2    mm
     cube        the two other components over the largest one, for each of six sides                 -1 to 1
 
-and (column, row) = scale (x, y) + shift in texels, where texel edges are at integers: column 0 is the left border of
-the image, row 0 the upper one.
+where n is the component of the unit normal along the axis. With these two coordinates (x, y), (column, row) = scale (x,
+y) + shift in texels; texel edges are at integers: column 0 is the left border of the image, row 0 the upper one.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ KINDS: dict[Mapped | None, int] = {
 }
 WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
 Matrix = NDArray[np.float64]
-DETAILED_LEAST = 0.01  # |R| in px, from which on pixels may need more than one source, but of waves and aberrations
+DETAILED_LEAST = 0.01  # |R| in px above which pixels may need several sources; not for waves and aberrations
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class TextureMap:
     kind : int
         One of MAP_... (`clsco.constants`).
     frame : ndarray of float64, (3, 3)
-        Rotation from the object's own frame.
+        Matrix of q = frame p, from the object's own frame.
     scale : ndarray of float64, (2, 2)
         Texels per unit of the two coordinates: columns, then rows.
     shift : ndarray of float64, (2,)
@@ -96,7 +96,7 @@ def needs_detail(scene: Scene, psf: PointSpread, largest: float) -> bool:
 
 
 def texture_spread(psf: PointSpread) -> float:
-    """Radius in px of the disc with the same second moments as the PSF for R = 1; 0 if its sources are not squares."""
+    """Radius in px of the disc with the second moments of the PSF for R = 1; 0 unless psf.edge is "integrated"."""
     return 2.0 * sqrt(psf.pupil.second_moment) if psf.edge == "integrated" else 0.0
 
 
@@ -156,7 +156,7 @@ def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
     units = np.diag([item.radius if isinstance(item, Cylinder) and kind == MAP_CYLINDER else 1.0, 1.0])
     right, up = item.texture_offset or (0.0, 0.0)
     wrap = WRAPS[item.wrap]
-    # The poles are edges of an image that is laid from one to the other: beyond them it comes back.
+    # The upper and lower edge of an image from pole to pole are the poles: beyond them, the image is mirrored.
     to_poles = kind == MAP_LONGITUDE and abs(per_unit[1]) * pi == rows and up == 0.0
     return TextureMap(
         kind, _frame(item, kind), np.diag(per_unit) @ turn @ units, middle + np.array([-right * columns, up * rows]),

@@ -22,13 +22,13 @@ def throughput(camera: Camera, vignetting: Vignetting) -> Array:
     camera : Camera
         Camera with a resolution.
     vignetting : {"none", "natural"} or tuple of float
-        Key of the scene.
+        Value of the scene's key lens.vignetting.
 
     Returns
     -------
     ndarray of float64, (rows, columns)
-        "natural": cos^4 of the angle between ray and axis, (1 + t^2)^-2 for slope t; coefficients a1, a2, a3: 1 + a1
-        r^2 + a2 r^4 + a3 r^6 for the distance r from the middle, 1 in the corner of the frame.
+        "natural": cos^4 of the angle between ray and axis, (1 + t^2)^-2 for slope t. Coefficients a1, a2, a3: 1 + a1
+        r^2 + a2 r^4 + a3 r^6, with r the distance from the middle of the frame, relative to that of its corner.
 
     Notes
     -----

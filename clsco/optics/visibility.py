@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 class OcclusionGroup:
     """An occlusion group: objects of which only the nearest along each ray counts, and their possible occluders.
 
-    members, occluders: bit k stands for object k of the scene. own: number of an object that may hide itself, -1 for
-    none; root: which of its two roots the group contains (`solve_quadric`), 0 for both.
+    members, occluders: bit k stands for object k of the scene. own: number of the member if it may hide itself, else
+    -1. root: 1 or 2 if the group contains only the first or second root of that object (`solve_quadric`), 0 for both.
     """
 
     members: int
@@ -38,16 +38,17 @@ class OcclusionGroup:
     root: int = 0
 
 
-NO_GROUP = OcclusionGroup(0, 0)  # if objects are not distinguished
+NO_GROUP = OcclusionGroup(0, 0)  # where objects are not distinguished
 
 
 @lru_cache(maxsize=16)
 def lens_floats(psf: PointSpread) -> Array:
-    """Read-only lens data for kernels: cells; then, for a `signed` lens, mirrored cells and straight edges, for other
-    lenses the factors by which the mean of the part of each cell inside a round edge moves inwards; then, if rims cut
-    the lens by chords, squeeze and light, the sizes of the lists of borders, and these lists.
+    """Read-only lens data for kernels, concatenated.
 
-    An edge at the distance s from the middle of a cell leaves a part whose mean is (s - 1/2) / 2 from the middle.
+    First the cells (`PointSpread.lens_cells`). For a `signed` lens, mirrored cells and straight edges follow. For
+    another lens, a factor for each cell follows: the cell's middle times the factor is the mean of its part inside the
+    round edge, as an edge at distance s from the middle moves the mean by (s - 1/2) / 2. If rims cut a lens with
+    `Borders` by chords: squeeze, light, the sizes of the four lists of borders, and these lists.
     """
     cells = psf.lens_cells()
     if psf.signed:
@@ -65,17 +66,19 @@ def lens_floats(psf: PointSpread) -> Array:
 
 
 def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.0) -> Extent:
-    """Bounds of an object's image and depth over all `poses`; depths: inverse depths in 1/mm at rays over the frame,
-    0 for none; slack: fraction of the changes over poses by which bounds are widened.
+    """Bounds of an object's image and depth over all `poses`.
+
+    depths: inverse depths of the object along rays over the frame, 1/mm, 0 where a ray misses; slack: each bound is
+    widened by this fraction of its range over the poses.
     """
     hit = depths[depths > 0]
     depth_range = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
     if isinstance(item, Plane) and hit.size < depths.size:
-        depth_range = 0.0, depth_range[1]  # its horizon may be in sight, between rays
+        depth_range = 0.0, depth_range[1]  # its horizon may be visible between rays
     extents = []
     for pose in poses:
         bounds = place(item, pose).extent
-        # Without an end, or around the lens: as deep as its rays are. A thin thing may hide between them.
+        # An unbounded object, or one around the lens, is as deep as the rays that hit it; without a hit, at any depth.
         extents.append(bounds if bounds.w[1] < inf else replace(bounds, w=depth_range))
     hull = reduce(_hull, extents)
     return _widen(hull, extents, slack) if slack > 0.0 else hull
@@ -110,7 +113,7 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
     depth = near.w[1] - far.w[0]
     if depth <= 0.0:
         return False
-    # In the image a line to lens point l moves by (D / 2) l per inverse depth.
+    # In the image, a line to lens point l moves by a slope of (D / 2) l per unit of inverse depth.
     shift = Lens.of(camera).radius * reach * depth
     axes = ((near.x, far.x), (near.y, far.y))
     return all(a[0] - shift <= b[1] and b[0] - shift <= a[1] for a, b in axes)
@@ -129,10 +132,10 @@ def separate_groups(items: Sequence[Object], camera: Camera, psf: PointSpread) -
 def occlusion_groups(
     items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: PointSpread
 ) -> tuple[OcclusionGroup, ...]:
-    """Few occlusion groups for objects with given `extents`, in the order of the scene, such that no member hides
-    another.
+    """Occlusion groups in which no member hides another, as few as a greedy search finds.
 
-    Each of the two roots of a hollow object forms a group. A single group without occluders if no object is hidden.
+    extents: of `items`, in the same order. Each of the two roots of a hollow object forms a group of its own. If no
+    object can be hidden, there is a single group without occluders.
     """
     count, reach = len(extents), psf.extent
     hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]

@@ -12,12 +12,12 @@ from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.traced import Traced
 
-MOST_WAVES = 512.0  # of defocus at the rim: the transform of more would take seconds for each radius
+MOST_WAVES = 512.0  # of defocus at the rim: with more, the transform of each radius would take seconds
 ADEQUATE, PER_DECADE = 29.3, 20.5  # dB: PSNR of a disc instead of waves is about ADEQUATE - PER_DECADE log10(Q)
 
 
 def disc_psnr(unit: float) -> float:
-    """PSNR in dB, to 1.5 dB, of black and white squares blurred by a disc instead of waves; unit: `diffraction_unit`.
+    """PSNR in dB, within 1.5 dB, of the blur of black and white squares by a disc instead of waves; unit: Q in px.
 
     Notes
     -----
@@ -27,8 +27,8 @@ def disc_psnr(unit: float) -> float:
 
 
 def check_waves(psf: PointSpread, largest: float) -> None:
-    """Raise SceneError if a blur radius of `largest` px has too many waves of defocus, or if with the aberrations the
-    phase changes too fast for the samples of the pupil.
+    """Raise SceneError if a blur radius of `largest` px has too many waves of defocus, or if defocus and aberrations
+    change the phase too fast for the samples of the pupil.
     """
     pupil = psf.pupil
     if isinstance(pupil, FourierDiffracted):
@@ -69,7 +69,7 @@ def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes
 
 
 def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> tuple[tuple[str, str], ...]:
-    """Parameters of wave optics for reports; empty for other PSFs."""
+    """Names and values of wave-optics parameters, for reports; empty for other PSFs. Arguments: see `table_seconds`."""
     pupil = psf.pupil
     if not isinstance(pupil, Diffracted):
         return ()

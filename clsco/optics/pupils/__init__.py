@@ -43,4 +43,4 @@ def _ring(aperture: Aperture) -> Pupil:
 
 
 FORMULAS: dict[str, Callable[[Aperture], Pupil]] = {"circle": _circle, "polygon": _polygon, "ring": _ring}
-"""Pupil by the shape of an aperture; that of an image is read from its file."""
+"""Functions that return the pupil of an aperture, by its shape; the pupil of an image is read from its file."""

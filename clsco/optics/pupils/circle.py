@@ -48,9 +48,9 @@ class Circle(Pupil):
 
 
 def _ramp_pieces(b: Array, level: Array, sign: float, tent: bool) -> tuple[Array, Array, Array]:
-    """Coefficients of 1, h, h^2 in the running integral of the pixel's response at u = sign h - b.
+    """Coefficients of 1, h, h^2 in the integral of the pixel's response up to u = sign h - b.
 
-    `level`: value of u inside the piece to evaluate.
+    b: position of the pixel along the chord; level: a value of u in the piece between knots for which they are valid.
     """
     one, zero = np.ones_like(b), np.zeros_like(b)
     if not tent:
@@ -69,11 +69,11 @@ def _ramp_pieces(b: Array, level: Array, sign: float, tent: bool) -> tuple[Array
 def disc_coverage(dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
     """Integral over a disc at the origin of the response of a pixel at (dx, dy), in px^2.
 
-    dx, dy, radius > 0: px, broadcast against each other. tent=False: response of a unit square (area of the disc in the
+    dx, dy and radius, above 0, are in px and broadcast. tent=False: response of a unit square (area of the disc in the
     pixel); tent=True: of the square convolved with itself (a square source and a square detector). Closed form: along
     each chord the response integrates to a quadratic in the chord's half-length h = sqrt(R^2 - x^2); the integrals over
     x of 1, h, h^2 and x times these are elementary between breakpoints. Validated against adaptive quadrature to 1e-10;
-    sums over the integers to pi R^2.
+    the sum over integer offsets is pi R^2.
     """
     a, b, r = np.broadcast_arrays(np.abs(dx), np.abs(dy), radius)
     a, b, r = (np.asarray(v, dtype=np.float64) for v in (a, b, r))
@@ -88,7 +88,7 @@ def disc_coverage(dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
 
 
 def _ring_coverage(a: Array, b: Array, r: Array, tent: bool) -> Array:
-    """disc_coverage for 1-D arrays of pixels crossed by the circle."""
+    """Value of `disc_coverage` at offsets a, b >= 0, radius r: 1-D arrays, of pixels that the circle crosses."""
     knots = (-1.0, 0.0, 1.0) if tent else (-0.5, 0.5)
     crossings = [np.sqrt(np.maximum(r * r - (b + m) ** 2, 0.0)) for m in knots]
     edges = [a + m for m in knots] + crossings + [-c for c in crossings]

@@ -12,15 +12,16 @@ from clsco.optics.pupils.pupil import Array
 
 # px: weights of smaller radii follow from those of this one, where differences are exact to 1e-14.
 SMALL = 0.25
-ROUNDING = 1e-14  # of an integral over all of a pupil: a share that is less than that of it is none
-SMALL_POINT = 1e-2  # px: a smaller source within a pixel is a point; pixel edges are at least 1 / 32 px away
+ROUNDING = 1e-14  # of an integral over a whole pupil: smaller shares are rounding errors, and count as 0
+SMALL_POINT = 1e-2  # px: smaller radii of point sources are replaced by this; pixel edges are 1 / 32 px or more away
 
 
 def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
     """Fraction of the light in pixels at (dx, dy) px, see `Pupil.share`, from a function `share` that is accurate for
     radii that are not small.
 
-    With the tent, offsets are integers; otherwise pixel edges, or the radius, are at least SMALL_POINT px.
+    With `tent`, offsets are integers; otherwise, pixel edges are SMALL_POINT px or more from the source, or the radius
+    is not smaller than that.
     """
     dx, dy, radius = (np.asarray(v, np.float64) for v in np.broadcast_arrays(dx, dy, radius))
     at, part = _hold(radius, tent)
@@ -65,8 +66,8 @@ def grid_share(
 ) -> Array:
     """Fractions of the light (radii, dy, dx) for dx and dy in steps of 1 px, see `Pupil.rows`.
 
-    running_integral(radius, x, y): integral of the normalized pupil left of x and above y, for the tent times the
-    distances from both. It is evaluated once per corner: first differences over a pixel give its area in the pupil,
+    running_integral(radius, x, y): integral of the normalized pupil left of x and above y; with `tent`, times the
+    distances from x and y. It is evaluated once per corner: first differences over a pixel give its area in the pupil,
     second differences the overlap of a square source and a square detector.
     """
     half, order = (1.0, 2) if tent else (0.5, 1)

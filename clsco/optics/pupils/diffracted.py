@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.pupils.pupil import Array, Edges, Pupil
 
-LAW = 1.1  # light beyond d px outside of the rim is at most so many times 2 Q / (pi^2 d), for an open circle
+LAW = 1.1  # light beyond d px outside of the rim is at most LAW times 2 Q / (pi^2 d), for an open circle
 LEAST_MARGIN = 1.0  # px
 MOST_STEPS = 32  # intervals of tables per px
 PANEL_NODES = 10
@@ -34,7 +34,7 @@ class Diffracted(Pupil):
         True to spread the light that is cut off over the blur, so that the total is preserved.
     """
 
-    STEPS: ClassVar[tuple[tuple[float, int], ...]]  # intervals of tables per px, from a Q on
+    STEPS: ClassVar[tuple[tuple[float, int], ...]]  # least Q, and intervals of tables per px from this Q on
 
     opening: Pupil
     bands: tuple[tuple[float, float], ...]
@@ -68,9 +68,7 @@ class Diffracted(Pupil):
 
     @property
     def second_moment(self) -> float:
-        """Mean of l_x^2 and l_y^2 over the opening; diffraction adds to the blur's second moment, independently of
-        R.
-        """
+        """Second moment of the opening; diffraction adds to that of the blur, independently of R."""
         return self.opening.second_moment
 
     @property
@@ -95,10 +93,9 @@ class Diffracted(Pupil):
 
     @property
     def margin(self) -> float:
-        """Distance in px from the geometric blur's edge at which light is cut off: at most `tail` of the light is
-        beyond.
+        """Distance in px from the geometric blur's edge at which light is cut off, at most the fraction `tail`.
 
-        By the law of straight edges it is proportional to the length of the aperture's edge.
+        By the law of straight edges, the light beyond it is proportional to the length of the aperture's edge.
         """
         return max(LAW * 2.0 * self.widest * self.rim / (pi**2 * self.tail), LEAST_MARGIN) + 0.5
 
@@ -120,6 +117,7 @@ class Diffracted(Pupil):
         """Light (places, radii) faded out over the last px before `end`; with `keeps`, the lost light is added back
         with a weight that is quadratic in the distance.
 
+        distance, area: distance of each place from the source, px, and area of the place; end: where light ends, px.
         Far light is nearly the mean of an image: if it were added in the middle of the blur, contrast would be too
         high, by the same fraction for any detail.
         """

@@ -17,9 +17,9 @@ from clsco.optics.pupils.pupil import Array
 SERIES_UNTIL = 14.0  # argument of J0: its power series below, its asymptotic one above, both to 1e-11
 SERIES_TERMS, ASYMPTOTIC_TERMS = 48, 24
 CELLS_PER_UNIT = 12  # rings per Q, two samples in each: the light oscillates by 1 / Q per px at most
-WIDEST_CELL = 0.01  # px: of a point source the share of a pixel bends where a ring passes its edges
-GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # nodes in a ring, of one weight
-MOST_SAMPLES = 2**22  # of the kernel of the transform, made at once
+WIDEST_CELL = 0.01  # px: a pixel's fraction of a ring from a point source has kinks where the ring passes its edges
+GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # nodes in a ring, of equal weights
+MOST_SAMPLES = 2**22  # of the transform's kernel, computed at once
 Path = Callable[[Array], Array]
 """Optical path in px (waves times Q) as a function of t, the squared distance from the lens center in lens radii."""
 
@@ -67,7 +67,7 @@ def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Pat
     inner : float
         Radius of the central obstruction, in radii of the opening, 0 for none.
     path : callable
-        Aberrations.
+        Optical path of aberrations, see `Path`.
 
     Returns
     -------

@@ -12,14 +12,14 @@ from clsco.optics.pupils.pupil import Borders
 
 @dataclass(frozen=True)
 class Ellipse(Outline):
-    """Ellipse of the unit circle's height.
+    """Ellipse as high as the unit circle.
 
     Attributes
     ----------
     squeeze : float
         Height over width.
     obstruction : float
-        Radius of the central obstruction, relative to the ellipse, 0 for none.
+        Size of the central obstruction, an ellipse of the same shape, relative to the opening; 0 for none.
 
     Examples
     --------

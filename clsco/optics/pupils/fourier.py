@@ -24,11 +24,11 @@ from clsco.optics.pupils.transform import (
 )
 from clsco.optics.pupils.wavefront import Wavefront
 
-RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius that the length of the rim is measured by, and their blur
-SHORTEST_PANEL, LONGEST_PANEL, PANEL_PER_UNIT = 0.25, 1.0, 6.0  # px of R that one polynomial is for, and that in Q
-OF_FIELD = 0.5  # of samples of the pupil, by which blending weights over a field is farther off
-PLACES = 2**16  # of sources in a pixel, that are told apart
-SECONDS, PLACE = 2e-9, 16.0  # of a core: a step of a transform, and so many for each place of a source in its pixel
+RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius for the measured length of the rim, and their blur in cells
+SHORTEST_PANEL, LONGEST_PANEL, PANEL_PER_UNIT = 0.25, 1.0, 6.0  # px of R, and R / Q, that a polynomial covers
+OF_FIELD = 0.5  # fraction of samples of the pupil that a field needs, as blending has larger errors
+PLACES = 2**16  # number of distinct positions of sources along an axis of a pixel
+SECONDS, PLACE = 2e-9, 16.0  # CPU time of a step of a transform; steps for each position of a source in its pixel
 SPOT_BYTES, WEIGHTS_BYTES = 2**27, 2**27
 spot_cache, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 
@@ -41,7 +41,7 @@ class FourierDiffracted(Diffracted):
     ----------
     wavefront : Wavefront
     steepest : float
-        Slope in px per radius that buffers allow for, over all positions of the frame; 0 if the wavefront is constant.
+        Largest slope over the frame, px per radius, which buffers allow for; 0 if the wavefront is constant.
 
     Examples
     --------
@@ -131,7 +131,7 @@ class FourierDiffracted(Diffracted):
 
     def _squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
         """Weights (nodes, y, x) at the nodes of a panel, for a source at `place` in its pixel."""
-        if number < 0 and self.wavefront.is_flat:  # the same as of -R, mirrored in the source
+        if number < 0 and self.wavefront.is_flat:  # as for -R, mirrored in the source
             mirrored = self._squares(-1 - number, (-place[0], -place[1]), tent)
             return np.roll(mirrored[::-1, ::-1, ::-1], 1, axis=(1, 2))
         if self.upright != self:
@@ -148,7 +148,7 @@ class FourierDiffracted(Diffracted):
 
     @property
     def _grown(self) -> float:
-        """Mean over the opening of the factor of its light by `Wavefront.grown`."""
+        """Mean of `Wavefront.grown` over the light of the opening."""
         return _mean_grown(self.opening, self.wavefront) if any(self.wavefront.change) else 1.0
 
     def _cached_spots(self, number: int) -> NDArray[Any]:

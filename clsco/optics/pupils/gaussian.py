@@ -15,8 +15,8 @@ from clsco.optics.pupils.pupil import Array, Pupil
 
 @dataclass(frozen=True)
 class Gaussian(Pupil):
-    """Gaussian of standard deviation `sigma`, in aperture radii, cut off at `cut` sigma along each axis, or at a
-    circle.
+    """Gaussian of standard deviation `sigma`, in aperture radii, cut off at `cut` sigma along each axis, or, if
+    `round`, at a circle of this radius.
 
     Examples
     --------
@@ -52,9 +52,7 @@ class Gaussian(Pupil):
 
     @property
     def light(self) -> float:
-        """Relative light of the Gaussian, including the part beyond the unit circle; 1 for sigma = sqrt(1 / 2), up to
-        the cut-off.
-        """
+        """Relative light of the Gaussian, also beyond the unit circle; 1 for sigma = sqrt(1/2) if not cut off."""
         tail = exp(-0.5 * self.cut * self.cut)
         return 2.0 * self.sigma**2 * (1.0 - tail if self.round else erf(self.cut / sqrt(2.0)) ** 2)
 
@@ -88,7 +86,7 @@ class Gaussian(Pupil):
 
 
 def gaussian_axis(offset: Array, sigma: Array, cut: float, tent: bool) -> Array:
-    """Integral of the pixel's response at `offset` over a unit Gaussian cut off at +- cut sigma, along one axis."""
+    """Integral along an axis of a pixel's response at `offset` over a normalized Gaussian cut off at +- cut sigma."""
     offset, sigma = (np.asarray(v, dtype=np.float64) for v in np.broadcast_arrays(np.abs(offset), sigma))
 
     def mass(position: Array) -> tuple[Array, Array]:

@@ -14,8 +14,8 @@ from clsco.optics.pupils.diffraction import cell_width, pixel_rings, round_light
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.ring import Ring
 
-DIRECT = 64  # radii up to which each has weights of its own; of more they are interpolated
-PANEL = 0.25  # px of R that one polynomial is for, at most; half a period of the fastest oscillation, 4 Q
+DIRECT = 64  # largest number of radii whose weights are not interpolated
+PANEL = 0.25  # px of R that one polynomial covers, at most; but no more than half a period of oscillations, 4 Q
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class HankelDiffracted(Diffracted):
         return 1.0 - float(replace(self, keeps=False)._light(np.array([radius])).sum())
 
     def _weights(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
-        """Weights (places, radii)."""
+        """Weights (places, radii); places: a + b i for pixels at offsets a >= b >= 0 px."""
         rings, width = _rings(self, radii.tobytes()), self._width
         weights = np.empty((len(places), len(radii)))
         for k, (a, b) in enumerate(zip(places.real.tolist(), places.imag.tolist(), strict=True)):
@@ -99,5 +99,5 @@ def is_round(opening: Pupil) -> bool:
 
 @lru_cache(maxsize=32)
 def _rings(pupil: HankelDiffracted, radii: bytes) -> Array:
-    """Light in each ring (rings, radii), for radii as float64."""
+    """Light in each ring (rings, radii); radii: bytes of an array of float64."""
     return pupil._light(np.frombuffer(radii))

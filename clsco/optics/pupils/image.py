@@ -16,9 +16,9 @@ from clsco.optics.pupils.circle import disc_coverage
 from clsco.optics.pupils.differences import corner_share, grid_share, share_at
 from clsco.optics.pupils.pupil import Array, Pupil
 
-MOST_CELLS = 512  # a side
-TURNED_PARTS = 4  # of a cell, a side, of an image that is turned
-KEPT = 4  # pupils, whose sums are kept
+MOST_CELLS = 512  # per side
+TURNED_PARTS = 4  # samples per side of a cell, for an image that is rotated
+KEPT = 4  # number of pupils whose running sums are cached
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> 
         Transmission, not negative and positive somewhere in the circle; row 0 on top. It is oriented as the blur of a
         far light. n at most MOST_CELLS.
     rotation : float
-        Rotation applied before, deg, counter-clockwise.
+        Rotation of the picture before the squeeze, deg, counter-clockwise.
     squeeze : float
         Height over width of the blur.
 
@@ -156,7 +156,7 @@ def turned(picture: Array, rotation: float) -> Array:
 
 
 def _cell(at: Array, count: int) -> tuple[NDArray[np.int64], Array]:
-    """Cell of a position along an axis, and the distance from its start; the last cell is empty and has no end."""
+    """Cell of a position along an axis, and the distance from its start; cell `count` is empty and has no end."""
     clamped = np.maximum(at, 0.0)
     cell = np.minimum(clamped, count).astype(np.int64)
     return cell, clamped - cell

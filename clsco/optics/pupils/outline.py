@@ -20,7 +20,7 @@ from clsco.optics.pupils.pupil import Array, Pupil
 
 LONGEST_ARC = pi / 4.0
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
-FILLED = 16.0  # px: of larger radii pixels are filled within the outline, where sources are points
+FILLED = 16.0  # px: for larger radii and point sources, pixels inside the outline get one weight without integrals
 
 
 @cache
@@ -47,7 +47,7 @@ class Arc:
     radius : float
         Radius of the circle, 0 for a straight edge.
     angles : tuple of float
-        Angles of the ends seen from the center, from x towards y; within one quadrant.
+        Angles of the ends seen from the center, from x towards y, rad; within one quadrant.
     """
 
     start: tuple[float, float]
@@ -162,7 +162,7 @@ class Outline(Pupil):
 
     @cached_property
     def area(self) -> float:
-        """Area of the outline before the squeeze; negative if the inside is on the right."""
+        """Area of the outline before the squeeze; negative if the inside is on the right of the arcs' direction."""
         return float(sum((_nodes()[1] * x * dy).sum() for x, _, _, dy in self._walked()))
 
     @property
@@ -205,7 +205,7 @@ class Outline(Pupil):
 
     def _filled(self, radius: float, dx: Array, dy: Array) -> Array:
         """Fractions of the light (dy, dx) in pixels: exact along the outline, constant inside."""
-        beside = 0.25  # of a row through the middle, where arcs end
+        beside = 0.25  # px beside a row through the middle, where arcs end
         weights = self.transmission(dx / radius, (dy[:, None] + beside) / radius) / (pi * self.light * radius * radius)
         row, column = np.nonzero(self._outlined(radius, dx, dy))
         share = np.zeros(row.shape)
@@ -228,7 +228,7 @@ class Outline(Pupil):
         return np.asarray(mask[:, :-2] | mask[:, 1:-1] | mask[:, 2:])
 
     def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
-        """Integral for `grid_share` over points (u, v) of arcs: (x - u)^2 (y - v) / 2 dv if `tent`, else (x - u) dv."""
+        """Integral for `grid_share`, along arcs (u, v): of (x - u)^2 (y - v) / 2 dv if `tent`, else of (x - u) dv."""
         x, y = x * self.squeeze / radius, y / radius
         total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
         for arc in self.arcs:

@@ -101,7 +101,7 @@ def lens_mask(blades: int, rotation: float) -> Array:
     Returns
     -------
     ndarray (blades, 3)
-        x, y of the outward normal, and its distance from the center: inside is n . l <= distance.
+        x, y of an edge's outward normal n, and the edge's distance from the center: inside is n . l <= distance.
     """
     angle = np.deg2rad(rotation) + 2.0 * np.pi * np.arange(blades) / blades
     return np.stack([np.cos(angle), -np.sin(angle), np.full(blades, np.cos(np.pi / blades))], axis=-1)
@@ -125,10 +125,10 @@ def _before(start: Array, step: Array, limit: Array) -> tuple[Array, Array]:
 def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bool) -> Array:
     """Integral over the part of the polygon left of x and above y, divided by the polygon's area.
 
-    H(x, y; R) = (1 / A) times the integral of (x - u)_+^k (y - v)_+^k du dv, k = 0, or 1 for the tent. By Green's
-    theorem it is a sum over edges of integrals of polynomials of degree 3 or less, split where an edge passes x and y:
-    two Gauss nodes are exact. First differences of H over a pixel give its area in the polygon, second differences the
-    overlap of a square source and a square detector.
+    H(x, y; R) = (1 / A) times the integral of (x - u)_+^k (y - v)_+^k du dv over the polygon of area A, k = 0, or 1 for
+    the tent. By Green's theorem, it is a sum over edges, split where an edge passes x and y, of integrals of
+    polynomials of degree 3 or less: two Gauss nodes are exact. First differences of H over a pixel give its area in the
+    polygon, second differences the overlap of a square source and a square detector.
 
     Parameters
     ----------
@@ -163,8 +163,9 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
 
 
 def _share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Integral of the pixel's response over the polygon, divided by its area: a sum over edges of integrals of
-    S(x) T(y) dy, split at the knots of T. T: response along an axis, a piecewise polynomial; S: integral of T.
+    """Integral of the pixel's response over the polygon, divided by its area: by Green's theorem, a sum over edges of
+    integrals of S(x) T(y) dy, split where x or y is at a knot of T. T: response along an axis, a piecewise polynomial;
+    S: integral of T.
     """
     knots = (-1.0, 0.0, 1.0) if tent else (-0.5, 0.5)
     total, area = np.zeros(np.broadcast_shapes(dx.shape, dy.shape, radius.shape)), 0.0

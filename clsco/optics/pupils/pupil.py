@@ -26,8 +26,10 @@ class Borders:
     edges : tuple of (x, y, distance)
         Straight edges, as `Pupil.edges`.
     circles, holes : tuple of (x, y, radius)
-        Circles inside which light passes, and circles that cover parts of it, none of which overlap; x times `squeeze`.
+        Circles inside which light passes, and circles that cover parts of the opening, which do not overlap; their x is
+        before the squeeze, `squeeze` times that of `columns`.
     squeeze : float
+        Height over width of the blur.
     """
 
     columns: tuple[float, ...] = (-1.0, 1.0)
@@ -46,7 +48,7 @@ class Pupil(ABC):
     Attributes
     ----------
     symmetry : str
-        "octant": symmetric in x, in y and in the diagonals, so that R and -R give the same blur. "none".
+        "octant": symmetric in x, in y and in the diagonals, so that R and -R give the same blur. "none": no symmetry.
     uniform : bool
         The transmission is constant inside the edge.
     soft : bool
@@ -98,9 +100,7 @@ class Pupil(ABC):
 
     @property
     def has_plain_rim(self) -> bool:
-        """True if the edge is a circle, or straight: then mean lens points of pixels on it follow from their
-        positions.
-        """
+        """True if the edge is a circle or straight: positions of pixels on it determine their mean lens points."""
         return True
 
     @property
@@ -131,7 +131,7 @@ class Pupil(ABC):
     @property
     @abstractmethod
     def second_moment(self) -> float:
-        """Mean of l_x^2 and l_y^2 over the light that passes."""
+        """Half of the mean of l_x^2 + l_y^2 over the light that passes."""
 
     @abstractmethod
     def transmission(self, x: Array, y: Array) -> Array:
@@ -139,10 +139,10 @@ class Pupil(ABC):
 
     @abstractmethod
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        """Fraction of the light that a pixel at (dx, dy) px receives in a blur of radius R, not 0, in px; sums to 1.
+        """Fraction of the light that a pixel at (dx, dy) px receives in a blur of `radius` R; sums to 1.
 
-        tent: True for a square source instead of a point; the pixel's response is then the square convolved with
-        itself. The three arrays broadcast. The sign of R matters if the symmetry is "none".
+        radius: px, not 0; its sign matters if the symmetry is "none". tent: True for a square source instead of a
+        point; the pixel's response is then the square convolved with itself. The three arrays broadcast.
         """
 
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:

@@ -20,16 +20,16 @@ from clsco.optics.pupils.fourier import FourierDiffracted, spot_cache
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.wavefront import Wavefront
 
-MOST_PARTS, LEAST_PARTS = 16, 2  # cells of a spot per px, as many as make SPOT or fewer of its reach
+MOST_PARTS, LEAST_PARTS = 16, 2  # cells per px of a spot: at most SPOT over its reach, if possible
 SPOT = 256
-# Part of a response: the variance that cells of light and means over them add, 1/6 of a cell squared.
+# Sharpening of a response: undoes the variance that cells of light and means over them add, 1/6 of a squared cell.
 SHARPER = 1.0 / 12.0
-# Rays of a disc of the size of the spot, and rays per radius of the lens.
+# Rays per radius of the lens: per cell and per px of the spot's radius, whichever is less; least and largest number.
 RAYS_PER_CELL, RAYS_PER_PX, FEWEST_RAYS, MOST_RAYS = 1.25, 16.0, 96, 384
-# Intervals of tables per px, the first where rays are bent by less px; not in a field, whose blending errs by more.
+# Intervals of tables per px: FINE_STEPS if rays are bent by less than FINE_BELOW px; STEPS in a field.
 FINE_STEPS, STEPS, FINE_BELOW = 8, 4, 8.0
-SECONDS, PLACE = 3e-8, 0.07  # of a core: a ray, and the part of it for each place of a source in its pixel
-TOGETHER = 2**14  # rays, whose arrays fit a processor's cache and need no pages of their own
+SECONDS, PLACE = 3e-8, 0.07  # CPU time of a ray, and fraction of it for each position of a source in its pixel
+TOGETHER = 2**14  # rays processed at once, whose arrays fit into a processor's cache
 NO_WAVES = ((1.0, 1.0),)
 
 
@@ -37,8 +37,9 @@ NO_WAVES = ((1.0, 1.0),)
 class Traced(FourierDiffracted):
     """Aperture of any shape with a wavefront error, in geometrical optics; `bands` and `tail` are unused.
 
-    Weights are cubics in R over the intervals of tables, through sums over rays. Validated against the closed form of
-    the disc, and moments of coma, astigmatism and spherical aberration (tests/optics/pupils/test_traced.py).
+    Weights are sums over rays at the nodes of table intervals, and cubics in R between nodes. Validated against the
+    closed form of the disc, and moments of coma, astigmatism and spherical aberration
+    (tests/optics/pupils/test_traced.py).
 
     Examples
     --------
@@ -87,7 +88,7 @@ class Traced(FourierDiffracted):
         return SECONDS * 4.0 * self._count(radius) ** 2 * (1.0 + PLACE * places)
 
     def _clip(self, weights: Array) -> Array:
-        """Values at nodes, adjusted so that the cubics between them, as in tables, are not negative."""
+        """The weights unchanged: values at nodes are at least 0, and cubics between nodes are as in tables."""
         return weights
 
     def _count(self, radius: float) -> int:
@@ -96,7 +97,7 @@ class Traced(FourierDiffracted):
         return min(max(32 * ceil(count / 32.0), FEWEST_RAYS), MOST_RAYS)
 
     def _spots(self, number: int) -> Array:
-        """Light at the nodes of a panel, in the cells (nodes, y, x) of spots."""
+        """Light (nodes, y, x) in the cells of spots, at the nodes of a panel."""
         nodes = panel_nodes(np.array([number]), self.panel, POWERS)[0]
         parts, reach, count = self._sizes(number)
         x, y, light = lens_points(self.opening, count)
@@ -146,8 +147,9 @@ class Traced(FourierDiffracted):
 
 
 def ends(at: Array, width: Array) -> tuple[Array, Array]:
-    """First of the two cells along an axis that a ray lights, and the fraction in the second: a ray is as wide as its
-    distance from its neighbors, up to a cell.
+    """First of the two cells along an axis that a ray lights, and the fraction of its light in the second cell.
+
+    at, width: of the ray, in cells; it is as wide as its distance from its neighbors, up to a cell.
     """
     wide = np.clip(width, 1e-6, 1.0)
     after = at + 0.5 * wide
@@ -179,7 +181,7 @@ def _below(at: Array, tent: bool) -> Array:
 
 
 def pixels(cells: Array, response: Array, parts: int) -> Array:
-    """Light in pixels, along the last axis, from the light in cells, the middle one of which holds the source."""
+    """Light in pixels, along the last axis, from the light in cells; the middle cell holds the source."""
     half = cells.shape[-1] // (2 * parts) - 3
     first = cells.shape[-1] // 2 - half * parts - len(response) // 2
     windows = np.lib.stride_tricks.sliding_window_view(cells[..., first:], len(response), axis=-1)
@@ -199,7 +201,7 @@ def lens_points(opening: Pupil, count: int) -> tuple[Array, Array, Array]:
 @lru_cache(maxsize=4)
 def bends(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, ...]:
     """Displacement of rays to the right and down by the wavefront, px, and its derivatives by the lens point: of x
-    along x, the cross derivative, and of y along y.
+    along x, the square of the cross derivative, and of y along y.
     """
     x, y, _ = lens_points(opening, count)
     (right, down), (xx, xy, yy) = wavefront.gradient(x, y), wavefront.curvature(x, y)

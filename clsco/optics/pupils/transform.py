@@ -21,7 +21,7 @@ from clsco.optics.pupils.wavefront import Wavefront
 Spectrum = NDArray[np.complex128]
 FEWEST, MOST = 512, 2048  # samples of the pupil over its diameter
 PER_SLOPE, LEAST_PER_SLOPE = 32.0, 8.0  # samples over the diameter for each wave per radius of the steepest slope
-LEAST_PARTS = 4  # samples of the image per px, for the edge of its window
+LEAST_PARTS = 4  # least number of samples of the image per px, for the edge of its window
 
 
 def fast_length(least: float, step: int = 1) -> int:
@@ -82,9 +82,9 @@ def spot_light(
 
     Notes
     -----
-    Cells at the edge of the pupil are weighted by their area in it; the light that such a cell's squared amplitude
-    lacks is outside the window. Validated against Hopkins' transfer function, and the Hankel transform with spherical
-    aberration (benchmarks/truth/wave.py).
+    The amplitude of a cell at the edge of the pupil is its area in the pupil; light that its square lacks is outside
+    the window. Validated against Hopkins' transfer function, and the Hankel transform with spherical aberration
+    (benchmarks/truth/wave.py).
     """
     window = fast_length(max(samples * unit, width))
     amplitude, at = _pupil(opening, wavefront, window / unit, unit)

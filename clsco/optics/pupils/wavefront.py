@@ -1,7 +1,7 @@
 """Wavefront errors of a lens as Zernike polynomials and Seidel's terms (float64, pure).
 
-Lengths are optical paths in px, waves times Q, so that one wavefront serves all wavelengths; a ray through l arrives at
-R l + 2 grad W, in px. Axes of an image: x to the right, y down.
+Optical paths W are in px, waves times Q, so that one wavefront serves all wavelengths; a ray through l arrives at R l +
+2 grad W px. Axes of an image: x to the right, y down.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 from clsco.optics.pupils.pupil import Array
 
-ON_RADIUS, ON_CIRCLE = 65, 128  # places that the steepest slope is looked for at; it is on the rim of most terms
+ON_RADIUS, ON_CIRCLE = 65, 128  # positions where the steepest slope is searched; of most terms it is at the rim
 LEAST_AREA = 1e-3  # of the image of a small part, relative to its size without aberrations
-STEP, BESIDE = 1e-4, 1e-3  # of the differences that slopes of polynomials are, and changes of slopes
+STEP, BESIDE = 1e-4, 1e-3  # steps of finite differences, for slopes of polynomials and for changes of slopes
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Wavefront:
         xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature at a position in the
         frame.
     change : tuple of float
-        Derivatives over the frame, px per px: of the coma away from the middle, and half of those of astigmatism and of
-        field curvature to the right and down.
+        Derivatives over the frame, px per px: of the coma, away from the middle; half of that of astigmatism, right and
+        down; half of that of field curvature, right and down.
 
     Examples
     --------
@@ -64,7 +64,7 @@ class Wavefront:
 
     @property
     def upright(self) -> Wavefront:
-        """The wavefront without Zernike polynomials in a canonical orientation, shared by its mirror images."""
+        """The wavefront in an orientation that all its mirror images share; Zernike polynomials are not mirrored."""
         (right, down), (xx, xy, yy), (coma, *others) = self.coma, self.bend, self.change
         x, y = (-1.0 if turned else 1.0 for turned in self.mirrored)
         change = coma, x * others[0], y * others[1], x * others[2], y * others[3]
@@ -72,7 +72,7 @@ class Wavefront:
 
     @property
     def mirrored(self) -> tuple[bool, bool]:
-        """Flags of `upright`: True if it is mirrored horizontally; True if vertically."""
+        """Two flags: True if `upright` is mirrored horizontally; True if vertically."""
         _, *ways = self.change
         right, down = next((way for way in (self.coma, ways[:2], ways[2:]) if any(way)), (0.0, 0.0))
         return right < 0.0 or (right == down == 0.0 and self.bend[1] < 0.0), down < 0.0
@@ -96,15 +96,16 @@ class Wavefront:
         return across + changes / (2.0 * STEP), below + deeper / (2.0 * STEP)
 
     def grown(self, x: Array, y: Array) -> Array:
-        """Area that a small part of the image takes where rays through lens points arrive: the determinant of
-        `_stretch`. Even light stays even by this factor.
+        """Factor by which a small part of the image is enlarged for rays through lens points: the determinant of
+        `_stretch`. Light times this factor keeps a uniform image uniform.
         """
         xx, xy, yx, yy = self._stretch(x, y)
         return np.maximum(xx * yy - xy * yx, 0.0)
 
     def crossings(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Positions where rays through lens points pass an occluder, relative to their source and in (R - R of the
-        occluder) px: the occluder's image is displaced by the wavefront at its own position.
+        """Positions where rays through lens points pass an occluder, relative to their source, over (R - occluder's R).
+
+        The occluder's image is displaced by the wavefront at its own position in the frame.
         """
         xx, xy, yx, yy = self._stretch(x, y)
         area = np.maximum(xx * yy - xy * yx, LEAST_AREA)  # no light arrives where the image folds
