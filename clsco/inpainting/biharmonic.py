@@ -36,10 +36,10 @@ def fill_biharmonic(
 
     image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: called
     with the fraction done, 0 to 1, after each tile. Filled values are limited to the range of nearby known ones. Every
-    run on a device gives the same bits. Memory besides the image: a byte per pixel, 8 bytes and the result per missing
-    pixel; for each tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes per pixel, and 43 channels + 5 per missing
-    one. Raises ArgumentError if no pixel is known, DeviceError. Validated against direct solutions: a dense one
-    (tests/kernels/test_biharmonic.py) and scikit-image's (benchmarks/inpainting).
+    run on a device gives the same bits. Memory besides the image: a byte per pixel, and 8 bytes and the result per
+    missing pixel; in the tile (`clsco.inpainting.tiles`) that is filled, 12 channels + 6 more per pixel and 43 channels
+    + 5 per missing one. Raises ArgumentError if no pixel is known, and DeviceError. Validated against direct solutions:
+    a dense one (tests/kernels/test_biharmonic.py) and scikit-image's (benchmarks/inpainting).
     """
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2]}
@@ -49,7 +49,10 @@ def fill_biharmonic(
 
 @dataclass(frozen=True)
 class _Level:
-    """Unknowns at one resolution: pixels of the reduced image, and the preconditioner's vector for these pixels."""
+    """Unknowns at one resolution: pixels in the holes of a reduced image (rows, columns), and their values `vector`.
+
+    list: pixel number of each of the `count` unknowns; index: unknown of each pixel, -1 for none.
+    """
 
     rows: np.int32
     columns: np.int32
@@ -73,7 +76,7 @@ def _fill(
 
 
 class _Solver:
-    """Solver by conjugate gradients in the holes of one image; owns the buffers."""
+    """Conjugate gradient solver for the holes of one image; owns the buffers on the device."""
 
     def __init__(
         self, session: Session, program: Program, real: Real, channels: int, missing: NDArray[np.bool_]
@@ -121,7 +124,7 @@ class _Solver:
         return found.astype(np.float32)
 
     def _precondition(self) -> None:
-        """Apply the preconditioner to the residual, through all resolutions."""
+        """Compute the preconditioned residual, from the finest resolution to the coarsest and back."""
         pairs = list(zip(self.levels, self.levels[1:], strict=False))
         for fine, coarse in pairs:
             gain = self.real(FIRST_GAIN if fine is self.levels[0] else FINER_GAIN)

@@ -1,4 +1,4 @@
-"""Choice of the better inpainting method for an image: each fills copies of the holes at known pixels."""
+"""Choice of an inpainting method for an image: the better one at filling copies of the holes at known pixels."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from clsco.opencl.session import Session
 WINDOW = 96  # px, side of the parts of the image that are examined
 MOST_WINDOWS = 4
 SHIFT = (24, 24)  # px, displacement of the copied holes from the true holes
-RIM = 8  # px, border of a window without copied holes, as adjacent windows are not adjacent in the image
-# Ratio by which the biharmonic error must be smaller: on photographs, errors in so few windows are uncertain by about
-# 1 dB, and "texture" is the safer method; on smooth images the ratio is far larger.
+RIM = 8  # px, border of a window without copied holes: beyond it lies another window, not the image around it
+# Ratio of the errors of "texture" and "biharmonic" above which "biharmonic" is chosen: on photographs, errors in so few
+# windows are uncertain by about 1 dB, and "texture" is the safer method; on smooth images the ratio is far larger.
 MARGIN = 1.25
 
 
@@ -25,11 +25,11 @@ def choose_method(
 ) -> Literal["biharmonic", "texture"]:
     """The method with the smaller square error at known pixels that are treated as missing, see MARGIN.
 
-    image: (rows, columns, channels), of any type; missing: (rows, columns). In at most MOST_WINDOWS windows, evenly
-    chosen among those with holes, the holes are shifted cyclically by SHIFT and filled together with the true ones by
-    each method; the windows are stacked in one image, so that few launches suffice. If no window is usable, the method
-    is `texture`. Every run on a device gives the same answer; the cost does not grow with the image. Gains and losses:
-    benchmarks/inpainting.
+    image: (rows, columns, channels), of any type; missing: (rows, columns). At most MOST_WINDOWS windows are examined,
+    evenly chosen among those with holes. In each, a copy of the holes is shifted cyclically by SHIFT, and either method
+    fills the copied and the true holes together; windows are stacked in one image, so that few launches suffice. If no
+    window is usable, the method is "texture". Every run on a device gives the same answer; the cost does not grow with
+    the image. Gains and losses: benchmarks/inpainting.
     """
     windows = _windows(missing)
     if not windows:

@@ -37,9 +37,9 @@ def fill_texture(
 
     image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: called
     with the fraction done, 0 to 1, after each tile. Filled values are limited to the range of nearby known ones. Every
-    run on a device gives the same bits. Memory besides the image: a byte per pixel, 8 bytes and the result per missing
-    pixel; for one tile (`clsco.inpainting.tiles`) about 28 channels + 12 bytes per pixel of 1024 x 1024. Raises
-    ArgumentError if no pixel is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
+    run on a device gives the same bits. Memory besides the image: a byte per pixel; for each missing pixel 8 bytes and
+    the result; and about 28 channels + 12 bytes per pixel of one tile (`clsco.inpainting.tiles`). Raises ArgumentError
+    if no pixel is known, and DeviceError. Validated against `clsco.reference.inpainting.fse`
     (tests/kernels/test_fse.py), and compared with OpenCV's FSR (benchmarks/inpainting).
     """
     features = {"CHANNELS": image.shape[2]}

@@ -30,10 +30,12 @@ class Tables(NamedTuple):
 
 @cache
 def tables() -> Tables:
-    """Make the tables. window (FSE_SIDE, FSE_SIDE): DECAY to the power of the distance from the block's center.
-    preference (FSE_SIDE, FSE_SIDE / 2): squares of 1 - |frequency| / highest frequency (Genser et al. 2018); 0 beyond
-    the highest frequency, and for mirrored frequencies in the first column. cosines, sines (FSE_SIDE, FSE_SIDE / 2): of
-    2 pi a v / FSE_SIDE for row a and column v.
+    """Make the tables.
+
+    window (FSE_SIDE, FSE_SIDE): DECAY to the power of the distance in px from the block's center. preference (FSE_SIDE,
+    FSE_SIDE / 2): (1 - |frequency| / highest frequency)^2 (Genser et al. 2018); 0 for negative frequencies in the first
+    column, which mirror the positive ones there. cosines, sines (FSE_SIDE, FSE_SIDE / 2): of 2 pi a v / FSE_SIDE for
+    row a and column v.
     """
     place = np.arange(FSE_SIDE)
     distance = place + 0.5 - FSE_SIDE / 2

@@ -10,22 +10,21 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-# Settings of the biharmonic solver. Gains: factor of the weight of splines from one size to twice the size, which have
-# 1/4 of the energy; the first factor is larger, since single pixels are no splines. The number of steps hardly changes
-# for 2 to 4 times FINER_GAIN.
+# Settings of the biharmonic solver. Gains: weight of splines relative to that of splines of half the size, since they
+# have 1/4 of the energy. FIRST_GAIN is relative to single pixels, and larger, since these are no splines; the number of
+# steps hardly changes if it is 2 to 4 times FINER_GAIN.
 FIRST_GAIN, FINER_GAIN = 12.0, 4.0
-TOLERANCE = 1e-4  # final residual, as a share of the first, in the preconditioner's norm: 60 dB from the solution
+TOLERANCE = 1e-4  # ratio of final to first residual, in the preconditioner's norm: errors are then about -60 dB
 MOST_STEPS = 500  # limit of the number of steps; holes from single pixels to 300 px need 12 to 90
 
 
 def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
-    """Turn in which each block (ceil(H / block), ceil(W / block)) is filled, from 0; -1 for blocks without missing
-    pixels.
+    """Turn, from 0, in which each block (ceil(H / block), ceil(W / block)) is filled; -1 without missing pixels.
 
-    missing: (H, W), not all True. Filling goes inwards ring by ring; within a ring, first the black squares of a
-    chessboard of blocks are filled, then the white ones. A block with known pixels is in ring 0; a fully missing block
-    is in the ring n if its chessboard distance to the nearest block with known pixels is n blocks. Two passes compute
-    this exactly (Rosenfeld and Pfaltz 1968). Validated against scipy's distance transform.
+    missing: (H, W), not all True; block: side of a block, px. Filling goes inwards ring by ring; within a ring, first
+    the black squares of a chessboard of blocks are filled, then the white ones. A block with known pixels is in ring 0;
+    a fully missing block is in ring n if its chessboard distance to the nearest block with known pixels is n blocks.
+    Two passes compute this exactly (Rosenfeld and Pfaltz 1968). Validated against scipy's distance transform.
     """
     rows, columns = missing.shape
     padding = ((0, -rows % block), (0, -columns % block))
@@ -45,9 +44,7 @@ def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
 
 
 def halved(image: Array, missing: Mask) -> tuple[Array, Mask]:
-    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: each pixel is the mean of the known pixels
-    in a 2 x 2 block.
-    """
+    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: means of known pixels in 2 x 2 blocks."""
     rows, columns = missing.shape
     padding = ((0, rows % 2), (0, columns % 2))
     known = np.pad(~missing, padding)
@@ -61,7 +58,7 @@ def halved(image: Array, missing: Mask) -> tuple[Array, Mask]:
 def doubled(coarse: Array, missing: Mask) -> Array:
     """Values (N, K) of a half-size image (ceil(H / 2), ceil(W / 2), K) at the N pixels of `missing` (H, W).
 
-    Linear between the coarse pixels' centers, constant beyond the outermost; pixels in row order.
+    They are interpolated linearly between the centers of coarse pixels, and constant beyond the outermost; row by row.
     """
     row, column = np.nonzero(missing)
     result: Array = np.zeros((row.size, coarse.shape[2]), coarse.dtype)

@@ -59,8 +59,8 @@ class Stages:
 
     pixels, border: pixel numbers (M,) and (B,), row by row; filled, smoothed: (M, K) values after stages 1 and 2;
     gradients: (B,) magnitude by Sobel's operator; blended: (B, K) medians, which replace border pixels whose gradient
-    reaches the threshold of `histogram`; score: None if turned off; histogram: None if turned off or without border
-    pixels; sweeps: number of sweeps that filled pixels; seconds: duration by stage.
+    reaches the threshold of `histogram`; score: None unless the estimator is "scored"; histogram: None without border
+    pixels or if `border_share` is 0; sweeps: number of sweeps that filled pixels; seconds: duration by stage.
     """
 
     pixels: Pixels
@@ -136,15 +136,16 @@ def _program(session: Session, channels: int, codes: bool) -> Program:
 
 
 def group_size(session: Session) -> int:
-    """Work-group size of sweep_holes."""
+    """Work-group size of the kernel `sweep_holes`."""
     return 1 if session.device.kind == "cpu" else min(GROUP, session.device.max_work_group)
 
 
 class Layout:
-    """Numbering of M missing pixels, of B known pixels beside them, and of the frame around the image.
+    """Numbering of M missing pixels and their neighbors: B known pixels, and pixels of a border around the image.
 
-    missing: (rows, columns). pixels, border: (M,) and (B,) positions in the image, row by row; slots: count of numbers;
-    at: (M,) number of each missing pixel; beside: (M, 2) numbers of the pixels above and below it.
+    missing: (rows, columns). pixels, border: flat indices in the image of the missing (M,) and the known pixels (B,);
+    slots: count of numbers, which are assigned row by row; at: (M,) number of each missing pixel; beside: (M, 2)
+    numbers of the pixels above and below it.
     """
 
     def __init__(self, missing: Mask) -> None:
@@ -173,7 +174,7 @@ class Layout:
         return known.ravel().take(self._framed_pixels).astype(np.int32)
 
     def _framed(self, pixels: Pixels) -> Pixels:
-        """Positions in the image extended by its frame."""
+        """Flat indices in the image with its border of 1 px, from flat indices in the image."""
         columns = self.shape[1] - 2
         return pixels + 2 * (pixels // columns) + (columns + 3)
 
@@ -191,10 +192,10 @@ def dilated(missing: Mask) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Rows of an image from `top` to before `bottom`, with the adjacent rows.
+    """Rows of an image from `top` to `bottom` - 1, and the rows directly above and below them.
 
-    above: first row of the image that the band holds; value: (count, columns, K), followed in memory by CODE_LANES
-    pixels, finite at missing pixels; overwritten by the next band.
+    above: number of the first row held; value: flat array of (count, columns, K) values, finite at missing pixels, and
+    of CODE_LANES more pixels; it is overwritten by the next band. missing: (count, columns).
     """
 
     top: int
@@ -210,7 +211,7 @@ class Band:
 
 
 def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) -> Iterator[Band]:
-    """Bands of an image (rows, columns, K) that contain any `wanted` row (rows,), converted to a type."""
+    """Bands of an image (rows, columns, K) with any row that is True in `wanted` (rows,), converted to `dtype`."""
     rows, columns, channels = image.shape
     step, most = max(1, BAND_VALUES // (columns * channels)), CODE_LANES * channels
     room = np.zeros(channels * columns * min(step + 2, rows) + most + ALIGNED, dtype)
@@ -224,14 +225,14 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) ->
         pixels = room[:size].reshape(-1, columns, channels)
         pixels[...] = image[part]
         if image.dtype.kind == "f":
-            pixels[missing[part]] = 0  # which may be NaN
+            pixels[missing[part]] = 0  # values of missing pixels may be NaN
         yield Band(top, bottom, part.start, room[: size + most], missing[part])
 
 
 def score_image(
     session: Session, program: Program, image: NDArray[Any], missing: Mask, scale: float, progress: Progress
 ) -> Score:
-    """Stage 0: score mean and median; arguments as for `fill_mean_median`."""
+    """Stage 0: score mean and median; scale: from `score_scale`; other arguments as for `fill_mean_median`."""
     rows, columns, _ = image.shape
     segments, found = -(-columns // SCORED_COLUMNS), [np.zeros((1, SCORE_SUMS), np.int64)]
     for band in bands(image, missing, np.ones(rows, np.bool_), np.uint8 if image.dtype == np.uint8 else np.float32):
@@ -262,9 +263,10 @@ class Holes:
         self.value, self.found = copied(self.session, values), copied(self.session, values)
 
     def fill(self, wins: np.int32, minimum: int, limit: int, progress: Progress) -> int:
-        """Stage 1; returns the number of sweeps. wins: bit k is set to use the median of k neighbors.
+        """Stage 1: fill all missing pixels; returns the number of sweeps.
 
-        limit: sweeps after which a single neighbor is enough.
+        wins: bit k is set to use the median of k neighbors; minimum: known neighbors that a pixel needs; limit: number
+        of sweeps after which a single neighbor is enough.
         """
         state = self._sweep(wins, minimum, limit, self.level, np.zeros(2, np.int32), progress)
         if state[1] < self.missing:
@@ -309,7 +311,7 @@ class Holes:
         return state[0]
 
     def _lists(self, level: NDArray[np.int32], minimum: int) -> tuple[cl.Buffer, NDArray[np.int32]]:
-        """Pixel lists and the state before the first of some sweeps; level: (M,), 0 to minimum."""
+        """Lists and state of mean_median.cl before a sweep; level: (M,), known neighbors up to minimum, 0 if filled."""
         state = np.zeros((minimum + 1, 2), np.int32)
         lists = np.empty((minimum, self.at.size), np.int32)
         for k in range(1, minimum + 1):
@@ -327,7 +329,7 @@ class Holes:
         by_one = rounds > 1 and group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
         at_once = rounds if by_one else 1
         for n in range(0, rounds, at_once):
-            # Pixels with only known neighbors are the same in both sets after two rounds.
+            # Pixels with only known neighbors have equal values in both buffers after two rounds.
             singles = np.int32(single.size - (alone if n > 1 else 0))
             size, planes = ((1, OWNERS) if by_one else (items, VECTORS)), (self.beside, self.value, self.found)
             self._launch("smooth_holes", *size, self.slots, np.int32(at_once), *buffers, singles, *planes)
@@ -348,8 +350,10 @@ class Holes:
 
 
 def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
-    """Missing pixels with the numbers `at` (M,) as smooth_holes reads them: runs (R, 2), single pixels (S,), and the
-    count of single pixels marked in `alone` (M,), which come last.
+    """Runs of missing pixels, and single ones, from their numbers `at` (M,), as the kernel smooth_holes reads them.
+
+    Returns first numbers and lengths of runs (R, 2), numbers of single pixels (S,), and how many of these are `alone`;
+    they are last.
     """
     starts = np.flatnonzero(np.diff(at, prepend=-2) != 1)
     within = np.arange(at.size) - np.repeat(starts, np.diff(starts, append=at.size))
@@ -365,7 +369,7 @@ def blend_border(
     session: Session, program: Program, border: Pixels, image: NDArray[Any], missing: Mask, stages: Stages,
     progress: Progress,
 ) -> None:  # fmt: skip
-    """Stage 3: gradients and medians of all border pixels; the threshold later selects the pixels to replace."""
+    """Stage 3: write gradients and medians of all border pixels to `stages`; a threshold later selects from them."""
     rows, columns, channels = image.shape
     stages.gradients = np.empty(border.size, np.float64)
     stages.blended = np.empty((border.size, channels), np.float32)
@@ -388,5 +392,5 @@ def blend_border(
 
 
 def _grid(rows: int, columns: int) -> Struct:
-    """grid_t of an image without an apron."""
+    """`grid_t` of an image without a guard band."""
     return filled("grid_t", "float", {"columns": columns, "width": columns, "rows": rows, "height": rows})

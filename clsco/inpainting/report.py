@@ -16,7 +16,8 @@ class Report:
     """Report on filling an image.
 
     method: method used; device: name of the device; shape, dtype: of the image; missing_pixels: number of missing
-    pixels; seconds: total time; stages: of mean-median, else None, also without missing pixels; constants: its options.
+    pixels; seconds: total time; stages: results of the stages of mean-median, None for other methods or without missing
+    pixels; constants: options of mean-median.
     """
 
     method: str
@@ -32,7 +33,7 @@ class Report:
         """The figures for JSON; for mean-median they include those of the table in figure 5.21.
 
         Gradients are in the image's unit; mse: mean square errors of mean and median by the number of known neighbors,
-        in the square of that unit; empty if no pixel has eight known neighbors.
+        in the square of that unit; these lists are empty if no pixel has eight known neighbors.
         """
         found: dict[str, Any] = {
             "method": self.method, "device": self.device, "shape": list(self.shape), "dtype": self.dtype,

@@ -1,7 +1,7 @@
 """Rules of mean/median filling (thesis, chapter 5), shared by host and reference: constants, scores, threshold.
 
-Decisions use integers, so that every device and the reference agree: scores are exact sums of differences in steps of
-2^-16 of the range of the values.
+Decisions use integers, so that every device and the reference agree: scores are exact sums of squared differences
+between values rounded to about 2^-16 of their range.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 
 COUNTS = range(4, 9)
-"""Counts of known neighbors for which mean and median are scored; below, the mean is taken."""
-STEPS = 2**16  # number of steps in the range of the values, for scores; sums of 4096 pixels then fit into 53 bits
+"""Counts of known neighbors for which mean and median are scored; with fewer neighbors, the mean is used."""
+STEPS = 2**16  # most steps in the range of the values, for scores; sums of 4096 pixels then fit into 53 bits
 LEAST_EXPONENT, MOST_EXPONENT = -126, 126  # range of the exponent of the scale, a float32
 
 
@@ -34,12 +34,12 @@ class MeanMedian:
     smoothing_rounds : int
         Rounds of the median over filled pixels, 0 (none) to 1000.
     border_share : float
-        Share of the known pixels beside holes, 0 (none) to 1, that are blended: those with the largest gradients.
+        Share of the known pixels beside holes that a 3 x 3 median replaces, 0 (none) to 1; steepest gradients first.
 
     Raises
     ------
     SceneError
-        An option has another value.
+        An option has a value that is not listed above.
 
     Examples
     --------
@@ -68,9 +68,9 @@ class MeanMedian:
 def most_sweeps(rows: int, columns: int) -> int:
     """Number of sweeps that require the minimum of known neighbors; in later sweeps one known neighbor is enough.
 
-    Each later sweep moves the known pixels inwards by one, and max(rows, columns) sweeps suffice: stage 1 takes fewer
-    than 4 (rows + columns) sweeps for any mask. Without this limit, 1 of 10,000 random masks takes more (4.09 times
-    rows + columns for 61 x 51 pixels, of which 55 are known); about 40 of 10,000 reach the limit.
+    Each later sweep fills all pixels beside known ones, so that max(rows, columns) of these sweeps suffice, and stage 1
+    takes fewer than 4 (rows + columns) sweeps for any mask. Without this limit, 1 of 10,000 random masks takes more
+    (4.09 times rows + columns for 61 x 51 pixels, of which 55 are known); about 40 of 10,000 reach the limit.
     """
     return 3 * (rows + columns)
 
@@ -81,7 +81,7 @@ class Score:
 
     mean, median: squared errors by k, summed over all pixels with eight known neighbors, all channels and all subsets
     of k neighbors, and multiplied by (2 k scale)^2 to be integers; entries for k < 4 are 0. samples: pixels times
-    channels.
+    channels; scale: from `score_scale`.
     """
 
     mean: tuple[int, ...]
@@ -96,9 +96,7 @@ class Score:
         return np.array([median < mean for mean, median in zip(self.mean, self.median, strict=True)])
 
     def mean_square_errors(self) -> tuple[list[float], list[float]]:
-        """Mean square errors of mean and of median for k = 4..8, in the squared unit of the values; () without
-        samples.
-        """
+        """Mean square errors of mean and median for k = 4..8, in the squared unit of the values; [] without samples."""
         if not self.samples:
             return [], []
         share = {k: 1.0 / ((2.0 * k * self.scale) ** 2 * comb(8, k) * self.samples) for k in COUNTS}
@@ -106,10 +104,10 @@ class Score:
 
 
 def score_scale(span: float) -> float:
-    """Factor by which values are multiplied before rounding for scores: the largest power of two for which span times
-    factor is at most 2^16.
+    """Factor by which values are multiplied before they are rounded for scores.
 
-    span: largest minus smallest value, 0 or more.
+    The largest power of two for which span times factor is at most 2^16; span: largest minus smallest value, at least
+    0.
     """
     mantissa, exponent = frexp(span)
     above = exponent - (mantissa == 0.5)  # span is at most 2^above
@@ -148,7 +146,7 @@ def bits_of(wins: NDArray[np.bool_]) -> int:
 
 @dataclass(frozen=True)
 class Histogram:
-    """Histogram of the border pixels' gradients (figure 5.6), and the threshold above which they are blended.
+    """Histogram of the border pixels' gradients (figure 5.6), and the threshold from which on pixels are blended.
 
     counts: entry n is the number of gradients from n step to below (n + 1) step; step: in the unit of the values;
     least, most: smallest and largest gradient; threshold: a multiple of step, or None if no pixel is blended.
@@ -162,10 +160,9 @@ class Histogram:
 
 
 def border_histogram(gradients: NDArray[Any], step: float, share: float) -> Histogram:
-    """Histogram of gradient magnitudes (N,), N > 0, with the threshold that the fraction `share` of them reaches.
+    """Histogram of gradient magnitudes (N,), N > 0, with a threshold that the fraction `share` of them reaches.
 
-    The threshold is the step at which the share is reached, counted down from the largest gradient; None for a share
-    of 0.
+    The threshold is the largest multiple of `step` that at least this fraction reaches; None for a share of 0.
     """
     place = (gradients.astype(np.float64) / step).astype(np.int64) if step else np.zeros(gradients.size, np.int64)
     counts = np.bincount(place)
@@ -176,9 +173,7 @@ def border_histogram(gradients: NDArray[Any], step: float, share: float) -> Hist
 
 
 def value_span(image: NDArray[Any], missing: NDArray[np.bool_]) -> float:
-    """Range of the values of an image (rows, columns[, K]): for codes the largest possible code, for floats the range
-    of known values.
-    """
+    """Range of the values of an image (rows, columns[, K]): for codes the largest code, else that of known values."""
     if image.dtype.kind != "f":
         return float(np.iinfo(image.dtype).max)
     known = ~missing if image.ndim == 2 else ~missing[..., None]

@@ -27,10 +27,11 @@ def fill_in_tiles(
 ) -> Image:
     """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
-    fill: fills a part of the image, scaled so that known values span 0 to 1 in each channel, and with a mask of holes;
-    the result is clipped to 0 to 1. progress: called with the fraction done after each tile. Tiles are filled row by
-    row, each with a margin of MARGIN px in which previously filled values count as known; tiles without a known pixel
-    are deferred. Only one tile at a time is converted to floats. Raises ArgumentError if no pixel is known.
+    fill: returns a part of the image with its holes filled, given that part, whose known values are scaled to 0 to 1 in
+    each channel, and a mask of holes; results are clipped to 0 to 1. progress: called with the fraction done after each
+    tile. Tiles are filled row by row, each with a margin of MARGIN px in which previously filled values count as known;
+    tiles without a known pixel are deferred. Only one tile at a time is held as floats. Raises ArgumentError if no
+    pixel of the image is known.
     """
     if missing.all():
         raise ArgumentError(f"missing: must leave a pixel known; got all {missing.size} missing")
@@ -62,8 +63,9 @@ def fill_in_tiles(
 def _within(
     part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Select from the pixel numbers (N,) of an image of `columns` columns the pixels in a part of the image: returns
-    their indices in `pixels`, and their rows and columns in the part.
+    """Find the pixels of a part of an image of `columns` columns among ascending pixel numbers (N,).
+
+    Returns their indices in `pixels`, and their rows and columns in the part.
     """
     first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
     row, column = np.divmod(pixels[first:end], columns)

@@ -24,7 +24,7 @@ from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Object, Scene
 from clsco.scene.sequence import CURVES
 
-CLOSED = 1e-6  # share of an exposure; intervals that end this near to its end cover it
+CLOSED = 1e-6  # share of an exposure; intervals cover it if they end this close to its end
 STEPS = 64  # number of steps of an exposure, for paths in the image
 LOOKS = (0, STEPS // 2, STEPS)  # steps at whose times rays sample the objects
 EDGE_ERROR, CHORD = 5e-4, 0.5  # error allowed at a moving edge, 1 = white; least share of a lens passed in one radius
@@ -34,10 +34,10 @@ MOST = 4095  # largest number of time samples while a line is exposed
 
 
 def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[Array, Array]:
-    """Times (samples,) of a frame in s, and weights (samples, lines) for its rows or columns, or (samples, 1) for the
-    whole frame.
+    """Times (samples,) of a frame in s, and weights (samples, lines) for its rows or columns.
 
-    claimed: number of time samples on the device while a line is exposed; least: the sufficient number.
+    Weights are (samples, 1) if all lines have the same. claimed: number of time samples on the device while a line is
+    exposed; least: the sufficient number.
     """
     if not scene.moves:
         return np.zeros(1), np.ones((1, 1))
@@ -51,7 +51,7 @@ def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[A
     starts, length = (np.sort(opens), shutter) if alone else (np.zeros(1), sequence.readout + shutter)
     times = (frame_exposure(scene, index, claimed).times - begin).reshape(len(starts), -1)
     ends = [starts]
-    for time in times.T:  # the middle of its share, or its end
+    for time in times.T:  # the middle of an interval, or its end
         ends.append(2.0 * time - ends[-1] if sequence.sampling == "midpoint" else time)
     shares, count = np.stack(ends, axis=1), ceil(least * length / shutter * (1.0 - 1e-9))
     covers = (np.abs(shares[:, -1] - starts - length) <= CLOSED * length).all() and (np.diff(shares) > 0.0).all()
@@ -76,15 +76,17 @@ def light_passed(curve: ArrayLike, time: Array) -> Array:
 
 
 def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: int, guard: int) -> float:
-    """Sufficient number of time samples while a line of a frame is exposed: that of the scene, or for "auto" as many as
-    the visible points of the objects need, up to `guard` px around the frame.
+    """Sufficient number of time samples while a line of a frame is exposed.
+
+    It is that of the scene, or for "auto" as many as points of the objects need, up to `guard` px around the frame.
+    maps: inverse depths of each object's depth map, or None.
     """
     sequence = scene.sequence
     if sequence.samples != "auto" or not scene.moves:
         return 1.0 if sequence.samples == "auto" else float(sequence.samples)
     begin, length = index * sequence.interval + sequence.shutter_start, sequence.shutter + sequence.readout
     times = (begin + length * np.linspace(0.0, 1.0, STEPS + 1)).tolist()
-    jumps = np.searchsorted(times, jump_times(scene, index)) - 1  # steps that are no motion
+    jumps = np.searchsorted(times, jump_times(scene, index)) - 1  # steps with a jump, which is no motion
     cameras, poses = [camera_at(scene, t) for t in times], [poses_at(scene, t, eye) for t in times]
     lenses, line, needed = [lenses_at(scene, t) for t in times], sequence.shutter / length, 0.0
     for k, item in enumerate(scene.objects):
@@ -116,7 +118,7 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
 
 
 def _seen_points(camera: Camera, item: Object, pose: Pose, depth: Array | None, guard: int) -> tuple[Array, Array]:
-    """Rays (n, 3) and inverse depths (n,) of an object's visible points, at every second pixel."""
+    """Rays (n, 3) and inverse depths (n,) of an object seen alone: at every second pixel, or all pixels of a map."""
     row, column = (place[:: 1 + (depth is None), :: 1 + (depth is None)] for place in padded_grid(camera, guard))
     rays = pixel_ray(camera, row, column)
     if depth is None:

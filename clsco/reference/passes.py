@@ -44,8 +44,9 @@ from clsco.scene.model import Scene
 
 
 def run(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Mapping[str, Any]:
-    """The blurred "plane" (m, n, C) of a view at a time in s; for depth maps and moved pixels also "counts" of the
-    filling and a mask of "missing" pixels; and the number of "depth_layers".
+    """The blurred "plane" (m, n, C) of a view at a time in s, and other outputs by name.
+
+    They are "counts" of the filling, a mask of "missing" ones among moved pixels, and the number of "depth_layers".
     """
     outputs: dict[str, Any] = {}
     planes: list[Array] = []
@@ -119,7 +120,7 @@ def _cut_by_rims(plan: ReferencePlan, time: float, guard: int, sources: Sources)
     zeros = np.zeros(len(rays))
     lens, radius = lens_at(scene, time, plan.only), sources.radius[lit]
     local_lens = along_rays(lens, rays)
-    w = (blur_radius(lens, rays, zeros) - radius) / local_lens.blur_scale  # also of pixels hidden by depth layers
+    w = (blur_radius(lens, rays, zeros) - radius) / local_lens.blur_scale  # extrapolated pixels have no depth
     points = Points(rays, w, radius, zeros, zeros, 1.0, np.zeros((len(rays), 2)))
     state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
     number = np.full(lit.size, -1)
@@ -135,7 +136,7 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
     rays = pixel_ray(camera, *padded_grid(scene.camera, 0)).reshape(-1, 3)
     none = np.zeros(len(rays))
     w = blur_radius(lens, rays, none) / along_rays(lens, rays).blur_scale
-    points = Points(rays, w, none, none, none, 0.0, np.zeros((len(rays), 2)))  # by cells of the lens, as points are
+    points = Points(rays, w, none, none, none, 0.0, np.zeros((len(rays), 2)))  # points, so that lens cells are used
     state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
     share, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
     if visibility.pupil is not None:
@@ -179,8 +180,8 @@ def warped_image(
     scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye,
     color: int | None = None,
 ) -> Warped:  # fmt: skip
-    """The pixels of the reference pose at a time: the forward warp with holes filled, and radii for a color."""
-    images = tuple(texture for texture in textures if not isinstance(texture, MappedTexture))  # all of them
+    """The pixels of the reference pose moved to their positions at a time, with holes filled, and radii for a color."""
+    images = tuple(texture for texture in textures if not isinstance(texture, MappedTexture))  # none is mapped
     pairs = zip(scene.objects, rest_poses(scene), strict=True)
     reference_pose = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
     poses, camera = poses_at(scene, time, eye), colored(camera_at(scene, time), scene.lens, color)
@@ -203,7 +204,7 @@ def warped_image(
         values, valid = extend_border(values, valid, guard)
     rays = pixel_ray(camera, *padded_grid(scene.camera, guard))
     radius = np.where(valid, blur_radius(lens_at(scene, time, color), rays, values[..., -1]), 0.0)
-    flat = np.zeros((*radius.shape, 2))  # until its differences are taken
+    flat = np.zeros((*radius.shape, 2))  # replaced by `prepare_sources`
     sources = Sources(values[..., :-1], values[..., -1], valid.astype(np.uint8), radius, flat, valid)
     return Warped(sources, objects, status, report)
 

@@ -82,7 +82,7 @@ class ReferencePlan:
 
     @property
     def static_map(self) -> bool:
-        """True if each pixel of a depth map is at its original position."""
+        """True for a single depth map of which each pixel stays at its position."""
         scene = self.scene
         stays = not (scene.moves or scene.shifts_colors) and scene.stereo is None
         return not scene.is_analytic and len(scene.objects) == 1 and stays
@@ -101,12 +101,12 @@ class ReferencePlan:
 
     @property
     def by_rays(self) -> bool:
-        """True if sources are traced by rays, False if they are pixels of an image in depth layers."""
+        """True if sources are traced by rays, False if they are pixels of a warped image or of depth layers."""
         return not (self.static_map or self.forward or self.occlusion == "layered")
 
     @property
     def occlusion(self) -> Occlusion:
-        """Method of occlusion: the scene's, if any surface can hide another."""
+        """Method: "none" if set or nothing can be hidden, "layered" for depth maps and moved pixels, or the scene's."""
         scene = self.scene
         if scene.psf.occlusion == "none" or (
             len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
@@ -173,7 +173,7 @@ def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray
     bounds, center = [cutting_bounds(item) for item in view.scene.objects], label & 127
     missed = np.zeros(label.shape, dtype=bool)
     members = [item for k, item in enumerate(view.scene.objects) if group.members >> k & 1]
-    if len(members) == 1 and isinstance(members[0], Plane) and members[0].bounds is None:  # half of the view at least
+    if len(members) == 1 and isinstance(members[0], Plane) and members[0].bounds is None:  # half of the view or more
         return mark_silhouettes(label)
     places = (np.arange(CASTS) + 0.5) / CASTS - 0.5
     for below, right in ((y, x) for y in places for x in places):

@@ -39,8 +39,8 @@ class PsfStack:
     Attributes
     ----------
     weights : ndarray of float32, (channels, places, depths, rows, columns)
-        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns). They sum
-        to 1, or with aberrations that grow over the frame to how much these enlarge its image.
+        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns). All sum
+        to 1, or with aberrations that vary over the frame to the factor by which these enlarge the image.
     depth : ndarray of float64, (depths,)
         Depth Z of the source, mm, from near to far.
     radius : ndarray of float64, (channels, places, depths)
@@ -138,7 +138,7 @@ def psf_of(
         if not wavelengths:
             raise SceneError("psf: wavelengths must be one or more, in nm; got none")
         spreads = tuple(spread_of_wavelength(spreads[0], scene.camera, wavelength) for wavelength in wavelengths)
-    count = max(len(lenses), len(spreads))  # of colors that are blurred apart, or 1
+    count = max(len(lenses), len(spreads))  # of separately blurred colors, or 1
     inverse = _inverse_depths(lens_at(scene, time), plan.largest_blur) if depths is None else _inverse(depths)
     places = _field(camera) if at is None else _places(camera, at)
     rays = np.stack(ray_slopes(camera, places[:, 1], places[:, 0]), axis=-1)
@@ -217,7 +217,7 @@ def _inverse(depths: Sequence[float]) -> Array:
 
 
 def _inverse_depths(lens: Lens, largest: float) -> Array:
-    """Inverse depths, 1/mm, from near to far."""
+    """Inverse depths, 1/mm, from near to far; `largest`: largest |R|, px, on both sides of the focus."""
     power, margin = lens.focus_power, largest / lens.blur_scale
     near, far = power + margin, max(power - margin, 0.0)
     if not far < power < near:

@@ -1,6 +1,6 @@
 """Rays through the real lens: expected values of a frame's pixels, by formulas independent of `clsco.optics`.
 
-It shares the scene model and loaded textures with the engine. numba and scipy are in the extra `check`.
+The package shares the scene model and loaded textures with the engine. numba and scipy are in the extra `check`.
 """
 
 from __future__ import annotations

@@ -14,9 +14,10 @@ FARTHEST = 1e12  # mm, distance of a background
 
 
 def surface_of(item: Any) -> tuple[Array, Any, tuple[float, float]]:
-    """Coefficients (10,) a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, x right, y up, z away from the camera; the
-    center (3) that they are relative to, in mm; and the z range (2) of an object. Raises ValueError for an unknown
-    shape.
+    """Coefficients (10,), center (3) in mm, and z range (2) of an object's surface.
+
+    The coefficients are a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, relative to the center, x right, y up, z
+    away from the camera. Raises ValueError for an unknown shape.
     """
     k = np.zeros(10)
     everywhere = (-np.inf, np.inf)
@@ -43,15 +44,13 @@ def surface_of(item: Any) -> tuple[Array, Any, tuple[float, float]]:
             return k, item.apex, (0.0, np.inf) if item.nappe == "away" else (-np.inf, 0.0)
         case "quadric":
             return np.asarray(item.coefficients, float), item.center, everywhere
-        case "background":  # no surface: rays that meet none show it
+        case "background":  # no surface: rays that meet no surface show it
             return k, (0.0, 0.0, FARTHEST), everywhere
     raise ValueError(f"rays: shape must be analytic; got {item.shape!r}")
 
 
 def bounds_of(item: Any, span: tuple[float, float]) -> Array:
-    """Bounds (7,) of an object: x0 x1 y0 y1 z0 z1 in its frame, and the square of the largest distance from its z axis;
-    span: z range of the shape.
-    """
+    """Bounds (7,) of an object: x0 x1 y0 y1 z0 z1 in its frame, and largest x^2 + y^2; span: z range of the shape."""
     box = np.array([-np.inf, np.inf] * 3 + [np.inf])
     if item.bounds is not None:
         box[:6] = np.ravel(item.bounds)

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 PROJECTED, FLAT, ROUND, GLOBE, ROLLED, THREE, CUBE = range(7)
 WRAPS = ("repeat", "mirror", "clamp", "none")
 FILTERS = ("nearest", "bilinear", "bicubic")
-# How an image lies, as numbers: kind, first texel, rows, columns, wrap, width and height of a copy, cosine and sine
-# of its turn, shift right and up in copies, a radius or the sine of a half angle; then three vectors, and the filter.
+# Numbers of a mapping: kind, first texel, rows, columns, wrap, width and height of a copy, cosine and sine of its turn,
+# shift right and up in copies, a radius or the sine of a half angle; then right, up and front vector, and the filter.
 NUMBERS = 12
 SIZE = NUMBERS + 10
 
@@ -85,7 +85,7 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int, texture_filter: st
 
 @njit(cache=True, inline="always")
 def _texel(index, count, wrap):  # type: ignore[no-untyped-def]
-    """The texel for an index beyond the image, -1 for none."""
+    """Number of the texel at an index along an axis of `count` texels, -1 for none; wrap: number in WRAPS."""
     if 0 <= index < count:
         return index
     if wrap == 0:
@@ -100,7 +100,7 @@ def _texel(index, count, wrap):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _weight(t, kind):  # type: ignore[no-untyped-def]
-    """The weight of a texel at a distance: by the cubic of Keys, or by another filter."""
+    """The weight of a texel at a distance t; kind: number of the filter in FILTERS."""
     if kind == 0:
         return 1.0 if -0.5 < t <= 0.5 else 0.0
     t = abs(t)
@@ -113,8 +113,9 @@ def _weight(t, kind):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _add_image(total, share, s, t, m, images, side=0):  # type: ignore[no-untyped-def]
-    """Add the image at lengths s right and t up from its middle, multiplied by a blending weight; side: number of the
-    image.
+    """Add the image's values at s right and t up from its middle, times `share`, to `total`.
+
+    m: numbers of the mapping; side: number of the image.
     """
     first, rows, columns, wrap = int(m[1]), int(m[2]), int(m[3]), int(m[4])
     turned_s, turned_t = m[7] * s + m[8] * t, m[7] * t - m[8] * s
@@ -139,7 +140,7 @@ def _add_image(total, share, s, t, m, images, side=0):  # type: ignore[no-untype
 
 @njit(cache=True)
 def shade(total, x, y, z, normal, m, images):  # type: ignore[no-untyped-def]
-    """The radiance (channels,) at a point of an object's frame, with its unit normal there."""
+    """Write the radiance at a point of an object's frame, with its unit normal there, to `total` (channels,)."""
     for channel in range(total.size):
         total[channel] = 0.0
     kind = int(m[0])

@@ -37,8 +37,8 @@ class Row:
     """Deviations of a class of pixels, or of the pixels of an object; 1 = white.
 
     rms, noise: RMS of the differences between frame and rays, and of the rays' noise; mean: signed mean difference;
-    beyond: number of pixels off by more than 0.01 and 4 standard errors. Of the worst pixel: column, row; right:
-    expected value; got: value in the frame; errors: difference in standard errors, if it exceeds 0.01.
+    beyond: number of pixels off by more than 0.01 and 4 standard errors. Of the pixel with the largest difference:
+    column, row; right: expected value; got: value in the frame; errors: difference in standard errors.
     """
 
     name: str
@@ -55,14 +55,15 @@ class Row:
 
     @property
     def decibels(self) -> float:
-        """PSNR in dB with the noise of the rays subtracted, which may be the whole error."""
+        """PSNR in dB after subtraction of the rays' noise, which may be the whole difference."""
         return -10 * math.log10(max(self.rms**2 - self.noise**2, 1e-2 * self.noise**2, 1e-12))
 
 
 @dataclass(frozen=True)
 class Light:
-    """Total light around a small object, in px of white. right, error: by rays, and its standard error; got: in the
-    frame; own: contribution of the object alone.
+    """Total light around a small object, in px of white.
+
+    right, error: by rays, and its standard error; got: in the frame; own: contribution of the object alone.
     """
 
     name: str
@@ -74,7 +75,10 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Comparison of a view with rays: a `Row` per class and per object, light of small objects, and tested pixels."""
+    """Comparison of a view with rays: a `Row` per class and per object, light of small objects, and tested pixels.
+
+    right, error (n, channels): values by rays, and standard errors; got: values in the frame; rays: number of rays.
+    """
 
     classes: tuple[Row, ...]
     objects: tuple[Row, ...]
@@ -122,7 +126,7 @@ class Judgement:
         """Summary: PSNR in dB without the noise of rays, and PSNR of that noise; mean deviation, 1 = white; counts of
         pixels, deviations, small objects, and small objects with wrong light.
         """
-        if not len(self.right):  # waves, of which all is hidden or tilted
+        if not len(self.right):  # wave optics, if everything is hidden or tilted
             return {"pixels": 0, "deviations": 0}
         off, noise = self.got - self.right, max(float(np.mean(self.error**2)), 1e-18)
         square = max(float(np.mean(off**2)) - noise, 1e-2 * noise, 1e-12)
@@ -232,7 +236,7 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
     row, column = (indices.ravel() for indices in np.indices(problem.size))
     places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
 
-    def go_on(error: Array) -> NDArray[np.bool_]:  # pixels beside others with an error may have missed what is there
+    def go_on(error: Array) -> NDArray[np.bool_]:  # pixels near others with an error may have missed a surface
         near = maximum_filter(error.reshape(problem.size), 5).ravel()
         return np.asarray((near > noise / 4) & (math.sqrt(np.mean(error**2)) > noise))
 
@@ -258,8 +262,9 @@ def trace(
     go_on: Callable[[Array], NDArray[np.bool_]] = lambda error: error > NOISE, repeats: int = REPEATS,
 ) -> tuple[Array, Array, int]:  # fmt: skip
     """Radiance (jobs, channels) by rays, its standard error, and the number of rays; arguments as for `accumulate`.
-    seconds: limit after which no more rays are started, without compilation; go_on: returns a mask of jobs that need
-    more rays, given their errors; repeats: number of independent estimates per job, whose differences give the errors.
+
+    rays: most per job; seconds: limit after which no more rays are started, without compilation; go_on: returns a mask
+    of jobs that need more rays, given errors; repeats: number of estimates per job, whose differences give the errors.
     """
     from scipy.stats import qmc  # takes seconds to import
 
@@ -290,12 +295,14 @@ def trace(
 
 
 def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[float, ...]]]:
-    """Objects that are narrow and entirely in the frame; for each the pixels (left, top, width, height) that receive
-    all of its light, and a box, as half width and height in mm around a point, that rays are aimed at.
+    """Numbers of objects that are narrow and entirely in the frame, each with two places for `accumulate`.
+
+    The first: left, top, width and height of the pixels that receive all of its light. The second: half width and half
+    height in mm, and middle, of a rectangle at which rays are aimed.
     """
     moments = sorted({0, len(problem.moments.poses) // 2, len(problem.moments.poses) - 1})
     if problem.moments.clock[1] > 0.0 and len(problem.moments.poses) > 1:
-        return  # where rows open in turn, light is not that of a time
+        return  # with a rolling shutter, light is not that of one time
     widest, bent = _reach(problem)
     for n in range(len(problem.scene.objects)):
         extent = extent_of(problem, n)

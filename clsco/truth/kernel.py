@@ -2,8 +2,8 @@
 
 The detector position x' sees, through the lens point l in lens radii, the surface point whose slope X / Z is x, with x'
 = x + R(Z) l + 2 Q grad W(l), R = (D / 2) (K - 1 / Z) as a slope. So the ray is the straight line X(Z) = (x' - 2 Q grad
-W - (D / 2) K l) Z + (D / 2) l, whose parameter is the depth Z. If K and W vary over the frame, they are those at x: the
-ray is cast again with the values at the point that it met.
+W - (D / 2) K l) Z + (D / 2) l, whose parameter is the depth Z. If K and W vary over the frame, their values at x are
+used: the ray is cast again with the values at the point that it met.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def rotated(m, x, y, z):  # type: ignore[no-untyped-def]
 def meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
     """First hit of the ray (lens + slope Z, Z) with a surface: depth, 0 for none, and the point in the object's frame.
 
-    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (7). All relative to the center.
+    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (7), both relative to the center.
     """
     # Back to the object's frame: the ray's parameter stays the depth in the camera at the sampled time.
     ox, oy, oz = rotated(m, lens_x - m[9], lens_y - m[10], -m[11])
@@ -71,8 +71,8 @@ def meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untype
     b = k[0] * ox * dx + k[1] * oy * dy + k[2] * oz * dz + 0.5 * (cross + linear)
     c = k[0] * ox * ox + k[1] * oy * oy + k[2] * oz * oz + k[3] * ox * oy + k[4] * oy * oz + k[5] * ox * oz
     c += k[6] * ox + k[7] * oy + k[8] * oz + k[9]
-    # a Z^2 + 2 b Z + c = 0. The form with q keeps both roots, and the only one where a = 0. Where there
-    # is none it is no number or infinite: comparisons refuse both.
+    # a Z^2 + 2 b Z + c = 0. The form with q gives both roots, and also the only one if a = 0. Missing roots
+    # are NaN or infinite, for which the comparisons are False.
     q = -(b + np.copysign(np.sqrt(b * b - a * c), b))
     first, second = c / q, q / a
     low, high = (first if first < second else second), (second if first < second else first)
@@ -85,7 +85,7 @@ def meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untype
 
 @njit(cache=True)
 def normal_at(normal, x, y, z, k):  # type: ignore[no-untyped-def]
-    """Unit normal (3,) of a quadric at a point."""
+    """Write the unit normal of a quadric at a point to `normal` (3,)."""
     normal[0] = 2 * k[0] * x + k[3] * y + k[5] * z + k[6]
     normal[1] = 2 * k[1] * y + k[3] * x + k[4] * z + k[7]
     normal[2] = 2 * k[2] * z + k[4] * y + k[5] * x + k[8]
@@ -139,7 +139,7 @@ def undistorted(x, y, n):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _keep_nearer(hits, rays, count, number, m, k, box):  # type: ignore[no-untyped-def]
     """Replace hits of rays by those with one surface where these are nearer; `m`: its poses (12 x BLOCK)."""
-    # Scalars, so that the compiler need not fear that a store changes them.
+    # Scalars, since the compiler must assume that stores may change elements of arrays.
     k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9]
     x0, x1, y0, y1, z0, z1, across = box[0], box[1], box[2], box[3], box[4], box[5], box[6]
     for s in range(count):
@@ -196,7 +196,7 @@ def _texel(x, y, z, n, mapping):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _passes(rims, depth, rays, s, radius, detector):  # type: ignore[no-untyped-def]
-    """True if a ray passes all rims."""
+    """True if ray `s` passes all rims; depth: of its hit; detector: 1/s."""
     for k in range(len(rims)):
         d, size = rims[k, 0], rims[k, 1]
         if d > 0.0:
@@ -257,8 +257,9 @@ def _add_light(sums, sign, hits, rays, moment, count, posed, left_out, channel, 
 
 @njit(cache=True)
 def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments, optics):  # type: ignore[no-untyped-def]
-    """Rays through their lens points to the detector's slopes. If the lens varies over the frame, its values are those
-    at the point that the ray comes from.
+    """Set rays from their lens points to arrive at the detector's slopes, and cast them.
+
+    If the lens varies over the frame, its values are those at the point that the ray comes from.
     """
     n, lenses, (across, up, field) = optics.numbers, moments.lenses, optics.wavefront
     for k in range(int(n[17])):
@@ -272,7 +273,7 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
                 at_y = rays[s + (SLOPE + 1) * BLOCK] + rays[s + BLOCK] / hits[s]
             if n[17] > 1.0:
                 square, sag = at_x * at_x + at_y * at_y, 0.5 * n[4] * (n[3] / step) ** 2
-                behind = -sag * square * lenses[t, 3]  # how far the image of a plane lies before the detector
+                behind = -sag * square * lenses[t, 3]  # a plane's image is this part of s in front of the detector
                 power += n[16] * n[5] * (math.sqrt(1.0 + square) - 1.0) + lenses[t, 3] * behind / (1.0 + behind)
             if n[18] > 0.0:
                 corner = 0.5 * math.hypot(n[0] - 1.0, n[1] - 1.0)
@@ -322,7 +323,7 @@ def _moment(u, column, row, n, quantiles, clock, count):  # type: ignore[no-unty
 
 @njit(cache=True)
 def _draw(rays, moment, points, span, shifts, place, aimed, moments, optics):  # type: ignore[no-untyped-def]
-    """Draw uniform numbers, lens points, moments and weights of rays, for samples span[0]..span[1]."""
+    """Draw uniform numbers, lens points, moments and weights of rays, for samples span[0] to span[1] - 1."""
     n, (opening, rows_of, columns_of) = optics.numbers, optics.pupil
     times, quantiles, clock = len(moments.poses), moments.quantiles, moments.clock
     for s in range(span[1] - span[0]):
@@ -347,11 +348,12 @@ def _draw(rays, moment, points, span, shifts, place, aimed, moments, optics):  #
 
 @njit(cache=True, nogil=True)
 def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moments, optics):  # type: ignore[no-untyped-def]
-    """Add samples span[0]..span[1] of some jobs to `sums` (jobs, repeats, channels).
+    """Add samples span[0] to span[1] - 1 of some jobs to `sums` (jobs, repeats, channels).
 
     numbers: the jobs to continue; `jobs` (jobs, 2): an object to leave out, and an object to aim rays at, -1 for none;
-    `places` (jobs, 5): left, top, width and height of the pixels in px, or half a width and a height in mm around a
-    point (3,) in the object's frame, at whose depth rays end; `points` (n, 5): a Sobol set over pixel, lens and time.
+    `places` (jobs, 5): left, top, width and height of the pixels in px; or to aim at an object, half width and half
+    height in mm of a rectangle around a point (3,) of the object's frame; `points` (n, 5): a Sobol set over pixel, lens
+    and time.
     """
     n, bands, shapes, poses = optics.numbers, optics.bands, surfaces.shapes, moments.poses
     rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.zeros(BLOCK, np.int64)
@@ -407,9 +409,7 @@ def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moment
 
 @njit(cache=True, nogil=True)
 def pinhole(depth, label, t, surfaces, moments, numbers):  # type: ignore[no-untyped-def]
-    """Write depth and number of the surface at the middle of each pixel of a frame to `depth` and `label` (rows,
-    columns), infinity and -1 for none; t: number of the moment.
-    """
+    """Write depth and object at pixels' middles to `depth` and `label`, inf and -1 for none; t: the moment."""
     rows, columns = depth.shape
     rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.full(BLOCK, t)
     posed, step = np.empty((moments.poses.shape[1], 12 * BLOCK)), moments.lenses[t, 0]

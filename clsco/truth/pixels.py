@@ -15,7 +15,7 @@ CLASSES = ("outline", "focus", "random", "small")
 OUTLINE, FOCUS, RANDOM, SMALL = range(4)
 COUNTS = {OUTLINE: 250, FOCUS: 100, RANDOM: 100, SMALL: 50}
 OF_EACH = 10  # number of pixels tested for each object, however small
-SMALL_PX, FOCUS_PX, AROUND_PX = 3.0, 0.3, 2.0
+SMALL_PX, FOCUS_PX, AROUND_PX = 3.0, 0.3, 2.0  # width of small images; |R| in focus; beyond the blur of outlines
 LINE = np.linspace(-1.0, 1.0, 65)
 _Places = tuple[NDArray[Any], NDArray[Any], int, int]
 
@@ -32,8 +32,9 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Extent:
-    """Image of an object: points (n, 3) along it in its own frame, half its size (3) there, and its smallest width in
-    px at the middle time.
+    """Image of an object.
+
+    places: points (n, 3) along it in its own frame; half: half its size (3) there; width: px across, at mid-exposure.
     """
 
     places: Array
@@ -116,7 +117,7 @@ def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ..
 
 
 def extent_of(problem: Problem, number: int) -> Extent | None:
-    """Image of an object at the middle of the exposure; None for an object without width."""
+    """Image of an object at mid-exposure; None for planes, quadrics, cones and backgrounds, and behind the lens."""
     item: Any = problem.scene.objects[number]
     shape, box = item.shape, problem.surfaces.shapes[1, number, :6].reshape(3, 2)
     if shape in ("plane", "quadric", "background", "cone"):
@@ -150,7 +151,7 @@ def is_small(problem: Problem, number: int) -> bool:
 
 
 def places_of(problem: Problem, number: int, moment: int, points: Array) -> tuple[Array, Array, Array]:
-    """Column, row and R (n,) in px of points (n, 3) in an object's own frame."""
+    """Column, row and R in px of those points (n, 3) of an object's own frame that are in front of the lens."""
     m, n = problem.moments.poses[moment, number], problem.optics.numbers
     x, y, z = (points @ m[:9].reshape(3, 3) + m[9:]).T
     ahead = z > 0
@@ -178,7 +179,7 @@ def _around(problem: Problem, number: int, moment: int, count: int, draw: np.ran
 
 
 def _inside(candidates: list[_Places], label: NDArray[np.int64], rows: int, columns: int) -> Pixels:
-    """Candidate pixels that lie in the frame, without duplicates in a class, up to the largest number per class."""
+    """Candidate pixels that lie in the frame, without duplicates, and as many of outlines as COUNTS allows."""
     parts = [
         np.stack([row, column, np.full(len(row), kind), np.full(len(row), item)], axis=-1).astype(np.int64)
         for row, column, kind, item in candidates

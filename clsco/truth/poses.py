@@ -82,7 +82,7 @@ def path_at(keys: Sequence[float], values: Array, interpolation: str, outside: s
         curve: Any = BSpline(np.r_[knots[0], knots, knots[-1]], values, 1)
     elif interpolation == "cubic":
         curve = CubicSpline(knots, values, bc_type="natural")
-    else:  # on lines beyond its ends
+    else:  # control points beyond the ends lie on straight lines
         step, ends = knots[1] - knots[0], np.stack([2 * values[0] - values[1], 2 * values[-1] - values[-2]])
         wider = np.concatenate([ends[:1], values, ends[1:]])
         curve = BSpline(knots[0] + step * np.arange(-3.0, len(knots) + 3.0), wider, 3)
@@ -106,7 +106,7 @@ def motion_at(motion: Any, times: Array, axis_rotation: bool) -> tuple[Array, Ar
     shifts = path_at(moments, np.array([key.position for key in keys], float), *how, times)
     if np.any(angles, axis=0).sum() < 2:
         return rotation_matrix(path_at(moments, angles, *how, times), axis_rotation), shifts
-    # By the shorter way from key to key: each turn is multiplied by a path that rises from 0 to 1 at its key.
+    # Rotations take the shorter way to each key: each turn is multiplied by a path that rises from 0 to 1 at its key.
     poses = Rotation.from_matrix(rotation_matrix(angles, axis_rotation))
     turns, found_turn = (poses[:-1].inv() * poses[1:]).as_rotvec(), poses[0]
     shares = path_at(moments, np.tri(len(keys), len(keys) - 1, -1), *how, times)

@@ -21,9 +21,11 @@ QUANTILES = 4096  # number of quantiles of the light through a shutter
 
 
 class Surfaces(NamedTuple):
-    """Surfaces and their images: `shapes` (3, objects, 12): coefficients (10), bounds (7), and rotation and center in
-    the reference pose; `mappings` (objects, SIZE); `images` (texels, channels); `background`: its number or -1; `light`
-    (5,): its position or direction, 1 for a position, and the ambient fraction, or empty.
+    """Surfaces and their images.
+
+    `shapes` (3, objects, 12): coefficients (10), bounds (7), and rotation and center in the reference pose; `mappings`
+    (objects, SIZE); `images` (texels, channels); `background`: its number or -1; `light` (5,): its position or
+    direction, 1 for a position, and the ambient fraction, or empty.
     """
 
     shapes: Array
@@ -34,10 +36,11 @@ class Surfaces(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Time-dependent values at the middles of equal intervals: `poses` (times, objects, 12); `cameras` (times, 12):
-    rotation, and position of the light or direction to it in the camera's frame; `lenses` (times, 4); `quantiles` of
-    the light through the shutter, with duration 1; `clock`: shutter and readout as fractions of the whole time, 1 for
-    columns, 1 to begin with the last one.
+    """Time-dependent values at the middles of equal intervals.
+
+    `poses` (times, objects, 12); `cameras` (times, 12): rotation, and position of the light or direction to it in the
+    camera's frame; `lenses` (times, 4); `quantiles` of the light through the shutter, with duration 1; `clock`: shutter
+    and readout as fractions of the whole time, 1 if columns are exposed in turn, 1 to begin with the last line.
     """
 
     poses: Array
@@ -48,11 +51,13 @@ class Moments(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """The lens: `pupil` (3); `wavefront` (3); `rims` (n, 2): distance and radius in mm; `bands` (1 or 3, 2):
-    magnification and addition to K; and `numbers`: columns, rows, pitch / s0 in the reference pose, pitch, field
-    curvature, 1 if a sphere is in focus, k1, k2, k3, p1, p2 (y up), vignetting 0, 1 or 2 with a1, a2, a3, exposure, 1 /
-    f of the camera - 1 / s, number of times that a ray is cast again for its position in the frame, and 1 if the
-    wavefront has errors.
+    """The lens, as numbers for rays.
+
+    `pupil` (3); `wavefront` (3); `rims` (n, 2): distance and radius in mm; `bands` (1 or 3, 2): magnification and
+    addition to K; `numbers`: columns, rows, pitch / s0 in the reference pose, pitch, field curvature, 1 if a sphere is
+    in focus, k1, k2, k3, p1, p2 (y up), vignetting (0 none, 1 natural, 2 by the next three), a1, a2, a3, exposure, 1/f
+    - 1/s of the camera, number of times that each ray is cast (3 if the lens varies over the frame, else 1), and 1 if
+    the wavefront has errors.
     """
 
     pupil: tuple[Array, Array, Array]

@@ -24,9 +24,7 @@ MOST_CELLS, ORDER = 512, 6  # largest side of an aperture image, cells; highest 
 
 
 class Pupil(NamedTuple):
-    """The aperture of a lens: kind, and the numbers and sums over cells for `lens_point`; `light`: relative to an open
-    circle.
-    """
+    """The aperture of a lens: kind, and numbers and sums over cells for `lens_point`; light: relative to a circle."""
 
     numbers: Array
     rows: Array
@@ -86,9 +84,7 @@ def _rim(angle, p):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
-    """Lens point for two uniform numbers, in radii, right and up as in a far light's image, and its weight, with mean
-    1.
-    """
+    """Lens point for two uniform numbers, in radii, right and up in a distant light's image; and its weight, mean 1."""
     weight, kind, angle = 1.0, int(p[0]), 2.0 * math.pi * v
     if kind == CELLS:
         count, target = len(columns), u * rows[-1]
@@ -113,7 +109,7 @@ def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def is_open(x, y, p, columns):  # type: ignore[no-untyped-def]
-    """Transmission at a lens point, except for a Gaussian; arguments as for `lens_point`."""
+    """Transmission at a lens point, not for Gaussians; arguments as for `lens_point`."""
     x, kind = p[1] * x, int(p[0])
     away, angle = math.hypot(x, y), math.atan2(y, x)
     if kind == CELLS:
@@ -128,8 +124,10 @@ def is_open(x, y, p, columns):  # type: ignore[no-untyped-def]
 
 
 class Wavefront(NamedTuple):
-    """Wavefront errors that bend rays: `across` and `up` (7, 7): coefficients, by powers of x and y, of the change of a
-    ray's slope for a lens radius of 1 mm; and three more for terms that vary over the frame.
+    """Wavefront errors that bend rays.
+
+    `across` and `up` (7, 7): coefficients, by powers of x and y, of the change of a ray's slope for a lens radius of 1
+    mm; `field` (3,): coefficients of W131, W222 and W220, which vary over the frame.
     """
 
     across: Array
@@ -177,8 +175,9 @@ def _add(total: Array, size: float, polynomial: Array, square: Array, times: int
 
 @njit(cache=True)
 def bend(x, y, right, up, across_of, up_of, field):  # type: ignore[no-untyped-def]
-    """Change of slope of a ray through (x, y), in lens radii, times the lens radius in mm, for a position (right, up)
-    in the frame, 1 in the corner.
+    """Change of slope, right and up, of a ray through (x, y), in lens radii, times the lens radius in mm.
+
+    (right, up): position in the frame, at the distance 1 in the corner; other arguments: `Wavefront`.
     """
     bent_x, bent_y, power = 0.0, 0.0, 1.0
     for i in range(len(across_of)):

@@ -21,7 +21,7 @@ from clsco.truth.pixels import labels_at, radius_of
 from clsco.truth.problem import Array, Problem
 from clsco.truth.pupils import is_open, path_of
 
-FINE = 4  # number of places along a side of a cell of the opening
+FINE = 4  # number of sampled points along a side of a cell of the aperture
 RADII_PER_UNIT = 4  # number of computed spreads per Q px of blur radius
 FAR, FAR_UNITS, RIM = 30.0, 20.0, 1.2  # least reach of the window: FAR px and FAR_UNITS Q, beyond RIM R
 TILTED = 0.02  # change of R per px from which on a surface counts as tilted
@@ -29,9 +29,10 @@ HIDDEN = 2e-3  # largest share of a pixel's light from tilted surfaces, or from 
 
 
 class Cells(NamedTuple):
-    """Cells (y, x), `parts` x `parts` per pixel, of the frame and half a `window` in px around it: blur radius in px, a
-    mask of cells with light, and a mask of cells where surfaces are tilted or may hide another; `problem`: the scene
-    seen by a pinhole; `places` (n, 5): cells with light, for `accumulate`.
+    """Cells of the frame and of half a `window` in px around it, `parts` x `parts` per pixel; arrays (y, x).
+
+    radius: blur radius, px; shines: mask of cells with light; hidden: mask of cells where surfaces are tilted or may
+    hide another; problem: the scene seen by a pinhole; places (n, 5): cells with light, for `accumulate`.
     """
 
     parts: int
@@ -44,7 +45,7 @@ class Cells(NamedTuple):
 
 
 def unit_of(problem: Problem, wavelength: float) -> float:
-    """Q in px for a wavelength in nm."""
+    """Unit of diffraction Q = wavelength s0 / (D p) in px, for a wavelength in nm."""
     step, half, *_ = problem.moments.lenses[0]
     return float(1e-6 * wavelength / (2.0 * half * step))
 
@@ -117,12 +118,13 @@ def _signed(count: int) -> NDArray[np.int64]:
 
 
 def _spread(problem: Problem, cells: Cells, wavelength: float, radius: float) -> Array:
-    """Fraction of a cell's light that a pixel receives, by the number of cells from its middle to the left and up;
-    indices wrap.
+    """Fraction of a cell's light that a pixel receives, by the cell's position relative to the pixel's middle.
+
+    The indices are numbers of cells up and to the left; negative ones wrap.
     """
     unit, psf, pupil = unit_of(problem, wavelength), problem.scene.psf, problem.optics.pupil
     extent = max(1.0 / problem.scene.aperture.squeeze, 1.0)
-    fine = cells.parts * math.ceil(2.0 * extent / unit / cells.parts)  # samples per px, so that none fold over
+    fine = cells.parts * math.ceil(2.0 * extent / unit / cells.parts)  # samples per px, so that there is no aliasing
     count, pitch = cells.window * fine, 2.0 * unit / cells.window
     most = math.ceil(extent / pitch)
     index = np.arange(-most, most + 1)
@@ -133,7 +135,7 @@ def _spread(problem: Problem, cells: Cells, wavelength: float, radius: float) ->
     field = np.zeros((count, count), complex)
     amplitude, passed = _amplitude(index, pitch, pupil[0], pupil[2])
     field[np.ix_(index, index)] = amplitude * np.exp(2j * np.pi * waves)
-    mean = np.sinc(np.fft.fftfreq(count))  # factor of the amplitude due to averaging over cells of the opening
+    mean = np.sinc(np.fft.fftfreq(count))  # factor of the amplitude due to averaging over cells of the aperture
     light = np.abs(np.fft.fft2(field) / (mean * mean[:, None])) ** 2 / (passed * count**2)
     light += (1.0 - light.sum()) / count**2
     f = np.fft.fftfreq(count, 1.0 / fine)

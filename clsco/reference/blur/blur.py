@@ -57,9 +57,7 @@ def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array, limb: ArrayLike = Fa
 
 
 def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike) -> tuple[Array, Array]:
-    """Tap offsets in px, which stand for the lens point that the light passes; for waves, offsets beyond the geometric
-    blur are clamped to it.
-    """
+    """Offsets in px from sources to taps, for `tilt_factor`; with waves, clamped to the edge of the geometric blur."""
     dx, dy = np.asarray(dx, np.float64), np.asarray(dy, np.float64)
     if not psf.diffracted:
         return dx, dy
@@ -72,10 +70,10 @@ def place_weights(
     psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64],
     subpixel: bool = False,
 ) -> Array:  # fmt: skip
-    """Weights (n,) of taps for sources at positions `place` (2, n), row and column in the frame, px. They are
-    `PointSpread.weights` or `subpixel_weights`; weights that vary over the frame are blended from four grid positions.
+    """Weights (n,) of taps for sources at positions `place` (2, n), row and column in the frame, px.
 
-    dx, dy: px, scalar or (n,); radius: (n,) signed, px.
+    dx, dy: px, scalar or (n,); radius: (n,) signed, px; subpixel: True for `PointSpread.subpixel_weights`, else
+    `PointSpread.weights`. Weights that vary over the frame are blended from four grid positions.
     """
 
     def weights(spread: PointSpread, which: NDArray[np.int64] | slice) -> Array:
@@ -95,7 +93,7 @@ def place_weights(
 
 
 def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); alone: with only itself."""
+    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); only itself if `alone`."""
     if alone:
         span = range(-offset_limit, offset_limit + 1)
         yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
@@ -119,10 +117,9 @@ def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Vi
 def _tap_shares(
     spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For every offset: source numbers, frame pixel numbers, and the fraction of each source's radiance that the pixel
-    receives.
+    """For every offset: source numbers, frame pixel numbers, and the fraction of radiance that each pixel receives.
 
-    Targets outside of the frame are left out.
+    there: mask (H, W) of the sources to use. Targets outside of the frame are left out.
     """
     size, waves = np.abs(sources.radius).ravel(), spec.psf.diffracted
     slope = tilt_slope(sources.gradient, sources.radius, waves).reshape(-1, 2)
@@ -195,7 +192,7 @@ def _subpixel_tap_shares(
         place = np.stack([sub.row[p], sub.column[p]]) - guard
         visibility = None if sub.visibility is None else sub.visibility.select(block)
         cells = np.empty(0) if visibility is None else cell_visibility(visibility)
-        if visibility is not None:  # where it has the tilt
+        if visibility is not None:  # 0 where `tap_share` includes the tilt
             slope[np.flatnonzero(visibility.row >= 0)[visibility.lean.any(axis=-1)]] = 0.0
         for dy in range(-far, far + 1):
             for dx in range(-far, far + 1):
@@ -237,8 +234,8 @@ def renormalize(
     """Sources with their radiance scaled so that light lost outside of the frame is returned to it.
 
     Arguments as for `scatter`. The radiance is divided by the fraction of the source's PSF (with tilt) inside the
-    frame, ignoring occluders; sources outside of the frame are dropped. Validated: the sum of a constant image is
-    preserved up to the border.
+    frame, ignoring occluders; sources outside of the frame are dropped. Validated: the sum over the image equals the
+    sum of radiance in the frame.
     """
     m, n = shape
     inside = np.zeros(sources.label.shape, dtype=bool)

@@ -1,6 +1,4 @@
-"""Intersection of lines from a source to the lens with an occluding surface: the equation of
-`clsco.reference.common.visibility` and its lens cells, in NumPy float64.
-"""
+"""Intersections of lines from a source to the lens with an occluding surface, and lens cells, in NumPy float64."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ WIDE_LENS = 3.2  # px, blur radius from which on visibility is tested once per t
 TAP_LENS = 1.2  # px, the same limit for point sources in the blur
 NEAR_LENS = 1.7  # px, blur radius below which sources that are whole pixels count as near the focus
 FAR_PLACE, FOCUSED, FAR_RADII = 4.0, 0.1, 3.0  # see `sees_by_cells`
-PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # per lens radius, of a pixel's source in focus: of the disc's variance
+PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # cells per lens radius for pixels in focus: radius of a disc with a tent's variance
 
 
 def _dot(weights: Array, vectors: Array) -> Array:
@@ -30,10 +28,12 @@ def _dot(weights: Array, vectors: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Surface points of visibility tests: rays (N, 3); inverse depth w (N,) in 1/mm; signed blur radius (N,) in px;
-    position x, y (N,) of the source in its pixel, px; width of the sources, px; gradient (N, 2) of the blur radius, px
-    per px, right and down, 0 if surface tilt is ignored; limb (N,): True at a limb; place (2, N): row and column of the
-    pixel in the frame, px; shared (N,): True for pixel centers tested on behalf of all sub-pixels.
+    """Surface points of visibility tests.
+
+    rays: (N, 3); w (N,): inverse depth, 1/mm; radius (N,): signed blur radius, px; x, y (N,): position of the source in
+    its pixel, px; width: of the sources, px, 1 for whole pixels; gradient (N, 2): of the blur radius, px per px, right
+    and down, 0 if surface tilt is ignored; limb (N,): True at a limb; place (2, N): row and column of the pixel in the
+    frame, px; shared (N,): True for pixel centers tested on behalf of all sub-pixels.
     """
 
     rays: Array
@@ -52,9 +52,10 @@ class Points:
 class Division:
     """Division of the lens into cells, for N sources.
 
-    cells (N,): per lens radius, signed as the blur radius; wide (N,): True if a cell is a pixel; blur (N,): |R| extent,
-    px; extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius; part (N,):
-    px per cell for `wide` sources, less than 1 in focus; bent: True if rays are bent.
+    cells (N,): number of cells per lens radius, signed as the blur radius; wide (N,): True if a cell is a pixel of the
+    blur; blur (N,): |R| extent, px; extent: largest distance from the lens center at which light passes, in lens radii;
+    width: of the sources, px; gradient (N, 2): of their blur radius; part (N,): px per cell for `wide` sources, less
+    than 1 in focus; bent: True if wavefront errors bend the rays.
     """
 
     cells: Array
@@ -68,7 +69,7 @@ class Division:
 
     @property
     def most(self) -> Array:
-        """Number of cells (N,) to the farthest tap."""
+        """Distance (N,) from the middle of the lens to the farthest tap, in cells."""
         return np.asarray(self.extent * np.abs(self.cells) + 1.5)
 
 
@@ -81,9 +82,10 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
 
 
 def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
-    """Division of the lens for the blur, with sharp occluder edges: a test per tap from TAP_LENS on, and at any blur
-    for sources that are whole pixels, because the view of the lens from a tap depends on the position of the light
-    within the pixel; by_cells (N,): True for sources that keep lens cells.
+    """Division of the lens for the blur, where more sources than in `division` are tested once per tap.
+
+    These are points from a blur of TAP_LENS px on, and all whole pixels, since a tap's view of the lens depends on
+    where in the pixel its light comes from. by_cells (N,): True for sources that keep their lens cells.
     """
     wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~by_cells
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
@@ -92,8 +94,9 @@ def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
 
 
 def sees_by_cells(division: Division, place: Array) -> Mask:
-    """True (N,) for pixels that use lens cells for any blur radius, because all occluders are far, see
-    kernels/common/visibility_test.clh. place (N,): smallest image displacement of an occluder, px per lens radius.
+    """True (N,) for pixels with narrow blur that use lens cells, because all of their occluders are far.
+
+    place (N,): smallest `crossing_place` of these. Reason: kernels/common/visibility_test.clh.
     """
     least = np.maximum(FAR_PLACE * np.minimum(division.blur / FOCUSED, 1.0), FAR_RADII * division.blur)
     is_pixel = (np.asarray(division.width) == 1.0) & (division.blur < WIDE_LENS)
@@ -101,11 +104,13 @@ def sees_by_cells(division: Division, place: Array) -> Mask:
 
 
 def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
-    """Coefficients for occluder edges displaced by `place` (N,) in the image: how far edges follow a source within its
-    pixel, how much they sharpen with each tap's part of the lens, and with its part of the source (N,). For pixels, the
-    edge's variance has the fractions (1 - g)^2 and g^2 of a tent's, with g half a px of the source's displacement over
-    the lens; for points, 1 of a box's. With bent rays: 1 of the lens part, -2 g of its covariance with the source, and
-    2 g^2 of the source part.
+    """The numbers `follows`, `narrows`, `trails` (N,) of an `Occluder` with edges displaced by `place` (N,).
+
+    If a source moves by 1 px, an edge moves by 2 g cells, g = cells / (2 place). follows: g for whole pixels, 0 for
+    points. narrows, trails: fractions of the edge's variance that are due to the part of the lens and to the part of
+    the source that a tap sees. For pixels they are (1 - g part)^2 and g^2, divided by (1 - g)^2 + g^2; for points, 1
+    and the square of width (2 g - 1), divided by their sum. With bent rays the numerators for pixels are 1 and 2 g^2,
+    and -2 g for the covariance of lens and source.
     """
     g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
     width = np.asarray(division.width)
@@ -117,13 +122,13 @@ def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """C v^2 + 2 B v + F = 0 of one surface and N points, at the middle of the lens and with C > 0.
+    """Coefficients of C v^2 + 2 B v + F = 0 for one surface, N points and the middle of the lens, with C > 0.
 
-    B, F (N,), C. point (N, 3): times w, in the canonical frame; along_x, along_y (N, 3): displacement of the lens point
-    per cell, right and down, scaled by `right` (N,) mm; linear (N,): l . point; sign: factor applied to the surface's
-    own equation; once (N,): True if there is at most one intersection; flat: True if the surface is a plane; grow_x,
-    grow_y (N,): change of the lens point's last homogeneous coordinate per cell: if K changes over the image, an
-    occluder is blurred by that at its own position, as if lines ended at l / (1 + l . grad R).
+    B, F: (N,). point (N, 3): points times w, in the canonical frame; right (N,): mm per cell; along_x, along_y (N, 3):
+    displacement of the lens point per cell, right and down; linear (N,): l . point; sign: factor applied to the
+    surface's own equation; once (N,): True if there is at most one intersection; flat: True if the surface is a plane;
+    grow_x, grow_y (N,): change of the lens point's last homogeneous coordinate per cell. It is 0 unless K changes over
+    the image: then the blur of an occluder depends on K at its own position, as if lines ended at l / (1 + l . grad R).
     """
 
     B: Array

@@ -275,10 +275,9 @@ def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Position (..., 3) of the surface points that rays meet, multiplied by w and so without unit, relative to the
-    object's center, in the camera's axes in the reference pose.
+    """Position (..., 3) in the reference pose, relative to the object's center, of surface points that rays meet.
 
-    rays: (..., 3); w: (...) 1/mm.
+    rays: (..., 3); w: (...) 1/mm. In the camera's axes, multiplied by w and so without unit.
     """
     return np.asarray(surface.body_offset * w[..., None] + turned(surface.body_turn, rays))
 
@@ -353,10 +352,10 @@ def table_coordinate(
 ) -> NDArray[np.float32]:
     """Coordinates (...) in a device's table of PSF weights; their integer part is the interval's number.
 
-    radius: (...) px; the table has `count` intervals from `first` on, to which other radii are clamped; turned: offset
-    of the coordinates of negative radii, for a signed shape, by default `count`. Rounded to float32; for a sampled PSF
-    without crossing into the next interval, where weights may jump. Only the device reads tables; the reference
-    computes weights directly.
+    radius: (...) px; the table has `count` intervals from `first` on, to which other radii are clamped; turned: for a
+    signed shape, the number added to coordinates of negative radii, or 0 for `count`. Coordinates are rounded to
+    float32, but for a sampled PSF never into the next interval, as weights may jump there. Only devices read tables;
+    the reference computes weights.
     """
     u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
     rounded = u.astype(np.float32)
@@ -387,10 +386,11 @@ def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array
 
 
 def tilt_share(factor: ArrayLike, limb: ArrayLike = False) -> Array:
-    """Fraction (...) of a source's radiance that remains after tilt, where f = 1 + l . grad R (...) is clamped to 0.
+    """Fraction (...) of a source's radiance that remains after tilt: `factor` f = 1 + l . grad R (...), at least 0.
 
-    limb: for sub-pixel sources at an outline where the surface turns away from the lens: ((1 + f) / 2)^2, 0 below f =
-    -1, which includes the lens's view of the back (kernels/common/geometry.clh). They broadcast.
+    limb: True for sub-pixel sources at an outline where the surface turns away from the lens. For these the fraction is
+    ((1 + f) / 2)^2, or 0 below f = -1, which includes the lens's view of the back (kernels/common/geometry.clh). The
+    arguments broadcast.
     """
     factor = np.asarray(factor)
     return np.where(limb, 0.25 * np.maximum(factor + 1.0, 0.0) ** 2, np.maximum(factor, 0.0))
@@ -407,11 +407,12 @@ def pixel_reach(radius: ArrayLike, waves: bool = False) -> Array:
 def pixel_tilt(gradient: Array, radius: ArrayLike, waves: bool = False) -> tuple[Array, Array]:
     """Slope (..., 2) in 1/px for sources that are whole pixels, and the signed radius (...) in px for their weights.
 
-    Arguments as for `tilt_slope`. From 1 px on, the slope is the gradient over `pixel_reach`. Below, only neighbors are
-    lit, and the light that crosses each edge is proportional to |R| there, taken as the mean of |R| at the edge's two
-    ends. So equal light crosses it from both sides, even if R changes its sign within the pixel, and constant radiance
-    stays constant: the radius is the mean over all corners, and the slopes are half of the differences of opposite
-    edges divided by it. Weights by waves are smooth there.
+    Arguments as for `tilt_slope`. From 1 px on, the slope is the gradient over `pixel_reach`. Below 1 px only the
+    neighbors receive light. The light that crosses an edge of the pixel is proportional to |R| there, for which the
+    mean of |R| at the edge's two ends is used. So equal light crosses an edge in both directions, even if R changes its
+    sign within the pixel, and constant radiance stays constant. It follows that the radius is the mean of |R| over the
+    corners, and a slope is half of the difference of two opposite edges, divided by this radius. With waves,
+    `tilt_slope` is used for all radii.
     """
     radius = np.asarray(radius, dtype=np.float64)
     if waves:

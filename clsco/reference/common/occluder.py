@@ -1,7 +1,7 @@
 """One occluder: the fraction of the lens that it hides from single taps.
 
-For an unbounded surface, a cubic step of h = -B - sqrt(C F) over the width of the soft edge; for a bounded one, from
-the conditions on its intersections; B, C and F as in `visibility`.
+For an unbounded surface this is a cubic step of h = -B - sqrt(C F) over the width of the soft edge; for a bounded
+surface it follows from the conditions on its intersections. B, C and F are those of `visibility`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ LEAST_WIDTH = 0.001  # least ratio of an edge's squared width to that without a 
 
 @dataclass(frozen=True, eq=False)
 class Occluder:
-    """One surface between N points and the lens; x, y: offset of a tap in cells, right and down.
+    """One surface between N points and the lens, for tests at taps offset by x, y cells, right and down.
 
-    h (N, 3): constant, x, y, divided by the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx,
-    xy, yy under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are h and a part of `two_boxes`;
-    else b (N, 3), f0 (N,), c, d (N, 6), soft (N,): 1 / width of the edge; limits: (N, 4) each, limit + v (limit_0 +
-    limit_x x + limit_y y) >= 0; needed: (N,) each, True if the limit matters. follows, narrows, trails (N,): see
-    `clsco.reference.common.equation.source_ways`.
+    h (N, 3), root (N,), f (N, 5): the height in widths of the soft edge is h . (1, x, y) + root - sqrt(root^2 + f . (x,
+    y, x^2, x y, y^2)). strip (N,): see `strip_share`. crossings (N,): 1 or 2 intersections, 0 for a plane. Used only
+    with limits: b (N, 3), f0 (N,), c, d (N, 6), coefficients of B, F, C and D = B^2 - C F for 1, x, y, x^2, x y, y^2;
+    soft (N,): 1 / width of the edge. limits: conditions (N, 4), limit_0 + v (limit_1 + limit_2 x + limit_3 y) >= 0; for
+    a plane, h and a part of `two_boxes`. needed: masks (N,), True if a limit matters. follows, narrows, trails (N,):
+    see `clsco.reference.common.equation.source_ways`.
     """
 
     h: Array
@@ -56,9 +57,12 @@ class Occluder:
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Effect of an aperture's edge on taps of wide lenses: displacement in px from the tap to the middle of its visible
-    part; the reduction of its variance along both axes; and the same for the source, for each lens position; (N,) each;
-    covariance (3, N): with bent rays, that of the positions in source and lens (`clsco.optics.ray_means.RayMeans`).
+    """Effect of an aperture's edge on taps of wide lenses, which see only a part of their lens cells.
+
+    aside_x, aside_y (N,): displacement in px from the middle of the visible part to the tap; xx, xy, yy (N,): reduction
+    of its variance, 0 for none to 1; trail_x, trail_y (N,): the same for the part of the source that is seen through
+    one lens point; covariance (3, N): with bent rays, that of the positions in source and lens
+    (`clsco.optics.ray_means.RayMeans`).
     """
 
     aside_x: Array
@@ -128,11 +132,11 @@ def part_slope(part: Part) -> Array:
 
 
 def leave_free(free_part: Part, hidden: Part) -> Part:
-    """Combine the free part of cells with one more surface that hides the part `hidden` of them.
+    """Part of cells that remains free if a further surface hides the part `hidden` of them.
 
-    For perpendicular edges, the product of the free fractions; for parallel edges, the smaller one if both surfaces
-    hide the same side, and the strip between the edges if they hide opposite sides: nothing, if the surfaces share that
-    edge.
+    If edges are perpendicular, it is the product of the free fractions. If they are parallel, it is the smaller free
+    fraction if both surfaces hide the same side, or the strip between the edges if they hide opposite sides: nothing,
+    if they share that edge.
     """
     remaining = 1 - hidden.share
     product = free_part.share * remaining
@@ -158,10 +162,10 @@ class Crossing:
 
 
 def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, least: Array) -> Crossing:
-    """The intersection at w + v (N,); b, c, x, y: (N,), at the taps.
+    """The intersection at w + v (N,) and its derivatives; b, c (N,): B and C at the taps x, y (N,).
 
-    least: signed lower bound of C v + B = sqrt(D) or -sqrt(D): without it the derivative of v is infinite at the
-    outline, where every condition would be uncertain.
+    least (N,): signed lower bound of |C v + B| = sqrt(D). Without it the derivative of v is infinite at the outline,
+    where every condition would be uncertain.
     """
     steep = c * v + b
     scale = -v / np.where(np.abs(steep) > np.abs(least), steep, least)
@@ -190,14 +194,17 @@ def crossing_part(m: Occluder, at: Crossing, x: Array, y: Array, cut: Cut | None
 
 
 def outline_part(m: Occluder, x: Array, y: Array) -> Part:
-    """D = B^2 - C F (N,) at taps x, y (N,), and its gradient."""
+    """D = B^2 - C F (N,) at taps x, y (N,) as the `share` of a `Part`, and its gradient as the direction."""
     d, d_x, d_y, d_xx, d_xy, d_yy = m.d.T
     height = d + x * (d_x + d_xx * x + d_xy * y) + y * (d_y + d_yy * y)
     return Part(height, d_x + 2 * d_xx * x + d_xy * y, d_y + d_xy * x + 2 * d_yy * y)
 
 
 def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple[Crossing, Crossing]:
-    """Both intersections at taps x, y (N,), or the only one; width: 0 to keep conditions uncertain at an outline."""
+    """Both intersections at taps x, y (N,); of a single one, the other has v <= 0.
+
+    width: in widths of the edge, the distance from an outline within which derivatives are limited; 0 for no limit.
+    """
     b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
     c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
     root = np.sqrt(np.maximum(d, 0.0))
@@ -218,20 +225,19 @@ def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
 
 
 def strip_share(thin: Array | float) -> Array:
-    """Correction for a thin strip, such that it hides exactly its own width: the number to add to h, divided by twice
-    the width of the edge.
+    """Correction for a thin strip, such that it hides exactly its own width: addition to h, in widths of the edge.
 
-    thin (N,): curvature of h across the outline minus that along it, times the edge's width divided by the slope; up to
-    15.
+    thin (N,): curvature of h across the outline minus that along it, times half the width of the edge, divided by the
+    slope; up to 15.
     """
     return np.asarray(np.minimum(0.05 * thin, np.maximum(0.073 - 0.02 * thin, 0.03 - 0.0105 * thin)))
 
 
 def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Part:
-    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides; cut: for wide lenses.
+    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides.
 
-    If rims cut the view of a tap, the part of a pixel's source that it receives light from is also displaced from its
-    middle.
+    cut: for wide lenses, else None. If the aperture's edge cuts the view of a tap, the tap's light also comes from a
+    part of the pixel's source that is displaced from its middle.
     """
     if cut is not None:
         x, y = x + m.follows * cut.aside_x, y + m.follows * cut.aside_y
@@ -263,8 +269,7 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
 
 
 def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
-    """Mask of sources (N,) for which a surface hides the lens at all of 16 points, including some slightly beyond its
-    edge, at `most` (N,).
+    """True (N,) if a surface hides the lens at 16 points up to slightly beyond `most` (N,) cells from the middle.
 
     Also a mask (N,) per condition that some intersection does not fully satisfy; other conditions can be dropped,
     except one if there is a single intersection.

@@ -60,7 +60,7 @@ SHARP_EDGE = 2.0  # px, width up to which a blurred outline needs sub-pixel sour
 
 
 def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
-    """Conditions on an intersection with a surface: on the right nappe, and within the bounds."""
+    """Conditions (N, 4), as in `Occluder`, on an intersection: on the surface's nappe, and within the bounds."""
     p, e = equation.point, np.stack([equation.right, -equation.right], axis=-1)  # e: mm per cell, right and down
     grow, limits = np.stack([equation.grow_x, equation.grow_y], axis=-1), []
     nappe, o = float(surface.canonical.nappe), surface.offset
@@ -93,24 +93,25 @@ class Outline:
 
 
 def outline_slope(m: Slopes) -> Array:
-    """Steepest slope (N,) of D per cell where D is 0; its curvature across is twice its lower eigenvalue."""
+    """Steepest slope (N,) of D per cell at the outline D = 0, across which D curves by twice its lower eigenvalue."""
     curve = 0.5 * (m.D_xx + m.D_yy - np.hypot(m.D_xx - m.D_yy, m.D_xy))
     return np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0))
 
 
 def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
-    """Outline of a surface with two intersections or none: h divided by the width `soft` (N,) of the edge; most (N,):
-    cells to the farthest tap.
+    """Outline of a surface that lines meet twice or not at all.
+
+    soft (N,): half width of the edge, in cells; h is divided by the whole width. most (N,): cells to the farthest tap.
     """
     under = np.sqrt(e.C * e.F)
     change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
     reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
     reach = reach + np.hypot(m.B_x, m.B_y) * most
-    # Slope of h = D / (sqrt(C F) - B) at the outline; where there is none, a thousandth of what the range allows, as on
-    # devices, which could not hold more.
+    # Slope of h = D / (sqrt(C F) - B) at the outline; without an outline, a thousandth of the range of h per cell, as
+    # on devices, where quotients would otherwise overflow.
     slope = np.maximum(outline_slope(m) / (2 * np.maximum(under, TINY)), np.maximum(1e-3 * reach / most, TINY))
     scale = 1 / (2 * soft * slope)
-    x, y = m.C_x / (2 * e.C), m.C_y / (2 * e.C)  # and, over C, second derivatives of the root
+    x, y = m.C_x / (2 * e.C), m.C_y / (2 * e.C)  # derivatives of the root, over the root
     bent = under * np.hypot((m.C_xx - m.C_yy) / e.C - (x * x - y * y), m.C_xy / e.C - 2 * x * y)
     thin = np.minimum(bent * soft / slope, 15.0)
     h = np.where(e.B < 0.0, m.D / (under - e.B), -e.B - under) + strip_share(thin) / scale
@@ -129,8 +130,8 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
     """Outline of a disc of radius r about the third axis; arguments as for `outline_of`.
 
     The line to the lens intersects the disc's plane at v = -p_z / o_z, within the radius if h = r |w o_z - p_z| - |p
-    o_z - p_z o|_xy >= 0, with p the point times w and o the lens point, linear in the tap: h has the form of other
-    outlines.
+    o_z - p_z o|_xy >= 0, where p is the point times w, and o the lens point. o is linear in the tap, so h has the form
+    of other outlines.
     """
     radius, o, p = surface.canonical.radius, surface.offset, e.point
     d = turned(surface.turn, points.rays)  # p = o w + d
@@ -166,7 +167,7 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
 
 
 def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits: Sequence[Array]) -> Occluder:
-    """Collect the terms of taps' tests: the outline, and the equation for surfaces with limits."""
+    """`Occluder` of a surface: its outline, and its equation for conditions on intersections."""
     zero = np.zeros_like(e.B)
     return Occluder(
         h=outline.h,
@@ -206,16 +207,16 @@ def meet_occluder(
     """Compute how a surface hides the lens from N points.
 
     on_surface: True if the points are on the surface itself, another part of which may be between them and the lens.
-    Returns the state CLEAR, PARTLY or HIDDEN (N,), a mask of points on the far side of the surface or near an outline
-    with almost no width (N,), the data for tests per tap, and `crossing_place` (N,).
+    Returns the state CLEAR, PARTLY or HIDDEN (N,), a mask (N,) of points behind the surface or at an outline that is
+    blurred by SHARP_EDGE px or less, the data for tests per tap, and `crossing_place` (N,).
     """
     rays, w = points.rays, points.w
     far = out_of_the_way(lens, surface, rays, w, division.extent)
     e = equation_of(lens, surface, rays, w, division.cells, on_surface)
-    # The same for every point of the ray, and without the cancellation of B^2 - C F; a point on it is itself a root.
+    # D is the same for all points of a ray; this form avoids the cancellation in B^2 - C F. On the surface F is 0.
     d = e.B * e.B if on_surface else quarter_discriminant(surface, turned(surface.turn, rays))
     limits = _limits(surface, bounds, w, rays, e)
-    with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
+    with np.errstate(all="ignore"):  # with one intersection, terms for two are not used, and vice versa
         place = crossing_place(lens, e, d)
         soft = edge_width(division, place)
         if surface.canonical.radius < np.inf:
@@ -246,11 +247,11 @@ def meet_occluder(
 def flatten_limits(
     lens: Lens, limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], division: Division
 ) -> tuple[NDArray[np.uint8], list[Array], tuple[Mask, ...]]:
-    """Conditions on the single intersection with a plane, linear in the tap: state of the lens (N,); h of each
-    condition and a part of `two_boxes` (N, 4); and for each condition a mask (N,) of points that need it.
+    """Turn conditions on the single intersection with a plane into edges that are linear in the tap.
 
-    The intersection is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each. h: constant, x, y, divided by
-    the width of the edge. A condition satisfied all over the lens is not needed.
+    The intersection is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each, as in `Occluder`. Returns the
+    state of the lens (N,); for each condition h (constant, x, y; divided by the width of the edge) and a part of
+    `two_boxes` (N, 4); and for each condition a mask (N,), False for points that satisfy it all over the lens.
     """
     clear, conditions, needed = np.zeros(near.shape, dtype=bool), [], []
     side = -1.0 if far[0] < 0 else 1.0
@@ -283,7 +284,7 @@ def flatten_limits(
 
 
 def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
-    """A plane; each of its `limits` is (N, 4), an h and a part of `two_boxes`."""
+    """`Occluder` of a plane; each of its `limits` is (N, 4), an h and a part of `two_boxes`."""
     none, zero = np.zeros((points, 6)), np.zeros(points)
     crossings = np.zeros(points, dtype=np.int64)
     return Occluder(
@@ -293,8 +294,10 @@ def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> O
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A rim as sources see it in the lens: a mask (M,) of those that it cuts; x, y and radius (M,) relative to the
-    middle of the lens, right and down, in px for weights by chords, else in cells; scale (M,): 2 / width of its edge.
+    """A rim as M sources see it in the lens.
+
+    cuts (M,): True for sources whose light it cuts; x, y, radius (M,): center, right and down of the middle of the
+    lens, and radius, in px for weights by chords, else in cells; scale (M,): 2 / width of its edge.
     """
 
     cuts: Mask
@@ -335,16 +338,17 @@ def meet_rims(
 class Visibility:
     """Occluders of the lens for each source; create it with `check_visibility`.
 
-    row: (sources,) index of a source in the other arrays, -1 if it is fully visible or fully hidden. For the M others:
-    radius px; wide; point: True if smaller than a pixel; x, y: position of the source in its pixel, px; occluders: per
-    surface, a mask of sources and the data. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
-    mask: straight edges (n, 3) of the lens, empty if round; lean (M, 2): change of the tilt per cell of a narrow lens,
-    part of which is behind the surface, else 0; limb (M,): True at a limb; nearest (M,): smallest `crossing_place` of
-    partial occluders; circles: rims that cut its light; waves: True if light spreads beyond the geometric blur; signed:
-    True if cells are mirrored for R < 0; round: True for a circular aperture; pupil: if weights include the rims; bent
-    (M, 3): xx, xy, yy of the map from taps to an ellipse's disc, or from a narrow lens's cells to it; None for discs.
-    rays: mean lens points of wide lenses, and their indices from `RayMeans.around` (M, k); behind (M,): True if fully
-    hidden, judged by the blur's cells; near (M,): True for a pixel's source near the focus; part (M,): px per cell.
+    row: (sources,) number of each source in the arrays (M,), -1 if it is fully visible or fully hidden. Arrays (M,):
+    radius: signed blur radius, px; wide: True to test each tap; point: True if smaller than a pixel; x, y: position of
+    the source in its pixel, px; limb: True at a limb; nearest: smallest `crossing_place` of partial occluders; behind:
+    True if fully hidden, judged by the blur's cells; near: True for a pixel's source near the focus; part: px per cell;
+    lean (M, 2): change of the tilt per cell of a narrow lens, if a part of the lens is behind the surface, else 0; bent
+    (M, 3): xx, xy, yy of the map from taps to an ellipse's disc, or from a narrow lens's cells to the ellipse, None for
+    discs; ray_numbers, ray_parts, ray_scale: from `RayMeans.around`. Common to all sources: occluders: per surface, a
+    mask (M,) of sources that it hides in part, and the data; extent: of the lens in lens radii; cells: weights (L, L)
+    of its cells; mask: straight edges (n, 3) of the lens, normal and distance, empty if round; circles: rims that cut
+    light; waves: True if light spreads beyond the geometric blur; signed: True if cells are mirrored for R < 0; round:
+    True for a circular aperture; pupil: None unless weights include the rims; rays: mean lens points of wide lenses.
     """
 
     row: NDArray[np.int64]
@@ -393,8 +397,8 @@ def check_visibility(
     """Visibility of the lens from N points.
 
     surfaces, bounds: of all objects; group: the occlusion group, whose occluders are tested. Returns CLEAR, PARTLY or
-    HIDDEN (N,); a mask that changes where two surfaces meet, and at outlines of occluders close to the point (N,); and
-    the data for tests per tap.
+    HIDDEN (N,); a mask (N,) that differs between the two sides of a line where surfaces meet, and of an outline of an
+    occluder close to the point; and the data for tests per tap.
     """
     lens = along_rays(lens, points.rays)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
@@ -455,9 +459,7 @@ def _meet_occluders(
 
 
 def _by_rays(psf: PointSpread, points: Points, division: Division) -> tuple[Division, dict[str, Any]]:
-    """Cells of wide lenses at the scale of their rays, and the ray fields of `Visibility`; lenses with aberrations
-    count as wide.
-    """
+    """`division` with wide (or bent) lenses' cells at the scale of `RayMeans`, and the ray fields of `Visibility`."""
     rays, count = ray_means(psf, ceil(float(np.abs(points.radius).max()))), len(points.w)
     places, shares = np.zeros((1, count), dtype=np.int64), np.ones((1, count))
     if psf.varying is not None and points.place is not None:

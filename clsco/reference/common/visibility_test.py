@@ -18,7 +18,7 @@ from clsco.reference.common.occluder import Cut, Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
 MOST_INWARDS = 0.7  # px, largest inward displacement of a tap along an axis, at the corners of a lens mask
-BEYOND = 0.5  # px outside of the rim to which taps farther out are moved, for waves and sources that are whole pixels
+BEYOND = 0.5  # px outside of the blur's edge to which taps farther out are moved, for waves and whole pixels
 DISC_NODES = 8  # number of nodes of integrals over the width of a disc (Gauss, Chebyshev)
 LEAST_CELL = 1e-3  # px, least width of a lens cell for sources that are whole pixels
 LEAST_PART = 1e-6  # share of a tap's light below which a sheet is ignored
@@ -39,7 +39,7 @@ def _bent(by: Array, x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
 
 
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Fraction (M,) of the lens, over the cells of taps x, y (M,) from the sources, that is visible.
+    """Visible fraction (M,) of the lens over the cells of taps x, y (M,), in px from sources; in cells if narrow.
 
     With a wide lens, a tap at the edge of the blur sees only the inner part of its cell, see `inwards_of`. With waves,
     a tap beyond the edge is moved to it.
@@ -89,11 +89,11 @@ def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
 
 
 def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
-    """Displacement (M,) in px from taps to the middle of the remaining part of their response, cut off s (M,) px
-    further out, and the reduction (M,) of its variance.
+    """Displacement (M,) in px from taps to the mean of the visible part of their response.
 
-    For a pixel's source, a tent with mean -(1 - s)^2 / 3, below s = 0 (2 s - 1) / 3, and variance (1 + 2 s) / 18, and
-    (1 + s)^2 / 18; for a point, a box with -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
+    The response is cut off s (M,) px farther out than the tap. Also returns the reduction (M,) of its variance. The
+    response to a pixel's source is a tent: mean -(1 - s)^2 / 3 and variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) /
+    3 and (1 + s)^2 / 18. For a point it is a box: -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
     """
     t, b = np.clip(s, -1.0, 1.0), np.clip(s, -0.5, 0.5)
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
@@ -102,9 +102,10 @@ def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
 
 
 def near_focus(visibility: Visibility, t: Array) -> Array:
-    """Mean lens position along one axis, in cells, of light from pixels' sources near the focus at taps t (M,) px, and
-    the other numbers of `Cut` for that axis: square, trail and aside, (4, M). A position v has the weight max(0, 1 - |t
-    - v|).
+    """For pixels' sources near the focus: numbers (4, M) along one axis of the light at taps t (M,) px.
+
+    They are the mean lens position in cells, and the entries of `Cut` for this axis: xx or yy, trail and aside. Light
+    that arrives at v px has the weight max(0, 1 - |t - v|).
     """
     assert visibility.part is not None
     size = np.abs(visibility.radius) * visibility.extent
@@ -119,8 +120,9 @@ def near_focus(visibility: Visibility, t: Array) -> Array:
 
 
 def response(t: Array, width: Array) -> Array:
-    """Response of a pixel, up to a factor, to light t px from its middle: for a point, to a lens cell `width` px wide;
-    for a pixel with a width of 1 px, to the middle of a cell.
+    """Response of a pixel, up to a factor, to light through a lens cell that arrives t px from its middle.
+
+    width: of this light in px for point sources; 1 px for a pixel's source, with light through the middle of a cell.
     """
     return np.clip(0.5 * (1.0 + width) - np.abs(t), 0.0, width)
 
@@ -175,8 +177,9 @@ def _sheets(visibility: Visibility, x: Array, y: Array) -> list[tuple[Array, tup
 
 
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
-    """Weights (M,) of the tap (dx, dy) px from each source's pixel; if rims cut by chords, weights of the remaining
-    opening. point: True for point sources.
+    """Weights (M,) of the tap (dx, dy) px from each source's pixel, for the part of the opening inside the rims.
+
+    weight: (M,), of the whole opening, returned unless rims cut by chords; point: True for point sources.
     """
     cut = np.zeros(weight.shape, np.bool_)
     pupil = visibility.pupil
@@ -275,8 +278,10 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
 
 
 def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: list[Array], width: Array) -> Array:
-    """Visible fraction (N,) from cells (N, L, L) of narrow lenses, `width` (N,) px wide, weighted by the responses of
-    taps `away` px from N sources, where `bent` (N, 3) maps cells to ellipses, px.
+    """Visible fraction (N,) of narrow lenses with elliptic blurs, for one tap of each of N sources.
+
+    cells: (N, L, L) from `cell_visibility`; bent (N, 3): map from cells to px; away: px from sources to taps, right and
+    down, (N,) each; width (N,): of `response`.
     """
     at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
     places = _bent(bent[:, None, None], at, at[:, None])

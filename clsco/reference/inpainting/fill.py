@@ -58,7 +58,7 @@ def find_spans(known: Mask) -> NDArray[np.int64]:
 
 
 def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
-    """Mask of missing pixels (H, W): unknown, strictly between the first and last known of their row, else column.
+    """Mask of missing pixels (H, W): unknown, between the first and last known pixel of their row or column.
 
     known: (H, W); allowed: (H, W), only these may be missing (domain "surface"), or None (domain "span").
     """
@@ -73,7 +73,7 @@ def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
 def far_bounds(w: Array, known: Mask, pixels: Mask) -> NDArray[np.float32]:
     """Largest inverse depth (H, W) in 1/mm of neighbors that `pixels` may be filled from; infinite elsewhere.
 
-    w: (H, W) 1/mm; known, pixels: (H, W). For each of these, known pixels on both sides are searched along its row,
+    w: (H, W) 1/mm; known, pixels: (H, W). From each of `pixels`, known ones are searched in both directions of its row,
     its column and both diagonals. The line that finds both within the fewest steps is used, of equal lines the first:
     the bound is 1.02 times the smaller inverse depth of its two pixels. Beside an edge that has moved away, this is the
     inverse depth of the far side; in a gap that a growing surface leaves, at most WIDEST_GAP px to each side, it is
@@ -142,7 +142,7 @@ def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, 
     """Linear interpolation along each row between the nearest known pixels on both sides, a mask of pixels that have
     both, and the column of the left one.
 
-    far: True to use only the farther known pixel if the other one is nearer by more than the slack.
+    far: True to copy the known pixel at the greater depth instead if the depths differ by more than the slack.
     """
     left, right = _nearest_known(known)
     enclosed = (left >= 0) & (right < known.shape[1])
@@ -165,9 +165,9 @@ def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -
     values: (H, W, K), inverse depth last; known: (H, W), before the sweep; missing: (H, W), not yet filled; bounds: on
     the inverse depth of neighbors to fill from. Inside: the mean of the first opposite pair of known neighbors
     (horizontal, vertical, the two diagonals), else a copy of the first known neighbor. On the outermost rows and
-    columns: linear between the nearest known pixels of the row, else of the column; with bounds, a copy of the farther
-    one if the other is more than 1.02 times nearer. Source pixels: (H, W), number of the first neighbor used, for other
-    pixels their own number. Validated on the thesis' figures 4.14 and 4.15 and on random masks.
+    columns: linear between the nearest known pixels of the row, else of the column; with bounds, a copy of the deeper
+    one if their depths differ by a factor above 1.02. Source pixels: (H, W), number of the first neighbor used, for
+    other pixels their own number. Validated on the thesis' figures 4.14 and 4.15 and on random masks.
     """
     inside = missing.copy()
     inside[[0, -1], :] = inside[:, [0, -1]] = False
@@ -237,7 +237,7 @@ def fill_objects(
     if method == "mean_median" and holes.any():
         median_wins = score_mean_median(values[..., :-1], known, score_scale(brightest)).median_wins()
     while method != "none" and holes.any():
-        # A stalled filling accepts fewer neighbors, and then (0) nearer ones.
+        # If no pixel can be filled, fewer neighbors are accepted, and finally (0) nearer ones.
         for minimum in range(1 if method == "ait" else CHAPTER5.minimum, -1 if far else 0, -1):
             within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
             if method == "ait":

@@ -18,9 +18,9 @@ def fill_mean_median(
 ) -> tuple[Array, Mask, Pixels]:
     """Stage 1: one sweep; values (H, W, K) with newly filled pixels, the mask of these (H, W), and their source pixels.
 
-    values: (H, W, K), inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), by number of
-    known neighbors; minimum: known neighbors that a pixel needs; bounds: on the inverse depth of neighbors. Below 4
-    neighbors the mean is used. Source pixels: (H, W), number of the first neighbor used, for other pixels their own.
+    values: (H, W, K), inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), True to use the
+    median, by number of known neighbors (below 4 always the mean); minimum: known neighbors that a pixel needs; bounds:
+    on their inverse depth. Source pixels: (H, W), number of the first neighbor used, for other pixels their own.
     """
     row, column = np.nonzero(missing)
     near, near_known = known_neighbors(values, known, row, column, bounds)

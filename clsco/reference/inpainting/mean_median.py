@@ -29,7 +29,7 @@ def fill_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: i
 
 
 def settle_holes(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, NDArray[np.uint8]]:
-    """Known and missing pixels (H, W) after a sweep that filled some, and the number of known neighbors of each (H, W).
+    """Known and missing pixels (H, W) after a sweep that filled some, and numbers (H, W) of known neighbors.
 
     known, missing: (H, W), before the sweep; filled: (H, W).
     """

@@ -38,7 +38,7 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
     and the largest sum of the two |radii| at a discontinuity, px, rounded up.
 
     coc: (H, W) px; valid: (H, W); low px, bins: from `bins_of`; far: px. A discontinuity is between two valid pixels of
-    a row or a column with no valid pixel between them, at most `far` px apart. Entry (k, b): discontinuities of class
+    a row or column, at most `far` px apart, with no valid pixel between them. Entry (k, b): discontinuities of class
     k, larger than DISCONTINUITY 2^k px, whose far side is in bin b.
     """
     latest, largest_sum = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64), 0
@@ -63,8 +63,9 @@ def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: l
 
 
 def seed_hidden(coc: Array, layer: Labels) -> Labels:
-    """The depth layer (H, W) that is extrapolated behind a pixel at an edge: the nearest layer among its four neighbors
-    beyond a discontinuity.
+    """The depth layer (H, W) that is extrapolated behind a pixel at an edge, 0 elsewhere.
+
+    It is the nearest of the layers that the pixel's four neighbors show behind a discontinuity.
     """
     padded, radius = np.pad(layer, 1), np.pad(coc, 1)
     seed = np.zeros_like(layer)

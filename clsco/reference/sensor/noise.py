@@ -16,7 +16,7 @@ HALF, LOW = 32, np.uint64(0xFFFFFFFF)
 MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 KEY_STEPS = 0x9E3779B9, 0xBB67AE85
 ROUNDS = 10
-# Coefficients from the highest power on; of 2^x, of ln(1 + x) / x for x in [0, 1), and of z in s - 2.75.
+# Coefficients from the highest power on: of 2^x and ln(1 + x) / x for x in [0, 1), and of z in sqrt(-ln p) - 2.75.
 EXP2 = (0.00187758, 0.00898934, 0.05582632, 0.24015362, 0.69315307, 0.99999993)
 LOG = (0.01078772, -0.05522881, 0.13479359, -0.22598266, 0.32827333, -0.49947725, 0.99998148)
 NORMAL = (
@@ -97,8 +97,9 @@ def normal_of(word: Words) -> Floats:
 
 
 def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
-    """Poisson count for a small mean, by the inverse distribution function: the number of k with a probability of more
-    than k above u. reciprocals: 1 / k for k = 0, 1, ... (entry 0 is unused), FEW_ELECTRONS of them.
+    """Poisson count for a small mean, by the inverse distribution function.
+
+    The number of k = 0, 1, ... with P(count > k) > u; reciprocals: 1 / k for k < FEW_ELECTRONS, entry 0 is unused.
     """
     u = uniform_of(word)
     term = exp_minus(mean)
@@ -113,7 +114,7 @@ def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
         count += above_count
         term = term * (mean * reciprocals[k])
         above = above - term
-    # Where rounding leaves more than u above all terms.
+    # A bound, needed if rounding leaves more than u after all terms.
     return np.minimum(count, (np.float32(12.0) + np.float32(2.2) * mean).astype(np.int64))
 
 

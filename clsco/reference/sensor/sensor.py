@@ -17,7 +17,7 @@ from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poiss
 
 def photoelectrons(light: Floats, scale: Floats) -> Floats:
     """Mean photoelectrons of pixels, without dark electrons; negative light and NaN count as 0."""
-    with np.errstate(over="ignore", invalid="ignore"):  # pixels with overflow are full
+    with np.errstate(over="ignore", invalid="ignore"):  # pixels whose light overflows are full
         return np.where(light > 0, light * scale, np.float32(0.0))
 
 
@@ -30,8 +30,9 @@ def codes_of(electrons: Floats, added: Floats, sensor: Any) -> NDArray[np.int64]
 def sensor_outputs(
     sensor_model: SensorModel, light: NDArray[np.floating], camera: int, names: Collection[str]
 ) -> dict[str, Any]:
-    """Image and outputs of a sensor, named as in `Frame`, for the irradiance (m, n, C) of a frame; otherwise as
-    `sense`.
+    """Image and outputs of a sensor, named as in `Frame`, for the irradiance (m, n, C) of a frame.
+
+    names: names of the outputs besides the image; other arguments as for `sense`.
     """
     raw, saturated = sense(sensor_model, light, camera)
     return {"color": develop(raw, sensor_model)} | sensor_truth(names, raw, saturated, light, sensor_model)

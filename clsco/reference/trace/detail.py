@@ -26,17 +26,16 @@ from clsco.reference.trace.mapping import (
 )
 from clsco.scene.model import Camera
 
-REACHING = 2.0
+REACHING = 2.0  # how fast the exchange between parts begins as the blur grows
 
 
 def detailed_texture(
     texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, radius: Array,
     samples: int, parts: int,
 ) -> Array:  # fmt: skip
-    """Values (n, parts, parts, channels) of the parts of pixels whose rays (n, 3) hit a surface at inverse depths w
-    (n,).
+    """Values (n, parts, parts, channels) of the parts of pixels whose rays (n, 3) hit a surface.
 
-    radius: (n,) signed, px; samples: sub-pixel sources per axis.
+    w: (n,), inverse depths; radius: (n,) signed, px; samples: sub-pixel sources per axis; parts: number per axis.
     """
     point = mapped_point(surface, texture.map, camera, rays, w)
     three = texture.map.kind == MAP_TRIPLANAR

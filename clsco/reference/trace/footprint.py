@@ -79,8 +79,9 @@ def filter_weights(t: Array, texture_filter: Filter) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Taps:
-    """Weights (n, taps) of texels from `first` (n,) on along an axis: for the mean over a width, and their derivatives
-    by the position of its middle, per texel.
+    """Weights (n, taps) of texels from `first` (n,) on along an axis, for n widths.
+
+    mean: weights for the mean over the width; slope: their derivatives by the position of its middle, per texel.
     """
 
     first: Indices
@@ -125,8 +126,9 @@ def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps,
 
 
 def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
-    """Number of cells (n,) along an axis of a pixel, from the squared number of texels (n,) there and the product (n,)
-    of columns and rows; for bent pixels pairs, or one if small.
+    """Number of cells (n,) into which an axis of a pixel's footprint is cut; even if bent, but 1 if small.
+
+    square, shear (n,): squared length of the axis in texels, and product of the columns and rows that it spans.
     """
     widest = np.where(bent, BENT_TEXELS, CELL_TEXELS) ** 2
     enough = np.maximum(square / widest, np.where(bent, 0.0, np.abs(shear) / MOST_SHEAR)) / APART
@@ -137,9 +139,7 @@ def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
 
 
 def _places(cells: int, bent: bool) -> Array:
-    """Middles (cells,) of cells along an axis of a part, relative to its middle, in parts; for pairs of points the
-    Gauss-Legendre nodes.
-    """
+    """Middles (cells,) of an axis' cells, relative to the middle of a part, in parts; Gauss nodes of pairs if bent."""
     at = np.arange(cells)
     aside = (2.0 * GAUSS_PLACE - 0.5) * np.where(at % 2, 1.0, -1.0) * (bent and cells > 1)
     return np.asarray((at + 0.5 + aside) / cells - 0.5)
@@ -147,8 +147,10 @@ def _places(cells: int, bent: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Texture reads for n pixels or their parts. kinds (n, 4): mipmap level, numbers of cells to the right and down,
-    and 1 if bent; changes: of column and row per part, right and down.
+    """Texture reads for n pixels or their parts.
+
+    kinds (n, 4): mipmap level, cells to the right and down, 1 if bent; changes: of (column, row) per part to the right,
+    and down.
     """
 
     kinds: Indices
@@ -214,7 +216,7 @@ def _mean_of_kind(
     steps = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
     steps = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in steps]
     width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*steps, strict=True))
-    most = width_x * width_y  # the skew has no more, unless cells are cut to MOST_CELL
+    most = width_x * width_y  # the skew is at most this, unless cells are clamped to MOST_CELL
     skew = np.clip(sum(x * y for x, y in steps), -most, most) / 12.0
     for b in _places(cells_y, bool(bent)) + shift[1]:
         for a in _places(cells_x, bool(bent)) + shift[0]:
@@ -234,16 +236,15 @@ def _mean_of_kind(
 
 
 def sharpening(texture: MappedTexture, radius: Array) -> Array:
-    """Sharpening coefficients c (n,) for sources of signed radii in px: factor of the differences to neighbors that is
-    added.
-    """
+    """Sharpening coefficients c (n,) for signed radii in px: c times each difference to a neighbor is added."""
     u = np.minimum(texture.spread * np.abs(radius), 1.0)
     return np.asarray(0.125 * u * (16.0 / (3.0 * np.pi) - u))
 
 
 def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int) -> Indices:
-    """Number of parts per axis for pixels (n,), 0 if one source is enough. texels: squared number of texels; radius:
-    signed, px; samples: sub-pixel sources per axis.
+    """Number of parts per axis for pixels (n,), 0 if one source is enough.
+
+    texels: squared number of texels; radius: signed, px; samples: sub-pixel sources per axis.
     """
     spread = (texture.spread * np.abs(radius)).astype(np.float32)
     return cut_parts(texels.astype(np.float32), spread, samples, texture.least)

@@ -63,8 +63,9 @@ class _Points:
     body: Array
 
     def _places(self, camera: Camera, poses: tuple[Pose, ...]) -> Array:
-        """Row, column and depth relative to the present depth (3, m, n), 0 behind the lens, of all points in other
-        poses relative to a camera.
+        """Row, column and ratio of depths, new to present (3, m, n), of all points in other poses relative to a camera.
+
+        All are 0 for points behind the lens.
         """
         places = np.zeros((3, *self.w.shape))
         for k, (item, pose) in enumerate(zip(self.scene.objects, poses, strict=True)):
@@ -77,7 +78,7 @@ class _Points:
     def follow(self, frame: int, eye: Eye) -> tuple[Array, NDArray[np.bool_]]:
         """Flow to the lines of a frame, and a mask of points that are not visible there, by a search through all lines.
 
-        A point lies between the first line that it is not beyond at that line's exposure, and the line before.
+        A point lies between the first line that is at or beyond it when exposed, and the previous line.
         """
         scene, axis, surface = self.scene, int(self.scene.sequence.by_columns), self.number >= 0
         views = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in line_times(scene, frame).tolist()]

@@ -36,8 +36,8 @@ from clsco.reference.common.geometry import (
 )
 from clsco.scene.model import Camera
 
-BENT = 256.0
-FARTHEST_TEXEL = 1e6
+BENT = 256.0  # squared distance from a pole, in pixels, within which coordinates are far from linear
+FARTHEST_TEXEL = 1e6  # to which positions are clamped
 TINY = 1e-12
 Indices = NDArray[np.intp]
 
@@ -46,9 +46,8 @@ Indices = NDArray[np.intp]
 class MappedTexture:
     """An image on a surface.
 
-    levels: of its mipmap, (sides, rows, columns, channels) float64; map: mapping to the surface; spread: radius of the
-    disc with the second moments of the PSF for R = 1, 0 if sources are not squares; least: of `detail_least`, px;
-    texture_filter: interpolation between texels.
+    levels: of its mipmap, (sides, rows, columns, channels) float64; map: mapping to the surface; spread: from
+    `texture_spread`, px; least: from `detail_least`, px; texture_filter: interpolation between texels.
     """
 
     levels: tuple[Array, ...]
@@ -205,8 +204,9 @@ def along_axis(q: Array, axis: int) -> Array:
 
 
 def texture_coordinates(surface: PlacedSurface, texture: MappedTexture, camera: Camera, rays: Array, w: Array) -> Array:
-    """Texture coordinates (n, 2), right and up from the lower left corner of the image, in images; for a cube map, in a
-    row of its six images.
+    """Texture coordinates (n, 2), right and up from the lower left corner, in units of the image's size.
+
+    For a cube map, the image is a row of its six images.
     """
     texture_map = texture.map
     at = mapped_point(surface, texture_map, camera, rays, w).at

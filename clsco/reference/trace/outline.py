@@ -1,8 +1,7 @@
-"""Coverage at outlines, in NumPy float64: the areas that sub-pixel sources represent, of their own cells and of
-neighboring ones.
+"""Coverage at outlines, in NumPy float64: the areas that sub-pixel sources represent, in their own and adjacent cells.
 
-The formulas are at the head of kernels/trace/outline.clh. Arrays of cells have those of a pixel in rows and columns 1
-to S of S + 2, surrounded by one cell of each neighbor.
+The formulas are at the head of kernels/trace/outline.clh. Arrays of cells are (S + 2, S + 2) for each pixel: its own
+cells, S x S, surrounded by one row or column of cells of each neighbor.
 """
 
 from __future__ import annotations
@@ -35,10 +34,11 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Area in cells (M, S + 2, S + 2) covered by each source, and the position where its radius, tilt and radiance are
-    evaluated, in cells to the right and down of its middle; whole for the cells of the pixel itself. label: of each
-    cell, including empty cells that a surface covers in part; part, step_x, step_y: for the latter, the covered part,
-    and the displacement to the middle of a full cell.
+    """Coverage of the cells of M pixels, arrays (M, S + 2, S + 2), complete only for the pixels' own cells.
+
+    covered: area that a source represents, in cells; right, down: position from the cell's middle, in cells, where its
+    radius, tilt and radiance are evaluated; label: of each cell, including empty cells that a surface covers in part.
+    For these cells, part: covered area; step_x, step_y: displacement to the middle of a full cell.
     """
 
     covered: Array
@@ -99,9 +99,9 @@ def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, ra
 def end_of_root(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, start: Array, stop: Array
 ) -> Array:
-    """Fraction (n,) of the way from rays (n, 3), where a root is visible, to other rays, at which it ends; 1: beyond.
+    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends.
 
-    label: of the root and its object.
+    It is 1 if the root does not end before. label: of the root and its object.
     """
     at_start, at_stop = (root_margins(surfaces, bounds, label, rays)[1] for rays in (start, stop))
     inside, fails = np.maximum(at_start, 0.0), at_stop < 0.0
@@ -112,9 +112,7 @@ def outline_place(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], first: int, second: int,
     start: Array, stop: Array,
 ) -> Array:  # fmt: skip
-    """Fraction (n,) of the way from rays (n, 3) to other rays at which the label changes from the first to the
-    second.
-    """
+    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which label `first` changes to `second`."""
     end, begin = np.ones(len(start)), np.ones(len(start))
     if first:
         end = end_of_root(surfaces, bounds, first, start, stop)
@@ -122,7 +120,7 @@ def outline_place(
         begin = end_of_root(surfaces, bounds, second, stop, start)
     through = np.full(len(start), 0.5)
     if first and second:
-        # They pass through one another.
+        # The two surfaces pass through one another.
         at_start, at_stop = (
             sign * (root_margins(surfaces, bounds, first, rays)[0] - root_margins(surfaces, bounds, second, rays)[0])
             for sign, rays in ((1.0, start), (-1.0, stop))
@@ -153,7 +151,7 @@ def crossing_between(
     camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index, column: Index,
     label: Labels, first: Index, second: Index,
 ) -> Array:  # fmt: skip
-    """Fractions (M, sides) of the way between cells at which outlines cross it, -1 without a crossing.
+    """Fractions (M, sides) of the way from `first` to `second` cells at which there is an outline, -1 for none.
 
     row, column: (M,) of the pixels; label: (M, S + 2, S + 2); first, second: (sides,), indices of cells.
     """
@@ -193,8 +191,9 @@ def mean_above(first: Array, last: Array) -> Array:
 
 
 def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-    """Area (n,) of a quarter of unit squares, in row and column 0 or 1 (n,) of 2 x 2, on the left of straight lines
-    from x = top to x = bottom (n,).
+    """Area (n,) of a quarter of a unit square, in row and column 0 or 1 (n,), left of a straight line.
+
+    The line runs from x = top on the upper side to x = bottom on the lower side of the square (n,).
     """
     step = 0.5 * (bottom - top)
     first = top + row * step - 0.5 * column
@@ -202,8 +201,7 @@ def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDA
 
 
 def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, surface_label: Labels) -> None:
-    """Distribute the area that a surface covers of squares (n,), as far as it is in the pixel, to the surface's cells
-    there, or to empty ones.
+    """Assign the area that a surface covers in squares (n,), inside the pixel, to its cells there, or to empty cells.
 
     label: (n, S + 2, S + 2); i, j: the upper left cell; place: (4, n), where an outline crosses the sides, top, bottom,
     left and right; surface_label: (n,), the surface's label, 0 to skip a square.
@@ -211,7 +209,7 @@ def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, 
     side, index = label.shape[1], np.arange(len(surface_label))
     along = (place[2] >= 0.0) & (place[3] >= 0.0)
     corner = ~along & ~((place[0] >= 0.0) & (place[1] >= 0.0))
-    # The corner that is beside the line, of one against three that one; rows and columns count from there.
+    # The corner beside the line, or the one that the line cuts off; rows and columns count from this corner.
     row, column = ((corner & (edge >= 0.0)).astype(np.intp) for edge in (place[1], place[3]))
     first, last = np.where(along, place[2], place[row, index]), np.where(along, place[3], place[1])
     below = np.where(row == 1, 1.0 - place[2 + column, index], place[2 + column, index])
@@ -229,7 +227,7 @@ def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, 
     count, total = np.sum(on_surface, axis=0), np.sum(areas, axis=0)
     for (y, x), area, covers in zip(cells, areas, on_surface, strict=True):
         coverage.covered[:, y, x] += np.where(covers, total / np.maximum(count, 1) - 0.25, 0.0)
-        # The surface is hit in the middle of the nearest cell of another pixel that is there.
+        # The surface is hit in the middle of its nearest cell, which is in another pixel.
         empty = (surface_label > 0) & (count == 0) & (area > LEAST_PART)
         aside, down = (1 if x == j else -1), (1 if y == i else -1)
         is_beside, is_below = (label[:, y, x + aside] == surface_label), (label[:, y + down, x] == surface_label)
@@ -258,8 +256,7 @@ def cut_label(
 def share_square(
     coverage: Coverage, curved: NDArray[np.bool_], i: int, j: int, place: Array, cut: NDArray[np.bool_]
 ) -> None:
-    """Assign the area that one surface covers in squares (n,) between four cells, beyond the quarters of its cells, to
-    its cells.
+    """Add to a surface's cells what it covers of squares (n,) between four cells, minus their own quarters.
 
     curved: (n, S + 2, S + 2), True if a cell's surface is curved; i, j: the upper left cell; place: (4, n), where an
     outline crosses two of the sides top, bottom, left and right; cut: (n,), squares that `cut_square` handles.
@@ -312,7 +309,7 @@ def cell_coverage(
         for j in range(side - 1):
             edges = np.stack([across[:, i, j], across[:, i + 1, j], along[:, i, j], along[:, i, j + 1]])
             marked = (label[:, i : i + 2, j : j + 2] != UNMARKED).all(axis=(1, 2))
-            # Three surfaces, or two outlines, leave the quarters as they are.
+            # Squares with three surfaces, or with two outlines, keep the quarters.
             usable = marked & ((edges >= 0.0).sum(axis=0) == 2)
             if usable.any():
                 places, cut = np.where(usable, edges, -1.0), np.zeros(len(label), np.uint8)

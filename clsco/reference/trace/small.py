@@ -31,8 +31,8 @@ from clsco.reference.trace.light import shade
 from clsco.reference.trace.view import Cast, View
 from clsco.scene.model import Camera
 
-LINES, END_LINES = 8, 2
-CLEARLY, SMALL_REACH = 1.001, 2.0
+LINES, END_LINES = 8, 2  # lines in a pixel; and at each end, if sides of a card end there
+CLEARLY, SMALL_REACH = 1.001, 2.0  # factor above rounding errors; px from an occluder's image
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
@@ -81,8 +81,9 @@ def is_small(
     camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: NDArray[np.int64], column: NDArray[np.int64],
     reach: float = 0.5,
 ) -> Mask:  # fmt: skip
-    """True for pixels near which a surface's image is narrow, and whose middles may be within `reach` px of it; rows
-    and columns broadcast, px.
+    """True for pixels whose middles may be within `reach` px of a surface's image that is narrow there.
+
+    Rows and columns broadcast, px.
     """
     row, column = np.broadcast_arrays(row, column)
     if not surface.width < NARROW_IMAGE * ray_step(camera):
@@ -143,9 +144,10 @@ def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array
 def small_cover(
     view: View, bounds: Sequence[Bounds | None], group: OcclusionGroup, k: int, place: tuple[Index, Index], samples: int
 ) -> Array:  # fmt: skip
-    """Area in the cells of pixels (M,), at these rows and columns, covered by the image of member k: (M, S, S, 4) for
-    each cell the area, the area times the position in px right and down, and the area times the shaded fraction of the
-    texture.
+    """Area of the cells of pixels (M,) that the image of member k covers, and moments of it: (M, S, S, 4).
+
+    place: rows and columns (M,). For each cell: the area in cells, the area times the position right and down of the
+    pixel's middle in px, and the area times the shaded fraction of the texture.
     """
     camera, (row, column) = view.scene.camera, place
     conics = conics_of(camera, view.surfaces[k], bounds[k], row, column)
@@ -201,7 +203,7 @@ def small_cover(
             part_of = np.where((low < high) & (begin < end) & (number == k), share * (end - begin), 0.0)
             part_of = part_of * samples**2 / points
             value = part_of[:, None] * np.stack([np.ones_like(right), right, down, light], axis=-1)
-            # Between the middles of cells, so that their sources have its place.
+            # Divided between cells, so that their sources keep the mean position of the light.
             y, x = (np.clip((n + 0.5) * samples - 0.5, 0.0, samples - 1.001) for n in (down, right))
             for i_cell, below in ((y.astype(np.intp), 1.0 - y % 1.0), (y.astype(np.intp) + 1, y % 1.0)):
                 for j_cell, aside in ((x.astype(np.intp), 1.0 - x % 1.0), (x.astype(np.intp) + 1, x % 1.0)):

@@ -56,8 +56,8 @@ SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pi
 class Sources:
     """Sources, one per pixel of the padded grid (H, W).
 
-    radiance: (H, W, C), linear. inverse_depth: (H, W), 1/mm. label: (H, W), 0 for no source, else root and object, with
-    a different value where two surfaces meet. radius: (H, W), signed blur radius in px. gradient: (H, W, 2), of the
+    radiance: (H, W, C), linear. inverse_depth: (H, W), 1/mm. label: (H, W), 0 for no source, else root and object; the
+    highest bit changes where two surfaces meet. radius: (H, W), signed blur radius in px. gradient: (H, W, 2), of the
     radius, px per px, right and down. lit: (H, W), True if any of its radiance reaches the lens. visibility: occluders
     of the sources, None if there are none. parts: (H, W), number of parts per axis that the texture needs, 0 for none.
     share: (H, W), sharpening coefficient of the texture, see `sharpen`. shape: (H, W, 3), of elliptic blurs, None for
@@ -83,7 +83,7 @@ class SubpixelSources:
 
     row, column (M,): padded-grid pixel; hit (M, S, S): True for a surface visible from the lens; visibility: the
     occluders of these, in order, None if there are none; radius (M, S, S) px; gradient (M, S, S, 2) px per px; radiance
-    (M, S, S, C), times the cells that each covers; limb (M, S, S): True at a limb, None if there is none. shape (M, 3),
+    (M, S, S, C), times the covered area in cells; limb (M, S, S): True at a limb, None if there is none. shape (M, 3),
     of the pixels, and widening (M, S, S, 2): as for `Sources`. Source (i, j) is blurred from its cell,
     `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
     """
@@ -176,8 +176,9 @@ def gradient_of(view: View, surface: PlacedSurface, rays: Array, w: Array) -> Ar
 def _mapped_radiance(
     scene: Scene, surface: PlacedSurface, texture: MappedTexture, rays: Array, w: Array, sources: int
 ) -> tuple[Array, Array]:
-    """Radiance (..., channels) of a texture on a surface, and squared numbers (...) of texels per pixel; 0 where w is.
-    sources: as for `cast`.
+    """Radiance (..., channels) of a texture on a surface, and squared numbers (...) of texels per pixel.
+
+    Both are 0 where w is 0. sources: as for `cast`.
     """
     radiance, texels, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape), w > 0.0
     radiance[hit], texels[hit] = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], sources)
@@ -266,7 +267,7 @@ def spread_sources(sources: Sources) -> Sources:
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels with a different label within 2 px, in rows and in columns.
 
-    label: (H, W) from `trace`. There the blur radius is steep or discontinuous.
+    label: (H, W) from `trace`. Near such silhouettes the blur radius is steep or discontinuous.
     """
     padded = np.pad(label, SILHOUETTE_RANGE, mode="edge")
     size = 2 * SILHOUETTE_RANGE + 1
@@ -316,7 +317,7 @@ def trace_subpixels(
     small = small_members(scene.camera, view.surfaces, bounds, group, row - guard, column - guard)
     small &= marked[row, column]
     hit = cast_behind(cast, view, group, small, at_row, at_column, texel, samples)
-    lens_radius = hit.radius  # of visibility tests
+    lens_radius = hit.radius  # for visibility tests
     empty = hit.label == 0
     hit, limb = _cover(view, group, hit, marked, (row, column), guard)
     lens_radius = np.where(
@@ -341,7 +342,7 @@ def trace_subpixels(
     if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
-        # Records have the gradient over the radius of what is covered.
+        # As on devices, from the gradient divided by the radius of the covered area.
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
         tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted)
         if widening is not None:
@@ -414,7 +415,7 @@ def _cover(
         view, group, texel[0] + offsets[i] + down[beside] / samples, texel[1] + offsets[j] + right[beside] / samples,
         texel, samples,
     )  # fmt: skip
-    same = neighbor_hits.label == hit.label[beside]  # but for beside a corner
+    same = neighbor_hits.label == hit.label[beside]  # may be False at a corner
     planes = {name: getattr(hit, name).copy() for name in ("radius", "gradient", "radiance", "w")}
     for name, plane in planes.items():
         plane[slot[same], i[same], j[same]] = getattr(neighbor_hits, name)[same]

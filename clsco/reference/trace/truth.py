@@ -89,7 +89,7 @@ def moved_pixel(
 def occluded_among(
     scene: Scene, camera: Camera, surfaces: tuple[PlacedSurface, ...], pixel: tuple[Array, Array, Array], w: Array
 ) -> NDArray[np.bool_]:
-    """Mask of points at inverse depth w that other surfaces hide in the pixels given by `moved_pixel` for a camera."""
+    """Mask of points at inverse depth w that are hidden or out of view in the pixels given by `moved_pixel`."""
     row, column, ratio = pixel
     bounds = [cutting_bounds(item) for item in scene.objects]
     nearest, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(camera, row, column))
@@ -98,7 +98,7 @@ def occluded_among(
 
 
 def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Array:
-    """Texture coordinates (right, up) of hits (rows, columns) on an object, from the lower left corner, in images."""
+    """Texture coordinates (right, up) of hits (rows, columns) on an object, as from `texture_coordinates`."""
     surface, texture, camera = view.surfaces[number], view.textures[number], view.scene.camera
     coordinates, hit = np.zeros((*w.shape, 2)), w > 0.0
     if isinstance(texture, MappedTexture):

@@ -25,7 +25,7 @@ class View:
 
     surfaces: one per object; textures: one per object, with equal channels; moved: True if an object or the camera is
     not exactly in its reference pose, or the lens zooms; light: of the scene, if it has one; psf: of the lens;
-    reference: the camera in its reference pose; lens: for the selected light; lenses: of the colors, if they differ.
+    reference: the camera in its reference pose; lens: for the selected color; lenses: one, or one per color.
     """
 
     scene: Scene
@@ -47,8 +47,11 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """Hits of rays (...): inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; parts:
-    number per axis of the parts that the texture needs, 0 for none; share: sharpening coefficient of the texture.
+    """Hits of rays (...).
+
+    w: inverse depth, 1/mm; label: root and object, 0 for none; number: object, -1 for none; radius: signed blur radius,
+    px, and its gradient; radiance; parts: number per axis of the parts that the texture needs, 0 for none; share:
+    sharpening coefficient of the texture.
     """
 
     w: Array

@@ -191,9 +191,9 @@ def reproject(
 def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int) -> NDArray[np.bool_]:
     """Mask (H, W) of the frame's pixels that show surfaces from outside of it in the reference pose.
 
-    winner, known: (H, W). They lie beyond the outermost known pixel of their row in the frame, if its source was within
-    EDGE_PX of the frame's edge on that side; then likewise in columns, where such pixels count as known, with the
-    source of that outermost one.
+    winner, known: (H, W). In each row, these are the pixels beyond the outermost known pixel of the frame, if the
+    source of that pixel was within EDGE_PX of the frame's edge on that side. Then columns are treated in the same way;
+    there, pixels marked in rows count as known, with the source of that outermost pixel.
     """
     rows, columns = (n - 2 * guard for n in known.shape)
     inside = (slice(guard, guard + rows), slice(guard, guard + columns))
@@ -210,7 +210,7 @@ def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[ND
     """Mask of pixels beyond the first or last known pixel of each line (L, N), if that pixel's source was at this end.
 
     lines: (L, N), known; place: (L, N), px, source position of each pixel along its line. Also returns the number (L,
-    N) of the nearer of these two known pixels.
+    N) in its line of the nearer of these two known pixels.
     """
     length = lines.shape[1]
     at, occupied = np.arange(length), lines.any(axis=1)
