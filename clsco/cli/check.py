@@ -1,4 +1,4 @@
-"""The command `clsco check`: tables of differences, of all outputs from the NumPy reference, of color from rays."""
+"""Implementation of `clsco check`: compares all outputs with the NumPy reference, and color with rays."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from clsco.scene.model import Scene
 if TYPE_CHECKING:  # which needs the extra
     from clsco.truth.judge import Judgement
 
-# Single precision has ten times the figures, and may have one pixel in so many on the other side of an edge.
+# In single precision tolerances are 10 times larger, and 1 in LEAST_AGREEING pixels, at edges, may exceed them.
 LEAST_AGREEING = 500
 
 
@@ -36,8 +36,8 @@ LEAST_AGREEING = 500
 class Difference:
     """Difference of an output from that of the reference.
 
-    largest, rms: errors in `unit`; row, column: pixel of the largest error; count: pixels whose error exceeds `figure`;
-    pixels: pixels of the frame; allowed: largest `count` that passes.
+    largest, rms: errors in `unit`; row, column: pixel of the largest error; figure: tolerance in `unit`; count: pixels
+    whose error exceeds it; pixels: pixels of the frame; allowed: largest `count` that passes.
     """
 
     output: str
@@ -59,8 +59,10 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """Comparison of one frame, or of one view of a stereo pair (`eye`): the differences, the seconds in kernels, of the
-    whole call and of the reference, and the frame.
+    """Comparison of one frame, or of one view of a stereo pair, with the reference.
+
+    eye: "left" or "right" of a stereo pair, else ""; pass_seconds, seconds, reference_seconds: time in kernels, of the
+    whole rendering, and of the reference; frame: the device's frame.
     """
 
     index: int
@@ -75,8 +77,9 @@ class Checked:
 
 
 def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: bool = False) -> Difference:
-    """Compare two arrays (rows, columns[, channels]); equal infinities agree, NaN never does. single: True for single
-    precision.
+    """Compare arrays (rows, columns[, channels]) of an output by its tolerance; equal infinities agree, NaN never does.
+
+    single: True if `got` is of single precision, which has a larger tolerance.
     """
     about = OUTPUTS[output]
     unit, figure = about.measure or about.unit, about.figure * (10.0 if single else 1.0)
@@ -97,7 +100,7 @@ def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: b
 
 
 def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
-    """Differences of color and of every ground-truth output of `frame`."""
+    """Differences of a frame from the reference's, in color and in every ground-truth output that both have."""
     single = frame.metadata.get("precision") == "single"
     return tuple(
         difference(name, getattr(frame, name), getattr(exact, name), single)
@@ -115,11 +118,10 @@ def _sensor_of(scene: Scene, frame: Frame) -> Frame:
 
 
 def compare_frames(scene: Scene, device: str | None, precision: str | None) -> Iterator[Checked]:
-    """Render each frame, or both views of each stereo pair, on the device and with the reference. Raises as
-    `clsco.render`.
+    """Render each frame, or both views of each stereo pair, on the device and with the reference.
 
     With a sensor, the irradiance is compared, and the codes are compared with those that the reference's sensor makes
-    from the device's irradiance: one code changes with the last bit of the irradiance.
+    from the device's irradiance, because the last bit of an irradiance may change a code. Raises as `clsco.render`.
     """
     plain = scene.model_copy(update={"sensor": None})
     frames, exacts = render(plain, device=device, precision=precision), reference.render(plain)
@@ -129,7 +131,7 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
         frame = next(frames)
         differences: tuple[Difference, ...] = ()
         if sensed is not None:
-            differences = compare(next(sensed), _sensor_of(scene, frame))[1:]  # without what codes are developed to
+            differences = compare(next(sensed), _sensor_of(scene, frame))[1:]  # without color, made from codes
         middle = time.perf_counter()
         exact = next(exacts)
         end = time.perf_counter()
@@ -226,8 +228,10 @@ def check_scene(
 
 
 def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
-    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames of all views, one below the
-    other: red if too bright, blue if too dark, green if they agree; colors saturate at 0.01 of white.
+    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames of all views.
+
+    Pixels are red if too bright, blue if too dark, and green if they agree; colors saturate at 0.01 of white. why:
+    reason why there are no rays, or None.
     """
     if out.suffix.lower() == ".json":
         values = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]

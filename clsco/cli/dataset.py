@@ -1,4 +1,4 @@
-"""The command `clsco dataset`: data sets made from a distribution, looked at, and checked."""
+"""The command `clsco dataset`: makes data sets from distributions, inspects them, and checks them."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def _line(out: str, status: Status) -> str:
 @dataset.command()
 @data_argument
 def status(data: str) -> None:
-    """Tell how far a set has come; nothing is written."""
+    """Report how much of a set has been made; nothing is written."""
     from clsco.data.sets import open_set, ranges, status_of
     from clsco.data.storage import open_storage
 
@@ -196,7 +196,7 @@ def status(data: str) -> None:
 def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) -> None:
     """Check a set: hashes of all files and arrays, and samples rendered again, bit by bit.
 
-    Exit status 1 and a line for each finding.
+    Prints a line for each finding; if there are any, the exit status is 1.
     """
     from clsco.data.sets import open_set
     from clsco.data.storage import open_storage
@@ -228,7 +228,10 @@ def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) 
 @base_option
 @quiet_option
 def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | None, base: Path, quiet: bool) -> None:
-    """Make a set again by what its card says, and compare. Exit status 1 and a line for each difference."""
+    """Make a set again from its data card, and compare the bytes.
+
+    Prints a line for each difference; if there are any, the exit status is 1.
+    """
     from clsco.data import copies
 
     require_opencl()
@@ -244,7 +247,7 @@ def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | 
 @data_argument
 @click.option("--sheet", metavar="FILE", type=PATH, help="Also write pictures of the first samples, as PNG.")
 def open_data(data: str, sheet: Path | None) -> None:
-    """Tell what is in a set: samples, splits, arrays, and how to load it."""
+    """Report what a set contains: samples, splits, arrays, and how to load it."""
     from clsco.cli.tables import print_tables, table
     from clsco.data.dataset import open as opened
     from clsco.data.dataset import record_sheet
@@ -276,7 +279,7 @@ def open_data(data: str, sheet: Path | None) -> None:
 @click.argument("number", type=click.IntRange(0))
 @base_option
 def show(data: str, number: int, base: Path) -> None:
-    """Print the scene of sample NUMBER of a set as TOML, which clsco render takes."""
+    """Print the scene of sample NUMBER of a set as TOML: a scene file for clsco render."""
     from clsco.data.build import located
     from clsco.data.sets import open_set
     from clsco.data.storage import open_storage

@@ -31,7 +31,7 @@ def scenes_from_files(
     image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = (),
     layers: tuple[str | None, str | None] = (None, None),
 ) -> Sweep:  # fmt: skip
-    """Scenes that show an image at the depths of a depth map, one for each combination of values of camera keys.
+    """Scenes that show an image at the depths of a depth map, one for each combination of values in `overrides`.
 
     image, depth: files of the same size. options: values by key, of the depth map (unit, scale, baseline, offset, near,
     far, depth_kind, no_depth, soft_edges) or of [camera] (focal_length, f_number, focus_distance, pixel_pitch); None

@@ -77,8 +77,9 @@ def _fitted(picture: Picture, side: int) -> Picture:
 
 
 def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write the contact sheet of all EXAMPLES as a PNG; `frames` has a frame or a stereo pair by name. Raises FileError
-    if it cannot be written.
+    """Write the contact sheet of all EXAMPLES as a PNG. Raises FileError.
+
+    frames: a frame, or both views of a stereo pair, for each name in EXAMPLES.
     """
     shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
     write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))

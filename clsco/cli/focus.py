@@ -50,10 +50,10 @@ def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None
 def focus_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], focus: Focus | None
 ) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
-    """Scenes with the lens focused as asked; without `focus`, and for files with faults, they stay unchanged.
+    """The loaded files, with the lenses of their scenes focused as asked; unchanged if `focus` is None.
 
-    A scene that cannot be focused is replaced by a SceneError, as from `clsco.inputs.focus.focus_scene`; so is a file
-    whose scenes have several focus distances.
+    A file gets a SceneError in place of its scenes if one of them cannot be focused, as for
+    `clsco.inputs.focus.focus_scene`, or if they have several focus distances. Files with faults stay unchanged.
     """
     if focus is None:
         return loaded

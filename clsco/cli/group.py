@@ -15,13 +15,14 @@ from clsco.errors import ClscoError, DeviceError, SceneError
 
 USER_ERROR, NO_DEVICE = 1, 3
 ENDINGS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
-"""The line that a command ends with after each signal; its exit status is 128 and the signal's number."""
+"""Last line that a command prints after each signal; its exit status is 128 plus the signal's number."""
 
 
 @contextmanager
 def _end_by_signals() -> Iterator[list[int]]:
-    """Make signals raise KeyboardInterrupt in the block, so that no file is left half-written; yields the signals that
-    have arrived, because an import may replace KeyboardInterrupt by another error.
+    """Make the signals of `ENDINGS` raise KeyboardInterrupt in the block, so that no file is left half-written.
+
+    Yields a list of the signals that arrive, because an import may replace KeyboardInterrupt by another error.
     """
     arrived = list[int]()
     if threading.current_thread() is not threading.main_thread():

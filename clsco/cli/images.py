@@ -102,8 +102,8 @@ def defocus(
 ) -> None:
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
-    DEPTH is a PNG, JPEG, TIFF, EXR, PFM, DPT, NPY or NPZ. All else is as in a scene with this one object, whose other
-    keys --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
+    DEPTH is a PNG, JPEG, TIFF, EXR, PFM, DPT, NPY or NPZ. All else is as in a scene with this one object; --set sets
+    its other keys. If --set gives a key several values, the frame of each value has a folder in OUT.
     """
     from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
     from clsco.plan.prepare import prepare_files
@@ -172,7 +172,7 @@ def inpaint(
 ) -> None:
     """Fill the missing pixels of IMAGE: those that are white (255) in MASK, a file of the same size.
 
-    8 and 16 bits, gray and color, and floats, of which missing ones may be no numbers. OUT has the type of IMAGE.
+    IMAGE is gray or color, of 8 or 16 bits, or of floats, whose missing pixels may be NaN. OUT has the type of IMAGE.
     """
     from clsco.cli.inpaint import mean_median_options, prepare_out, read_pair
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def first_scene(
     path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None, aside: bool = False
 ) -> Prepared:  # fmt: skip
-    """The only scene of a file, or the first of several, whose label is printed; aside: print it to stderr."""
+    """The only scene of a file, or the first of several, whose label is printed; aside: True for stderr."""
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
@@ -63,9 +63,10 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
 
 
 def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared], close: bool = False) -> None:
-    """Print to stderr which images are stretched, once per size of the frame, and which parts are out of sight or
-    black, each line for the first scene that it applies to; close: also if a close focus makes sizes differ from the
-    usual formulas.
+    """Print to stderr which images are stretched, and which parts of the scenes are out of sight or black.
+
+    Each line is printed once, for the first scene that it applies to. close: True to report also a close focus, which
+    makes sizes differ from the usual formulas.
     """
     from clsco.inputs.textures import find_stretched
     from clsco.plan.notes import close_focus_note, sight_notes

@@ -45,8 +45,10 @@ class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it ta
 
 
 def attribute(place: str) -> Callable[[], Iterable[str]]:
-    """Function that returns the names in an object of a module, such as the keys of "clsco.files.video:PRESETS", or the
-    values allowed in a model's field, as "clsco.scene.shapes:DepthMap.unit".
+    """A function that imports a module and returns names that are defined there.
+
+    place: an object whose entries are the names, as "clsco.files.video:PRESETS"; or a field of a model whose allowed
+    values are the names, as "clsco.scene.shapes:DepthMap.unit".
     """
     module, _, path = place.partition(":")
 
@@ -216,7 +218,7 @@ def _progress_form(ctx: click.Context, param: click.Parameter, value: str) -> No
 
 
 def quiet_option(command: Command) -> Command:
-    """Decorate a command with the argument `quiet` and the option --progress."""
+    """Decorate a command with the options --quiet, passed as its argument `quiet`, and --progress."""
     quiet = click.option("--quiet", is_flag=True, help="Show no progress.")
     form = click.option(
         "--progress", type=click.Choice(["bar", "json"]), default="bar", expose_value=False, callback=_progress_form,

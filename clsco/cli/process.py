@@ -25,10 +25,10 @@ def run() -> None:
     Modules are imported only when a command needs them. During imports, garbage collection and pydantic's search for
     plug-ins are off, and at exit Python frees no objects: together a fifth of a short command's time (docs/lessons.md).
     """
-    for number in (signal.SIGINT, signal.SIGTERM):  # before all other modules: most of a short command's time
+    for number in (signal.SIGINT, signal.SIGTERM):  # before all other imports, which take most of the time
         signal.signal(number, _end)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # what the terminal has no letter for is shown as its escape
+        if isinstance(stream, io.TextIOWrapper):  # escape characters that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")
     gc.set_threshold(_OBJECTS)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")

@@ -20,7 +20,10 @@ LINES_S = 0.2  # between lines of JSON
 
 @contextmanager
 def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; yields a function to call after each item (`what`)."""
+    """Show a bar on a terminal, nothing in a pipe; yields a function to call after each item.
+
+    what: name of the items, plural.
+    """
     with _bar(total, quiet, what, None) as advance:
         yield advance
 
@@ -53,7 +56,7 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
 
 
 def position(here: Progress, done: float, total: int, elapsed: float) -> str:
-    """Text of the position: frame, fraction of the frame if it takes long, time sample, and time left.
+    """Text of the position: the current step and its finished fraction, the time sample, and the time left.
 
     done: finished frames of `total`; elapsed: seconds. The time left is known after the first time sample.
     """

@@ -75,8 +75,8 @@ def render(
 ) -> None:
     """Render the frames of scenes to files.
 
-    A frame is frame_0000.png, and frame_0000.json with everything that made it. Of several scenes, each has a
-    folder of its name in DIR. Where keys of a scene have several values, each has a folder like f_number_4 there.
+    A frame is frame_0000.png, and frame_0000.json, which records how it was made. With several scenes, each has a
+    folder of its name in DIR. If keys of a scene have several values, each combination has a folder like f_number_4.
     """
     from clsco.scene.sweep import load_sweeps
 
@@ -131,7 +131,7 @@ def render_to_folders(
     color: bool = True,
     check: bool = False,
 ) -> None:
-    """Plan scenes, and render the scenes of each file into its folder."""
+    """Plan scenes, and render the scenes of each file into its folder in `out`; other arguments as for `render`."""
     if files:
         from clsco.frame.files import require_truth_formats
 
@@ -155,7 +155,7 @@ def render_to_folders(
     if preset is not None:
         from clsco.cli.video import remove_clips
 
-        remove_clips(jobs, preset)  # those of older frames
+        remove_clips(jobs, preset)  # clips of older frames
     with frame_progress(sum(len(job.frames) for job in jobs), quiet, computation.device) as advance:
         for _ in batch.run(jobs, computation.device, check):
             advance()

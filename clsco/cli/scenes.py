@@ -55,7 +55,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     shown = {}
     with progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
         for job, frames in batch.run(list(jobs.values()), device):
-            shown[job.folder.name] = frames  # the last one of a sequence
+            shown[job.folder.name] = frames  # of a sequence, the last frame stays
             advance()
     write_contact_sheet(out / "contact_sheet.png", shown)
     place = click.format_filename(out)
@@ -81,9 +81,9 @@ def plan(
     device: str | None,
     machine: bool,
 ) -> None:
-    """Report what rendering a scene takes, and how long, which is measured on a part of a frame.
+    """Report the passes and the memory that rendering a scene takes, and the time, measured on a part of a frame.
 
-    Without OpenCL it reports all but the time.
+    Without OpenCL, the time is omitted.
     """
     require_uncolored(files, no_color)
     session, used = _session_of_plan(device)
@@ -147,9 +147,9 @@ def check(
 ) -> None:
     """Compare frames with the NumPy reference, output by output, and with rays through the real lens.
 
-    Fails where color differs from the reference by more than 1e-5 of white (in single precision, by more than 1e-4 in
-    more than 1 of 500 pixels), or pixels from rays by more than 0.01 of white and 5 standard errors. Rays need the
-    extra check.
+    Fails if color differs from the reference by more than 1e-5 of white (in single precision, by more than 1e-4 in
+    more than 1 of 500 pixels), or a pixel from rays by more than 0.01 of white and 5 standard errors. Rays need
+    clsco[check].
     """
     from clsco.cli.check import check_scene, require_report
 

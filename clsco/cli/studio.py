@@ -28,7 +28,8 @@ def studio(
 ) -> None:  # fmt: skip
     """Edit a scene in the browser while it is rendered.
 
-    Only this machine reaches the studio, and only who has the address that is printed, with its token.
+    Only this machine can reach the studio, unless you give --host and --allow-network, and only with the printed
+    address, which contains a secret token.
     """
     try:
         is_loopback = host in ("", "localhost") or ipaddress.ip_address(host).is_loopback
@@ -48,7 +49,7 @@ def studio(
         ) from None
     require_device(device)
     opened = Studio(root, scene, device)
-    opened.new_session()  # a scene with faults ends here
+    opened.new_session()  # raises for a scene with faults
     if not is_loopback:
         warning = (
             "warning: other machines reach the studio, and what is sent is not encrypted; put a TLS proxy before it"

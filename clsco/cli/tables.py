@@ -28,7 +28,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], rig
         body.add_row(*(Text(visible(cell)) for cell in row))
     return Group(
         Text(visible(title), no_wrap=True, overflow="ignore", style="italic"), body
-    )  # a table would wrap its own
+    )  # rich would wrap the title of a table
 
 
 def inpaint_tables(report: Report) -> list[RenderableType]:
@@ -74,7 +74,7 @@ def device_tables(
 
 
 def print_tables(*things: RenderableType) -> None:
-    """Print to stdout, as wide as the terminal, or as wide as needed without one; does nothing if stdout is closed."""
+    """Print to stdout, as wide as the terminal, or 160 columns without one; does nothing if stdout is closed."""
     if sys.stdout is None:
         return
     width = None if sys.stdout.isatty() else 160

@@ -50,9 +50,9 @@ def video(
 ) -> None:
     """Make a clip of the frames in DIR, which clsco render wrote.
 
-    Of stereo pairs each view has a clip, such as clip_left.mp4 and clip_right.mp4. Depth, blur radius and flow are
-    never stored as numbers, but as colors on one scale for the clip, which is reported; they need --truth all, as
-    npz or exr.
+    Each view of stereo pairs has a clip, such as clip_left.mp4 and clip_right.mp4. Depth, blur radius and flow are
+    shown as colors, on one scale for the whole clip, which is reported; they need frames rendered with --truth all,
+    as npz or exr.
     """
     if fps is not None and speed is not None:
         raise click.UsageError("--speed: must be without --fps, which says how fast the clip is")

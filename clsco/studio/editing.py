@@ -31,7 +31,7 @@ from clsco.studio.tables import (
 STEPS = 200  # of undo
 THESIS: Table = {"object": [{"shape": "plane"}]}
 """The defaults of the thesis; except for the shape they equal those of clsco."""
-# Choices in a table of an object with keys beside them that other choices have no use for.
+# Keys of an object whose values decide which other keys it may have.
 _CHOICES = ("texture_mapping", "unit")
 
 
@@ -40,10 +40,10 @@ class State:
     """State of an editor, to which undo can return."""
 
     table: Table
-    apart: tuple[Mapping[str, Table], ...]  # of each object, the keys of the shapes that it has had
+    apart: tuple[Mapping[str, Table], ...]  # for each object, keys of its former shapes, by shape
     path: Path | None = None  # of the scene file
-    label: str = ""  # of the scene that is shown, of several
-    opened: int = 0  # scenes that were opened before it
+    label: str = ""  # of the displayed scene of a sweep
+    opened: int = 0  # number of the opened scene, counted from 1; 0 for the initial scene
 
     @cached_property
     def objects(self) -> list[Table]:
@@ -52,12 +52,12 @@ class State:
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Labels of all scenes of a valid table, named as the folders of `clsco render`; "" for the only one."""
+        """Labels of all scenes of a valid table, as `clsco render` names their folders; ("",) for a single scene."""
         return parse_sweep(self.table).labels if swept_keys(self.table) else ("",)
 
     @property
     def shown(self) -> int:
-        """Position of the displayed scene; the first if the labels have changed."""
+        """Index of the displayed scene in `labels`; 0 if its label no longer exists."""
         return self.labels.index(self.label) if self.label in self.labels else 0
 
 
@@ -65,7 +65,7 @@ class State:
 class _Step:
     state: State
     scene: Scene
-    drag: int | None = None  # that led away from it
+    drag: int | None = None  # number of the drag that changed this state
 
 
 @dataclass
@@ -74,7 +74,7 @@ class _History:
     future: list[_Step] = field(default_factory=list)
 
     def push(self, before: _Step) -> None:
-        """Push a state; the states of one drag are one step."""
+        """Add the state before a change, and clear the future; all changes of one drag are one step."""
         self.future.clear()
         if before.drag is None or not self.past or self.past[-1].drag != before.drag:
             self.past.append(before)
@@ -95,12 +95,12 @@ class Editor:
     Parameters
     ----------
     root : Path
-        Folder of all files that may be read and written.
+        Folder of all files that may be read and written; the shipped examples may be read, too.
 
     Attributes
     ----------
     scene : Scene
-        The last valid scene, with absolute paths; of a table with several values for a key, the displayed scene.
+        The last valid scene, with absolute paths; the displayed scene of a sweep.
     revision : int
         Incremented by each change of the scene.
     faults : dict
@@ -151,7 +151,7 @@ class Editor:
 
     @property
     def object_entries(self) -> list[int]:
-        """Position in the file of each object of the scene, which has the faces of a box as separate objects."""
+        """Index in the file of each object of the scene, where each face of a box is an object."""
         models = [self._object(index) for index in range(len(self._state.objects))]
         return [index for index, item in enumerate(models) for _ in (item.faces() if item.shape == "box" else (item,))]
 
@@ -178,7 +178,7 @@ class Editor:
         value
             As in a scene file; None or "" removes the key, so that it has its default.
         drag : int, optional
-            Changes of one drag are one step of undo.
+            Number of the drag; all changes of one drag are one undo step.
 
         Returns
         -------
@@ -186,7 +186,7 @@ class Editor:
             True if the scene changed. `faults` has the message on an invalid value.
         """
         waiting = {other: old for other, old in self.refused.items() if not _overlaps(other, path)}
-        if path.endswith(".shape"):  # what was typed for another shape goes
+        if path.endswith(".shape"):  # discard invalid values of the former shape
             waiting = {other: old for other, old in waiting.items() if not other.startswith(path[: -len("shape")])}
         together = {**waiting, path: value}
         faults: dict[str, str] | None = None
@@ -207,7 +207,7 @@ class Editor:
         return False
 
     def undo(self) -> bool:
-        """Go one step back; if there are invalid values, the step only discards them."""
+        """Go one step back, or only discard invalid values if there are any; returns False for nothing to undo."""
         if not self.refused:
             return self._go(self._history.past, self._history.future)
         self.refused, self.faults = {}, {}
@@ -215,13 +215,13 @@ class Editor:
         return True
 
     def redo(self) -> bool:
-        """Redo the last undone step."""
+        """Redo the last undone step; returns False if there is none."""
         return self._go(self._history.future, self._history.past)
 
     def reset(self, index: int = 0) -> None:
-        """Reset an object, its motion, the sequence and the camera to the thesis' defaults, except images.
+        """Reset an object, its motion, the sequence and the camera to the thesis' defaults.
 
-        index: index of the object.
+        index: index of the object, which keeps its name, texture and group; the camera keeps its resolution.
         """
         item = self._state.objects[index]
         objects = self._state.objects.copy()
@@ -233,7 +233,7 @@ class Editor:
         self.take(replace(self._state, table=table | {"object": objects}, apart=apart))
 
     def add_object(self, shape: str = "sphere") -> int:
-        """Add an object behind the others in the list; returns its index. Raises SceneError."""
+        """Add an object at the end of the list; returns its index. Raises SceneError."""
         item, _ = reshaped({}, shape, {})
         return self._insert(len(self._state.objects), item, {})
 
@@ -256,9 +256,10 @@ class Editor:
         self._arrange(objects, apart)
 
     def known(self, path: str) -> Any:
-        """The effective value of a key: given, else the default; None without either.
+        """The effective value of a key: the given value, else the default; None if there is neither.
 
-        Of a pair of camera keys, the one that is not given has the equivalent value.
+        The value of `f_number` follows from `aperture_diameter` if that is given, and vice versa; likewise for
+        `focus_distance` and `sensor_distance`.
         """
         parts = path_parts(path)
         value = at(self.table, parts)
@@ -340,7 +341,10 @@ class Editor:
             listener()
 
     def _changed(self, chosen: Mapping[str, Any]) -> tuple[State, Scene]:
-        """The state with these keys changed, without keys that the new values make unused. Raises SceneError."""
+        """The state with new values by path (`chosen`), and its scene; keys that a new choice forbids are removed.
+
+        Raises SceneError.
+        """
         state = self._state
         for path, value in chosen.items():
             state = self._with(state, path, value)
@@ -409,7 +413,7 @@ class Editor:
         return absolute(scene, start)
 
     def _file_rule(self, start: Path, key: str, name: str) -> str:
-        """Rule broken by a file name; "" for none."""
+        """Rule that a file name under a key breaks; "" if it breaks none. start: base folder of relative names."""
         try:
             path = (start / name).resolve()
             if not any(path.is_relative_to(place) for place in self.readable):
@@ -434,7 +438,7 @@ class Editor:
         for part in parts:
             if isinstance(node, tuple):
                 node = at(node, [part])
-            else:  # keys alone, and nothing else that a model has
+            else:  # only keys, no other attributes of a model
                 node = getattr(node, part) if part in getattr(type(node), "model_fields", ()) else None
         return node
 
@@ -444,7 +448,7 @@ class Editor:
             item = at(self.table, ["object", str(index)])
             if item is None:
                 return None
-            still = {key: value for key, value in item.items() if key != "motion"}  # which may have several values
+            still = {key: value for key, value in item.items() if key != "motion"}  # its keys may have several values
             self._models[index] = SHAPES[item["shape"]].model_validate(still)
         return self._models[index]
 
@@ -456,7 +460,7 @@ class Editor:
         return index
 
     def _arrange(self, objects: list[Table], apart: list[Mapping[str, Table]]) -> None:
-        """Replace the list of objects, as one step; groups without objects are removed."""
+        """Replace the list of objects, as one undo step; groups without objects are removed."""
         table = self.table | {"object": objects}
         used = {item.get("group") for item in objects}
         if "group" in table:

@@ -21,10 +21,10 @@ DEEPEST = 4  # nested folders
 
 
 def below(root: Path, path: str | Path) -> Path:
-    """A path below a folder, after following all links. Raises SceneError for any other path."""
+    """The path, resolved against a folder, with links followed; raises SceneError if it is not below the folder."""
     try:
         target = (root / path).resolve()
-    except (OSError, ValueError, RuntimeError):  # no name of a file, or a link to itself
+    except (OSError, ValueError, RuntimeError):  # not a file name, or a link to itself
         target = root
     if not target.is_relative_to(root) or target == root:
         raise SceneError(f"file: must be below the folder of the studio; got {shown(str(path))}")
@@ -34,8 +34,8 @@ def below(root: Path, path: str | Path) -> Path:
 def listed(root: Path, endings: tuple[str, ...]) -> list[str]:
     """Names of files with these endings below a folder, relative to it.
 
-    endings: `SCENES` or `IMAGES`. Returns at most 500 names, sorted; without hidden files, and without files that links
-    place outside of the folder.
+    endings: `SCENES` or `IMAGES`. Returns at most 500 names, sorted. Hidden files, rendered frames and folders beside
+    them, folders nested deeper than 4, and links out of the folder are omitted.
     """
     return sorted(_found(root.resolve(), endings))
 
@@ -64,11 +64,11 @@ KINDS = ("png", "jpg", "jpeg", "tif", "tiff", "exr", "pfm", "npy")
 
 
 def keep_image(root: Path, content: bytes, kind: str) -> str:
-    """Write an image received from the browser below the root, after decoding it once, under a name derived from its
-    content.
+    """Write an image received from the browser below the root, under a name derived from its content.
 
-    Returns its path relative to the root. Raises FileError for any image that `clsco.files.images.read_image` rejects,
-    and if it cannot be written; SceneError if a link leads out of the root.
+    kind: extension of its name, one of KINDS. Returns its path relative to the root. Raises FileError if
+    `clsco.files.images.read_image` rejects the image, or if it cannot be written; SceneError if a link leads out of the
+    root.
     """
     if kind not in KINDS:
         raise FileError(f"image: must be one of {', '.join(KINDS)}; got {kind[:20]!r}")

@@ -1,6 +1,6 @@
 """Panels and fields of the studio, generated from the schema of scene files, so that every key has a control.
 
-The first five panels have the labels, the order and the symbols of the thesis (appendix A, section 3.3.2 and 4.3.2).
+The first five panels have the labels, the order and the symbols of the thesis (appendix A, sections 3.3.2 and 4.3.2).
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ from clsco.studio.tables import (
 PLACES: Mapping[str, Callable[[float], float]] = {
     "": float, "inverse": lambda value: -1.0 / value, "log": math.log10, "stops": lambda value: 6.0 * math.log2(value),
 }  # fmt: skip
-"""Positions on sliders by scale: "inverse" is even in dioptres, "stops" in stops. static/scales.js has the inverses."""
+"""Functions from values to positions on sliders, by scale: "inverse" counts diopters, "stops" thirds of a stop.
+
+static/scales.js has the inverse functions.
+"""
 
 
 @dataclass(frozen=True)
@@ -56,17 +59,19 @@ class Field:
     symbol: str = ""  # of the thesis, "" where it has none
     unit: str = ""
     kind: str = "number"  # or "vector", "choice", "text", "flag", "image"
-    default: Any = None  # the value that the key has if it is not given; None for none
+    default: Any = None  # the key's value if none is given; None without a default
     # least, most: ends of the valid range; of a vector, of each component
     least: float | None = None
     most: float | None = None
     step: float = 0.0  # step of a slider
-    choices: tuple[tuple[Any, str], ...] = ()  # other values that a number or an image may have instead
+    # values with labels: all that a choice may have, or those that a number or an image may have instead
+    choices: tuple[tuple[Any, str], ...] = ()
     help: str = ""
-    slider: tuple[float, float] | None = None  # ends of a slider; beyond them a number is typed
+    slider: tuple[float, float] | None = None  # ends of a slider; values beyond them must be typed
     components: tuple[str, ...] = ()  # labels of the components of a vector
     is_integer: bool = False
-    # values of another key without which this one does nothing, "psf.model=gaussian", or "moves"; "" for none
+    # condition under which the key has an effect: values of another key, "psf.model=gaussian|wave"; or "moves", if
+    # something moves; "" for no condition
     only: str = ""
 
     @property
@@ -92,7 +97,7 @@ class Field:
         return f"{self.label}{symbol}" + (f" ({self.unit})" if self.unit else "")
 
     def component(self, index: int) -> Field:
-        """A component of a vector as a number field."""
+        """The number field of a component of a vector, by its index in the flat vector."""
         label = self.components[index]
         part = f"{index // 2}.{index % 2}" if self.is_paired else str(index)
         default = flat(self.default)[index] if isinstance(self.default, list) else None
@@ -112,8 +117,9 @@ class Field:
 
 @dataclass(frozen=True)
 class Panel:
-    """Fields under a title; `is_open`: True to show the fields at first, for panels of the thesis and panels with keys
-    that the scene has.
+    """Fields under a title.
+
+    is_open: True to show the fields at first: of the thesis' panels, and of panels with a key that the scene gives.
     """
 
     title: str
@@ -122,7 +128,7 @@ class Panel:
 
 
 def flat(value: Any) -> list[Any]:
-    """Components of a vector; pairs are concatenated."""
+    """List of the components of a vector, with pairs concatenated; any other value as a list of one."""
     if not isinstance(value, list | tuple):
         return [value]
     return [entry for part in value for entry in (part if isinstance(part, list | tuple) else [part])]
@@ -186,7 +192,7 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
         found.append(Panel(title, tuple(scene.pop(path) for path in keys)))
     if groups:
         found.append(Panel("Groups", tuple(groups)))
-    if scene:  # sections that the rows above do not know
+    if scene:  # keys that no row above names
         found.append(Panel("More", tuple(scene.values())))
     return tuple(replace(panel, is_open=panel.is_open or _is_used(session, panel)) for panel in found if panel.fields)
 
@@ -198,7 +204,7 @@ def _is_used(session: Document, panel: Panel) -> bool:
 
 
 def field_at(session: Document, path: str) -> Field | None:
-    """The field of a path, or of the vector that it is a component of; None if there is none."""
+    """The field of the key at a path, or of the vector that has a component there; None if there is none."""
     index = int(path.split(".")[1]) if path.startswith("object.") else 0
     listed = [field for panel in panels(session, index) for field in panel.fields]
     return next((field for field in listed if path == field.path or path.startswith(f"{field.path}.")), None)
@@ -231,7 +237,7 @@ def _fields(session: Document, model: Any, start: str) -> Iterator[Field]:
         path = f"{start}.{key}" if start else key
         annotation = model.model_fields[key]
         kinds = _kinds(entry)
-        if kinds and (listed := kinds[0].get("items", {}).get("$ref")):  # an array of tables, those that there are
+        if kinds and (listed := kinds[0].get("items", {}).get("$ref")):  # an array: the tables that exist
             part = _inner_model(annotation.annotation, listed.rpartition("/")[2])
             for number in range(len(at(session.table, path.split(".")) or ())):
                 yield from _fields(session, part, f"{path}.{number}")
@@ -256,13 +262,13 @@ def _kinds(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     several = entry.get("anyOf")
     if several is None:
         return [entry]
-    if several and several[-1].get("$ref") == "#/$defs/Range":  # what a sweep may have besides
+    if several and several[-1].get("$ref") == "#/$defs/Range":  # allowed only in a sweep
         several = several[:1]
     return [kind for part in several for kind in _kinds(part) if kind.get("type") != "null"]
 
 
 def _limits(field: Any) -> Within | None:
-    """The limits of a number, or of the components of a vector, with its unit."""
+    """Limits and unit of a number, or of the components of a vector; None if there are none."""
     waiting: list[Any] = [*field.metadata, field.annotation]
     while waiting:
         part = waiting.pop(0)
@@ -311,7 +317,7 @@ def _field(
 
 
 def _only(path: str, help_text: str) -> str:
-    """Condition under which a key has an effect, from the schema's description."""
+    """Condition under which a key has an effect, in the form of `Field.only`, from the schema's description."""
     section = path.rpartition(".")[0]
     if section == "sequence" and path not in ("sequence.frames", "sequence.interval"):
         return "moves"
@@ -360,7 +366,7 @@ def _slider(session: Document, key: str, limits: Within | None) -> tuple[float, 
 
 
 def _step(slider: tuple[float, float] | None, is_integer: bool) -> float:
-    """About a thousandth of a slider, as 1, 2 or 5 times a power of ten."""
+    """About a thousandth of a slider's range, as 1, 2 or 5 times a power of ten; 1 for integers."""
     if is_integer or slider is None:
         return 1.0 if is_integer else 0.0
     rough = (slider[1] - slider[0]) / 1000.0
@@ -369,7 +375,7 @@ def _step(slider: tuple[float, float] | None, is_integer: bool) -> float:
 
 
 def _default(session: Document, model: Any, path: str, key: str) -> Any:
-    """Default of a key that depends on the keys beside it."""
+    """Default of a key, which may depend on the keys beside it; None if the key is required or has none."""
     field = model.model_fields[key]
     if field.default_factory is None:
         return None if field.is_required() else _plain(field.default)

@@ -1,6 +1,4 @@
-"""Rendering and data sets from the studio: stores scenes beside their frames, with the command lines that render
-them.
-"""
+"""Rendering and data sets from the studio: writes scenes into output folders, and runs `clsco` on them."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ from clsco.studio.session import Document
 from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
 
-MOST_LOOKED_AT = 64  # frames of a stack
+MOST_LOOKED_AT = 64  # frames of a focal stack for viewing
 LARGEST_SHARD = 256  # samples, as of `clsco dataset make`
 STEPS = 16  # least number of steps in which the progress of a data set is shown
 _LARGEST = 2**20  # bytes of a file that may be a distribution
@@ -38,7 +36,7 @@ _SETS = "sets"  # folder of shipped distributions, and of their copies
 
 
 def free_folder(session: Document, kind: str = "frames") -> str:
-    """An unused name below the root for an output folder, from the scene's file or title."""
+    """An unused name below the root for an output folder: `kind`/NAME, after the scene's file or title."""
     stem = session.path.stem if session.path is not None else str(session.table.get("title", ""))
     stem = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:40] or "scene"
     names = (f"{kind}/{stem}" if k == 1 else f"{kind}/{stem}_{k}" for k in range(1, 10**6))
@@ -59,9 +57,9 @@ def render_frames(
     name = _name(session, folder)
     target = session.root / name
     sweep = parse_sweep(table)
-    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)  # the other folder may not be there yet
+    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)  # the output folder may not exist yet
     jobs.require_free(name)
-    prepare_sweep(replace(sweep, scenes=scenes))  # reports what is beyond the limits, before anything is begun
+    prepare_sweep(replace(sweep, scenes=scenes))  # raises for too large scenes before anything is written
     target.mkdir(parents=True, exist_ok=True)
     atomic_write_bytes(target / "scene.toml", toml_text(sparse(moved(table, session.folder, target))).encode())
     title = f"Frames: {table.get('title') or 'scene'}"
@@ -77,8 +75,8 @@ def stack_table(session: Document, nearest: float, farthest: float, steps: int) 
 def stack_scenes(session: Document, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
     """The scenes of a focal stack for viewing.
 
-    Raises SceneError: the distances are invalid, there are more than MOST_LOOKED_AT, or another key of the scene has
-    several values.
+    Raises SceneError if the distances are invalid, if there are fewer than 2 or more than MOST_LOOKED_AT steps, or if
+    another key of the scene has several values.
     """
     if not 2 <= steps <= MOST_LOOKED_AT:
         raise SceneError(f"focal stack: must have 2 to {MOST_LOOKED_AT} steps to be looked at; got {steps}")
@@ -95,8 +93,8 @@ def make_data_set(
 ) -> CommandJob:
     """Make a data set by `clsco dataset make` with these options.
 
-    distribution: name below the root; one of `shipped_distributions` is copied there first. Raises ClscoError as
-    `Jobs.add`.
+    distribution: name of a file below the root; one of `shipped_distributions` is copied there first. count: number of
+    samples. Raises ClscoError as `Jobs.add`, or if there is no such file.
     """
     source, name = _name(session, distribution), _name(session, folder)
     jobs.require_free(name)
@@ -118,17 +116,17 @@ def _name(session: Document, path: str) -> str:
 
 
 def truth_formats() -> dict[str, str]:
-    """Formats of `clsco render --format`, each with the missing extra; "" for none."""
+    """Formats of `clsco render --format`, each with a message about its missing package, "" for none."""
     return {name: _missing(form.needs) for name, form in TRUTH_FORMATS.items()}
 
 
 def clip_presets() -> dict[str, str]:
-    """Presets of `clsco render --video`, each with the missing extra; "" for none."""
+    """Presets of `clsco render --video`, each with a message about its missing package, "" for none."""
     return dict.fromkeys(PRESETS, _missing(("av", "video")))
 
 
 def set_formats() -> dict[str, str]:
-    """Formats of `clsco dataset make --format`, each with the missing extra; "" for none."""
+    """Formats of `clsco dataset make --format`, each with a message about its missing package, "" for none."""
     return {name: _missing(container.needs) for name, container in CONTAINERS.items()}
 
 
@@ -165,9 +163,10 @@ def _is_distribution(path: Path) -> bool:
 
 
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:
-    """A small PNG of the first sample's color in one of `parts` equal parts of a data set.
+    """A small PNG of the color of a data set's sample: the first one in a part of the set.
 
-    Raises ClscoError, OSError, IndexError or StopIteration if there is no such sample.
+    part: number of the part, from 0; parts: number of equal parts. Raises ClscoError, OSError, IndexError or
+    StopIteration if there is no such sample.
     """
     from clsco.data import dataset
 

@@ -29,11 +29,11 @@ MAX_BODY = 64 * 2**20  # bytes of a request: an image
 CODE_SECONDS = 120.0  # in which the opened browser must use its code
 HEADER_SECONDS = 10.0  # from the connection, or the end of the previous request, to the end of a header
 MOST_WAITING = 64  # connections that wait for a header
-TICK = 0.5  # s between checks of these
+TICK = 0.5  # s between checks of these connections
 PROOF, MAX_NUMBER = "/prove", 64
 """Path at which the server proves its identity to a page, and most characters of the number that it signs."""
 
-# The one script in a page is that which goes from the first address to the next; others are files of ours.
+# The only inline script redirects the browser from the first address to the page; other scripts are our own files.
 _POLICY = (
     "default-src 'self'; script-src 'self' 'sha256-{script}'; img-src 'self' data: blob:; "
     "connect-src 'self' {sockets}; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -121,7 +121,7 @@ class Guard:
         return code
 
     def _forgery(self, scope: Scope, headers: Headers) -> str | None:
-        """The rule broken by a request from another page, whatever it asks for; None if there is none."""
+        """The rule that a request from another host or page breaks; None if it breaks none."""
         hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or hosts[0] not in self._hosts:
             return "Host must be this server"
@@ -140,15 +140,13 @@ class Guard:
         return None
 
     def _has_cookie(self, headers: Headers) -> bool:
-        """True if the request has the cookie; tested in constant time, among cookies of other servers of the
-        machine.
-        """
+        """True if the request has the cookie, perhaps among cookies of other servers; compares in constant time."""
         parts = [part.strip().partition("=") for line in headers.getlist("cookie") for part in line.split(";")]
         values = [value for name, _, value in parts if name == self.cookie]
         return any(hmac.compare_digest(value.encode("latin-1"), self._session.encode()) for value in values)
 
     def _is_first(self, scope: Scope) -> bool:
-        """True if this is the printed address, or the one that the browser was opened with."""
+        """True for a request to the first address with the token, or with an unused code, which is then used up."""
         if scope["type"] != "http" or scope["method"] != "GET" or scope["path"] != "/":
             return False
         kind, _, secret = scope["query_string"].partition(b"=")
@@ -166,7 +164,8 @@ class Guard:
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Exchange the secret in the address for a cookie, and redirect to an address without it.
 
-        By a page, because an HTTP redirect would count as coming from the linking page, which gets no such cookie.
+        A script in a page redirects: after an HTTP redirect, the browser would take the request as one of the page with
+        the link, and withhold the cookie.
         """
         cookie = f"{self.cookie}={self._session}; HttpOnly; SameSite=Strict; Path={self.place}/"
         headers = {"set-cookie": cookie, "cache-control": "no-store"}
@@ -178,7 +177,7 @@ def _derived(key: bytes, what: str) -> str:
 
 
 def _limited(receive: Receive) -> Receive:
-    """Messages of a request, until its body is too large; the application sends the error."""
+    """Wrap `receive` to raise HTTPException 413, which the application answers, when the body exceeds MAX_BODY."""
     count = 0
 
     async def counted() -> Message:
@@ -195,10 +194,10 @@ def _limited(receive: Receive) -> Receive:
 async def close_half_open(connections: Collection[Any]) -> None:
     """Close connections of uvicorn whose request header is late, until canceled.
 
-    uvicorn waits for a header without limit. If too many connections wait, the oldest are closed: clients that send a
-    header at once are served.
+    uvicorn waits for a header without limit. If more than MOST_WAITING connections wait, the oldest are closed, so that
+    clients that send a header at once are still served.
     """
-    since: dict[Any, tuple[Any, float]] = {}  # the request before, and from when on the next header is waited for
+    since: dict[Any, tuple[Any, float]] = {}  # previous request, and start of the wait for the next header
     while True:
         await asyncio.sleep(TICK)
         now = time.monotonic()

@@ -45,8 +45,8 @@ ROWS = {  # rows of the table in figure 5.21, with their keys in `Report.figures
 class FilledImage:
     """An image filled by a method.
 
-    method : str image : (rows, columns[, 3]) of the image's type figures : as from
-    `clsco.inpainting.report.Report.figures`
+    image: (rows, columns[, 3]), of the type of the original; figures: as `clsco.inpainting.report.Report.figures`
+    returns them.
     """
 
     method: str
@@ -82,7 +82,7 @@ class Inpainting:
     def open(self, name: str) -> None:
         """Open another image, without a mask.
 
-        name: relative to the root. Raises FileError: it is not below the root, cannot be read, or has more than 2^24
+        name: relative to the root. Raises FileError if it is not below the root, cannot be read, or has more than 2^24
         pixels.
         """
         picture = self._read(name)
@@ -103,9 +103,9 @@ class Inpainting:
         self.results = {}
 
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
-        """Set the mask from runs, row after row: known pixels, missing ones, known ones, and so on.
+        """Set the mask from run lengths, row after row: of known pixels, missing ones, known ones, and so on.
 
-        Raises FileError if its size is not the image's, or the runs do not fill it.
+        columns, rows: size of the mask. Raises FileError if it is not the image's size, or not the sum of the runs.
         """
         if (rows, columns) != self.mask.shape:
             got = f"{columns} x {rows}"
@@ -127,10 +127,10 @@ class Inpainting:
         return [end - start for start, end in pairwise(edges)]
 
     def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
-        """Add all pixels that look like a given one to the mask, as for the letters of figure 5.16.
+        """Add all pixels that look like a given pixel to the mask, as for the letters of figure 5.16.
 
-        column, row: position of the pixel; tolerance: largest difference per channel, as a fraction of white; erase:
-        remove them from the mask instead. Raises FileError if there is no such pixel.
+        column, row: position of the given pixel; tolerance: largest difference per channel, as a fraction of white;
+        erase: True to remove the pixels from the mask instead. Raises FileError if there is no such pixel.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
             raise FileError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
@@ -143,7 +143,7 @@ class Inpainting:
         self.results = {}
 
     def load_mask(self, name: str) -> None:
-        """Read the mask from a file; white is missing. Raises FileError."""
+        """Read the mask from a file; pixels brighter than half of white are missing. Raises FileError."""
         values = self._read(name).data
         values = values if values.ndim == 2 else values[..., 0]
         if values.shape != self.mask.shape:
@@ -165,8 +165,8 @@ class Inpainting:
     def fill(self, method: str) -> FilledImage | None:
         """Fill the missing pixels, and store the result beside those of other methods.
 
-        Returns None if canceled. Raises ClscoError: as `clsco.inpaint`; no pixel is missing; the process of the method
-        ended.
+        Returns None if canceled. Raises ClscoError as `clsco.inpaint`, or if no pixel is missing, or the process that
+        fills has ended.
         """
         self._require(method)
         mask = self.mask
@@ -179,21 +179,21 @@ class Inpainting:
         return found
 
     def table(self) -> list[tuple[str, list[str]]]:
-        """Figures of the methods that were run, as in figure 5.21: rows with a value per method, "" for none."""
+        """Table of the methods that were run, as in figure 5.21: rows of a label, and a value or "" per method."""
         return [
             (label, [_figure(filled.figures.get(key)) for filled in self.results.values()])
             for key, label in ROWS.items()
         ]
 
     def command(self, method: str, folder: str) -> str:
-        """The command line that gives the same result from the image and mask that `save` writes."""
+        """The command line that gives the same result from the image and mask that `save` writes to `folder`."""
         name = self._target(folder).relative_to(self.root).as_posix()
         start = f"./{name}" if name.startswith("-") else name
         image, mask, out = (f"{start}/{end}" for end in ("image.png", "mask.png", f"{method}/filled.png"))
         return shlex.join(["clsco", "inpaint", image, mask, "-o", out, "--method", method])
 
     def save(self, folder: str) -> list[str]:
-        """Write image, mask and results as PNG, atomically; returns their names. Raises FileError."""
+        """Write image, mask and results to a folder as PNG, atomically; returns their names. Raises FileError."""
         return self._write(folder, tuple(self.results.values()))
 
     def picture(self, which: str) -> bytes:
@@ -236,7 +236,7 @@ class Inpainting:
             return sorted(path.name for path in made.iterdir())
 
     def _target(self, name: str) -> Path:
-        """A path below the root for a file to write."""
+        """A path below the root for a file to write. Raises FileError."""
         try:
             return below(self.root, name)
         except SceneError:
@@ -246,7 +246,7 @@ class Inpainting:
         try:
             path = below(self.root, name)
             is_file = path.is_file()
-        except (SceneError, OSError):  # the latter: too long a name
+        except (SceneError, OSError):  # OSError: the name is too long
             is_file = False
         if not is_file:
             raise FileError(f"image: must be a file below the folder of the studio; got {name!r}")
@@ -268,16 +268,16 @@ _OPENED: WeakKeyDictionary[Document, Inpainting] = WeakKeyDictionary()
 
 
 def inpainting_of(session: Document, device: str | None = None) -> Inpainting:
-    """The inpainting of a tab, given its session."""
+    """The inpainting of a tab, by its session; the first call creates it for `device`."""
     if session not in _OPENED:
         _OPENED[session] = Inpainting(session.root, device)
     return _OPENED[session]
 
 
 class FillingProcess:
-    """Fills images one after the other in a process, which starts with the first image.
+    """Fills one image at a time in a child process, which starts with the first image.
 
-    device: as for `clsco.inpaint`; share: fraction of the image that is filled, from 0 to 1.
+    device: as for `clsco.inpaint`; share: finished fraction of the current work, from 0 to 1.
     """
 
     def __init__(self, device: str | None = None) -> None:
@@ -291,7 +291,7 @@ class FillingProcess:
     ) -> tuple[NDArray[Any], dict[str, Any]] | None:
         """Fill an image; returns it with the figures of its report, or None if `cancel` was called.
 
-        Raises ClscoError: as `clsco.inpaint`; the process ended; another image is being filled.
+        Raises ClscoError as `clsco.inpaint`, or if the process ended, or another image is being filled.
         """
         if not self._working.acquire(blocking=False):
             raise FileError(f"{method}: must wait for what is being filled")

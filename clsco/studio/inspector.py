@@ -43,13 +43,13 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     Returns
     -------
     dict
-        `index` and `eye` of the frame; `values` by name, as JSON types, None for infinity; `psf` and `lens` as from
-        `point_spread` and `lens_figures`, at the pixel's depth; `unmeasured`: reason why the response of the pixel's
-        source is not available.
+        `index` and `eye` of the frame; `values` of the outputs by name, as JSON types, None for infinity; `lens`, as
+        from `lens_figures`, at the pixel's depth. If the pixel shows a surface, `psf`, as from `point_spread`; if the
+        response of its source is not available, the reason as `unmeasured`.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
-    size = {"resolution": frame.color.shape[1::-1]}  # which is the texture's where none is given
+    size = {"resolution": frame.color.shape[1::-1]}  # of the texture, if the scene gives none
     scene = scene.model_copy(update={"camera": scene.camera.model_copy(update=size)})
     for name in (
         "color", "sharp", "depth", "blur_radius", "normal", "flow", "object_id", "mask", "filled", "missing", "hidden",
@@ -145,7 +145,7 @@ def point_spread(
     ----------
     scene : Scene
     radius : float
-        px.
+        Signed blur radius R, px.
     gradient : ndarray of float64, (2,)
         Gradient of R, px per px, right and down, which tilts the weights.
     slopes : tuple of float
@@ -185,10 +185,10 @@ def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str,
     Returns
     -------
     dict
-        `plot`: base64 of (2 PLOTTED + 1)^2 weights around the source in 8 bits, scaled to a maximum of 255; `largest`;
-        `sum`; and unless the sum is 0 `centroid`, px right and down of the source, and `rms`, px along each axis about
-        it, which is |R| / 2 for a large disc; `reach`, px: distance from the source of the farthest weights that the
-        plot can show.
+        `largest` weight, and `sum` of the weights; `plot`: base64 of the (2 PLOTTED + 1)^2 weights around the source,
+        as bytes with a maximum of 255; `reach`: largest offset, in rows or columns, of a byte that is not 0, px. Unless
+        the sum is 0, also `centroid`: offset from the source, px right and down; `rms`: standard deviation along
+        each axis, px, which is |R| / 2 for a large disc.
     """
     rows, columns = spread.shape
     found: dict[str, Any] = {"largest": float(spread.max()), "sum": float(spread.sum(dtype=np.float64))}

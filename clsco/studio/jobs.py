@@ -35,8 +35,9 @@ Status = Literal["waiting", "running", "done", "failed", "canceled"]
 class CommandJob:
     """A command line of the studio.
 
-    arguments: of `clsco`; `output`: folder or file that it writes; paths are relative to the studio's root. `done`,
-    `total`: frames or samples, 0 while unknown. `began`: s since 1970. `message`: error.
+    arguments: arguments of `clsco`; output: folder or file that the command writes; paths are relative to the studio's
+    root. done, total: numbers of frames or samples, 0 while unknown. began: start time, s since 1970. message: error
+    output, "" without an error.
     """
 
     number: int
@@ -115,7 +116,7 @@ class Jobs:
     def cancel(self, job: CommandJob) -> None:
         """Cancel a job. Finished files stay, others are removed."""
         task = self._tasks.get(job.number)
-        if task is not None and not task.cancelling():  # the first request has the command end in peace
+        if task is not None and not task.cancelling():  # a second request would interrupt the command's end
             task.cancel()
 
     def run_again(self, job: CommandJob) -> None:
@@ -133,9 +134,9 @@ class Jobs:
             self._tell()
 
     def results(self, job: CommandJob) -> list[Path]:
-        """Names of the pictures and clips that a job has written, sorted."""
+        """Paths of the pictures and clips that a job has written, sorted."""
         paths: list[Path] = []
-        for place, folders, names in os.walk(self.root / job.output):  # unfinished work is hidden, and may go meanwhile
+        for place, folders, names in os.walk(self.root / job.output):  # hidden: unfinished files, which may vanish
             folders[:] = [name for name in folders if not name.startswith(".")]
             paths += [Path(place) / name for name in names if not name.startswith(".")]
         return sorted(path for path in paths if path.suffix in RESULTS)
@@ -201,9 +202,10 @@ class Jobs:
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """End a running command as Ctrl-C does, and kill its remaining processes after GRACE.
+    """End a running command as Ctrl-C does, then kill its remaining processes, after at most GRACE.
 
-    It sends SIGTERM, because a studio started in the background by a script ignores SIGINT, and so do its commands.
+    The signal is SIGTERM, because a studio that a script starts in the background ignores SIGINT, and so do its
+    commands.
     """
     if process.returncode is not None:
         return
@@ -211,5 +213,5 @@ async def _end(process: asyncio.subprocess.Process) -> None:
     for send, number, patience in ((os.kill, signal.SIGTERM, GRACE), (os.killpg, signal.SIGKILL, None)):
         with suppress(ProcessLookupError):
             send(process.pid, number)
-        # In a task that is being canceled, `asyncio.timeout` of Python 3.11.2 ends it instead.
+        # Not `asyncio.timeout`: in Python 3.11.2 it ends a task that is being canceled.
         await asyncio.wait([ended], timeout=patience)

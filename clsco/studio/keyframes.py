@@ -21,7 +21,7 @@ LENS = "lens.keyframe"
 _OF_LENS = {"focal_length": "focal_length", "focus_distance": "focused_distance", "f_number": "opening"}
 """Attribute of the camera for each key of a lens keyframe."""
 _FIRST_OF_LENS = ("focus_distance", "f_number")
-_TURN = 90.0  # deg from key to key at most, where velocities that turn about several axes become keys
+_TURN = 90.0  # deg: largest rotation between keyframes that replace angular velocities about several axes
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,19 @@ class Track:
 
     path: str  # path of its keyframes: "object.0.motion.keyframe"
     name: str  # its name for users
-    times: tuple[float | None, ...]  # times of its keyframes, s; None where a file has several values for one
+    times: tuple[float | None, ...]  # times of its keyframes, s; None for a time with several values
 
 
 def tracks(session: Document) -> tuple[Track, ...]:
-    """The camera, its lens, groups and objects of a scene, except backgrounds, which cannot move."""
+    """Tracks of the camera, its lens, groups and objects of a scene, except backgrounds, which cannot move."""
     return tuple(Track(path, name, _times(session, path)) for path, name in _named(session))
 
 
 def add_keyframe(session: Document, path: str, time: float) -> None:
     """Add a keyframe with the pose, or the lens, at a time, as one undo step.
 
-    path: path of a `Track`; time: s. Raises SceneError: there is no such track; the time is invalid, or has a keyframe.
+    path: path of a `Track`; time: s. Raises SceneError if there is no such track, or the time is invalid or has a
+    keyframe already.
 
     A motion with velocities is converted to keyframes at t = 0, at `time` and at the end of the sequence, each with the
     pose at its time; there are more of them if the motion rotates about several axes.
@@ -72,9 +73,9 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 
 
 def remove_keyframe(session: Document, path: str, index: int) -> None:
-    """Remove a keyframe, as one undo step. Removing the last one also removes all keys that only keyframes have.
+    """Remove a keyframe, as one undo step; with the last keyframe, remove also the keys that only keyframes use.
 
-    Raises SceneError: there is no such keyframe, or the others are invalid without it.
+    Raises SceneError if there is no such keyframe, or the scene is invalid without it.
     """
     _known(session, path)
     keys = list(at(session.table, path.split(".")) or [])
@@ -108,7 +109,7 @@ def _known(session: Document, path: str) -> None:
 
 
 def _times(session: Document, path: str) -> tuple[float | None, ...]:
-    """Times of keyframes as entered in the boxes, None if not numbers."""
+    """Times of keyframes, as typed in their boxes or else from the scene; None for a time that is not a number."""
     keys = at(session.table, path.split("."))
     if not isinstance(keys, list):
         return ()
@@ -127,7 +128,7 @@ def _number(value: Any) -> float | None:
 
 
 def _motion(session: Document, path: str) -> ObjectMotion:
-    """The motion in the displayed scene."""
+    """The motion with keyframes at a path, in the displayed scene."""
     scene, parts = session.scene, path.split(".")
     if parts[0] == "camera":
         return scene.camera.motion

@@ -16,14 +16,15 @@ from clsco.scene.model import Scene, Sequence
 BUDGET = 0.022  # s, so that a picture reaches the page before the next step of a drag, 33 ms later
 EIGHTHS = 8  # parts of the full width and height
 MOST_SAMPLES = 3
-ROLLING_SHARES = 16  # parts of the readout; a row is open for at least one
+ROLLING_SHARES = 16  # rows of a preview are exposed for at least 1 / ROLLING_SHARES of the readout
 LEAST = 5  # eighths; if fewer meet the budget, more features are omitted
-WORTH = 1.5  # a larger picture may take this multiple of the time of the smallest
-CLIMB = 1.01  # eighths beyond the largest one that was measured lately: times of a busy machine tell little of more
+WORTH = 1.5  # beyond the budget, a picture may take this multiple of the time of the smallest one
+CLIMB = 1.01  # eighths by which a picture may exceed the largest one measured lately: larger ones are hard to predict
 OCCLUSION, MOTION = "occlusion", "motion"
-WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # what is left out, in this order
-MOST_FIXED, SMALL_FIXED = 0.9, 0.8  # of the time of pictures of one size, of the smallest, that is not due to pixels
-LEAST_SPREAD = 0.03  # relative spread of numbers of pixels through which a line is fitted
+WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # omitted features, in the order of trial
+# Bounds of the constant fraction of the mean time if all pictures had one size: upper; lower, for the smallest size.
+MOST_FIXED, SMALL_FIXED = 0.9, 0.8
+LEAST_SPREAD = 0.03  # least relative spread of numbers of pixels for fitting a line
 _WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # of the latest measurements
 _STALL = 4.0  # multiple of the prediction that counts as a stall, such as a compilation
 _STALLS = 2  # consecutive stalls that are ignored
@@ -32,10 +33,10 @@ _STALLS = 2  # consecutive stalls that are ignored
 class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
-    The time has a constant part, and one proportional to pixels times time samples: a line through the latest
+    The predicted time is a constant plus a part proportional to pixels times time samples: a line through the latest
     measurements. If all measurements had one size, changes are attributed to the pixels.
 
-    fixed: constant time of a picture, s; ns: time per pixel and time sample.
+    fixed: constant time of a picture, s; ns: time per pixel and time sample, ns.
     """
 
     def __init__(self) -> None:
@@ -55,7 +56,7 @@ class Ladder:
         return self.fixed + 1e-9 * self.ns * _pixels(work, eighths)
 
     def measured(self, work: float, eighths: int, seconds: float) -> None:
-        """Learn from the time of a picture; a time that is far too long counts only the third time."""
+        """Learn from the time of a picture, s; of times in a row that are far too long, the first two are ignored."""
         if seconds > _STALL * max(self.predicted(work, eighths), 0.25 * BUDGET) and self._stalls < _STALLS:
             self._stalls += 1
             return
@@ -87,18 +88,16 @@ def _pixels(work: float, eighths: int) -> float:
 
 
 class Ladders:
-    """Previews of similar scenes: a `Ladder` for each of WAYS.
+    """Predictions for previews of similar scenes: a `Ladder` for each member of WAYS.
 
-    of: ladders by omitted features.
+    of: ladders by member of WAYS.
     """
 
     def __init__(self) -> None:
         self.of = {way: Ladder() for way in WAYS}
 
     def choose(self, scene: Scene, size: tuple[int, int]) -> tuple[tuple[str, ...], int]:
-        """The member of WAYS to use, which omits features only if the budget requires it, and the eighths of its
-        picture.
-        """
+        """Choose a member of WAYS, with as few omitted features as the budget allows, and the eighths of a picture."""
         eighths = EIGHTHS
         for way in ways_of(scene):
             if scene.is_analytic:
@@ -109,7 +108,7 @@ class Ladders:
 
 
 def ways_of(scene: Scene) -> list[tuple[str, ...]]:
-    """Members of WAYS that differ for a scene."""
+    """Members of WAYS that give different previews of a scene, those with fewer omitted features first."""
     known = scene.psf.occlusion != "none", scene.moves and not scene.rolls and _samples(scene.sequence) > 1
     kept = {OCCLUSION: known[0], MOTION: known[1]}
     found = {tuple(part for part in way if kept[part]): way for way in reversed(WAYS)}
@@ -143,8 +142,8 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
     Returns
     -------
     Scene
-        With one source per pixel at silhouettes, and few time samples: with a rolling shutter one while a row is open,
-        but each for at least a certain part of the readout.
+        With one source per pixel at silhouettes, and at most MOST_SAMPLES time samples. With a rolling shutter, each
+        row has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
     """
     left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if OCCLUSION in way else {})
     changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
@@ -173,7 +172,7 @@ def _samples(known: Sequence) -> int:
 
 
 def _preview_sequence(scene: Scene, way: Collection[str] = ()) -> Sequence:
-    """The sequence with few time samples: without motion, one in the middle."""
+    """The sequence with few time samples; if `way` omits MOTION, with one in the middle."""
     known = scene.sequence
     rolling = {"samples": 1, "shutter": max(known.shutter, known.readout / ROLLING_SHARES)}
     few = {"samples": 1, "sampling": "midpoint"} if MOTION in way else {"samples": _samples(known)}

@@ -1,4 +1,4 @@
-"""Figures of the lens above the picture: the range in focus, and its depth."""
+"""Figures of the lens, for the strip above the picture and the inspector: distances, and the range in focus."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from clsco.studio.tables import BY_FOCAL_LENGTH
 def lens_line(scene: Scene) -> dict[str, Any]:
     """Figures for the strip above the picture.
 
-    Returns `lens_figures` for an infinite distance, and `pitch` of the pixels, mm; `scale`: image distance that sets
-    the scale, mm; `ends`: of the slider of the focus distance, mm.
+    Returns `lens_figures` for a point at infinity, and in mm: `pitch` of the pixels; `scale`: the distance s0 that sets
+    the scale of the image; `ends` of the slider of the focus distance.
     """
     camera = reference_camera(scene)
     ends = [factor * camera.focal_length for factor in BY_FOCAL_LENGTH["focus_distance"]]
@@ -27,10 +27,12 @@ def lens_line(scene: Scene) -> dict[str, Any]:
 
 
 def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
-    """Distances in mm for the diagram of the lens, along its axis; slopes: of the ray to the point.
+    """Distances along the optical axis, mm, for the diagram of the lens and a point.
 
-    Returns `focus`, `near` and `far`: distance in focus, and distances where |R| = SHARP; `focal_length`, `sensor`,
-    `aperture`; `depth` and `image` of the point, and its `radius`, px. None: infinite.
+    depth: depth of the point, mm, None for infinity; slopes: X / Z and Y / Z of the point. Returns `focus`, `near` and
+    `far`: distance in focus, and distances where |R| = SHARP; `focal_length`; `sensor`: distance of the sensor;
+    `aperture`: diameter; `depth` of the point, distance `image` of its image, and its R, `radius`, px. Infinite values
+    are None.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)

@@ -10,8 +10,7 @@ from clsco.errors import ArgumentError
 
 
 def own_address() -> str:
-    """An address of this machine that no other server is likely to use: a random one of 127.0.0.0/8, or 127.0.0.1 if
-    the system has no others.
+    """A random address in 127.0.0.0/8 that no other server is likely to use; 127.0.0.1 if the system has no others.
 
     Another server at the same address and port could read and change what this server stores in a browser.
     """

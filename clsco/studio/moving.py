@@ -20,8 +20,8 @@ from clsco.studio.session import Document
 
 PLACES = {"cone": "apex", "plane": "distance", "depth_map": "", "background": ""}
 """Key of an object's position by shape, "" for none; that of all other shapes is `center`."""
-STEEPEST = 1e-3  # cosine of the angle of a plane's normal with the axis, below which it moves along z alone
-ALONG = 500.0  # px
+STEEPEST = 1e-3  # least z of a plane's normal; a steeper plane follows only moves along z
+ALONG = 500.0  # px of a move along z that changes the depth by a factor of e
 _DIGITS = 4  # decimal places of mm: less than a thousandth of a pixel
 
 
@@ -30,16 +30,16 @@ class Grip:
     """An object held by the pointer."""
 
     path: str  # path of the key that says where it is: "object.0.center"
-    start: tuple[float, ...]  # its value before, mm; of a plane the distance alone
-    normal: NDArray[np.float64]  # normal of a plane, with 1 as its last component; else along z
+    start: tuple[float, ...]  # value of the key before the drag, mm; one number for a plane
+    normal: NDArray[np.float64]  # normal of a plane, with z = 1; (0, 0, 1) for other shapes
     depth: float  # depth of the point that is held, mm
-    axes: NDArray[np.float64]  # from the camera's axes at the middle of the shutter to those of the scene
+    axes: NDArray[np.float64]  # rotation from the camera, at the middle of the exposure, to the scene
 
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
         """Position of the object after the pointer has moved by a distance.
 
-        across, down: pixels of the frame, to the right and down, since the drag began; is_along: move along z: ALONG
-        pixels up multiply the depth by e. Returns the new value of the key, mm.
+        across, down: pixels of the frame, to the right and down, since the drag began; is_along: True to move along z,
+        where ALONG pixels up multiply the depth by e. Returns the new value of the key, mm.
 
         At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). Validated by projections.
         """
@@ -62,7 +62,7 @@ def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye =
     index : int
         Number of the frame.
     object_id : int
-        Number in the frame, in which a box is six objects.
+        Number of the object in the frame, where each face of a box is an object.
     depth : float
         Depth of the held point, mm.
     eye : {"left", "right"}
@@ -71,7 +71,7 @@ def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye =
     Raises
     ------
     SceneError
-        There is no object, or it has no position of its own.
+        There is no such object, or its shape has no position.
     """
     entries = session.object_entries
     if not 0 <= object_id < len(entries):
@@ -98,12 +98,12 @@ MOST_PX = 1e6  # of a drag
 class Pointer:
     """The pointer of a tab.
 
-    preview: knows the surface at a pixel.
+    preview: asked for the surface at a pixel.
     """
 
     def __init__(self, session: Document, preview: Preview) -> None:
         self._session, self._preview = session, preview
-        self._held: tuple[int, Grip, Camera] | None = None  # by the drag of this number
+        self._held: tuple[int, Grip, Camera] | None = None  # drag, object, and camera at its start
 
     def ask(self, x: int, y: int) -> None:
         """Send the figures of a pixel."""
@@ -122,7 +122,7 @@ class Pointer:
         self._preview.inspect(x, y, report, MEASURE)
 
     def focus(self, x: int, y: int, drag: int) -> None:
-        """Focus on the surface at a pixel, as one undo step."""
+        """Focus on the surface at a pixel; calls with the same `drag` are one undo step."""
 
         async def focus(found: dict[str, Any]) -> None:
             depth = found["values"]["depth"]

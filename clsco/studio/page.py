@@ -62,7 +62,7 @@ _HEAD = """<!DOCTYPE html>
 
 
 def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
-    """Create the page of a tab at an address; returns it, and its HTML."""
+    """Create the page of the tab `name` at the URL `address`; returns the page and its HTML."""
     page = Page(address, studio.tabs[name].told.set)
     with page.current():
         _draw(page, name, studio)

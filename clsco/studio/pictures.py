@@ -38,7 +38,7 @@ VIEWS = {
 """Attribute of `Frame` for each view by name, in the order of the tabs."""
 
 UNBLURRED = ("depth", "normal", "id")  # views that do not show blur, which takes most of the time
-DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)
+DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)  # rungs, see ViewPicture
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
@@ -54,8 +54,8 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 class ViewPicture:
     """Picture of a frame in the form sent to the page."""
 
-    # DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene; STACKED: one of a focal
-    # stack; OUTLINED: numbers of objects, to outline one of them
+    # kind of picture. DRAGGING: preview during a drag; LOSSY, EXACT: exact frame, as JPEG or lossless; PINNED: exact
+    # frame of another scene, to compare; STACKED: frame of a focal stack; OUTLINED: numbers of objects, for outlines
     rung: int
     view: str  # one of VIEWS
     # size, full: columns and rows of the picture, and of the frame
@@ -65,7 +65,7 @@ class ViewPicture:
     payload: bytes
     seconds: float  # time that it took to render
     about: dict[str, Any] | None = None  # further figures of an exact frame, as JSON can hold them
-    left_out: tuple[str, ...] = ()  # parts of the scene that a coarse picture is without, of `ladder.WAYS`
+    left_out: tuple[str, ...] = ()  # features that a preview omits, of `ladder.WAYS`
     eye: str = ""  # "left" or "right" of a stereo pair, else ""
     small: bytes = b""  # small JPEG of an exact color image, for lists of scenes
 
@@ -92,10 +92,10 @@ def truth_of(view: str) -> tuple[str, ...]:
 def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> ViewPicture:
     """Encode a view of a frame.
 
-    Images are sent as JPEG, in the rung EXACT as the PNG that `clsco render` writes. Other views are sent as floats, in
-    the rung DRAGGING as 16-bit floats, except sensor codes. The blur radius (of green, if there are several) is NaN
-    without a surface, so that such pixels do not look in focus. Raises SceneError for a view that needs a sensor if
-    there is none.
+    full: columns and rows of the frame; seconds: time of rendering. Images are sent as JPEG, from the rung EXACT on as
+    the PNG that `clsco render` writes. Other views are sent as floats of 32 bits, or of 16 bits in the rung DRAGGING,
+    except sensor codes. The blur radius (of green, if there are several) is NaN without a surface, so that such pixels
+    do not look in focus. Raises SceneError for a view that needs a sensor if there is none.
     """
     data: NDArray[Any] | None = getattr(frame, VIEWS[view])
     if data is None:
@@ -111,7 +111,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))
     else:
         dtype, encoding = ("<f2", FLOAT16) if rung == DRAGGING and view != "raw" else ("<f4", FLOAT32)
-        with np.errstate(over="ignore"):  # infinite in 16 bits
+        with np.errstate(over="ignore"):  # too large for 16 bits: infinite
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]
     is_kept = view == "color" and rung == EXACT
@@ -138,18 +138,18 @@ def _jpeg(codes: NDArray[Any], quality: int) -> bytes:
     return file.getvalue()
 
 
-LEAST_SHARE = 1e-6  # fraction of the interval, after the shutter opens
+LEAST_SHARE = 1e-6  # earliest time after the shutter opens, as a fraction of the interval
 SHORTEST_PX = 0.5  # of an arrow
-LEAST_APPROACH = 2e-3  # of the depth, in which an arrow along z has a mark
+LEAST_APPROACH = 2e-3  # least change of the depth, as a fraction of it, that marks an arrow
 NEAREST = 1e-3  # mm; nearer points, and points behind the lens, are not in the frame
 
 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:
     """The scene with a single time sample in its frame.
 
-    index: number of the frame; time: seconds since the reference pose, clamped to the interval of the frame, or to its
-    exposure. The returned scene's frame of the same number is the sub-frame at this time, and all ground truth belongs
-    to this time; the flow leads over one interval.
+    index: number of the frame; time: seconds since the reference pose, clamped to the frame's interval and exposure,
+    taken together. The returned scene's frame of the same number is the sub-frame at this time, and all ground truth
+    belongs to this time; the flow is the motion over one interval.
 
     The shutter is twice as long as the time since the frame began, or since the shutter opened if earlier, so that its
     only sample is at this time; it may exceed the interval, which files do not allow. Validated by the sub-frames of

@@ -24,7 +24,7 @@ from clsco.studio.tables import Table
 
 IMAGES = "images"  # folder below the root for images of presets
 OF_THE_THESIS = "Figures of the thesis"
-PICTURES = Path(__file__).parent / "static" / "presets"  # with groups of examples; by python -m benchmarks.gallery
+PICTURES = Path(__file__).parent / "static" / "presets"  # from python -m benchmarks.gallery
 _METHOD = ("psf", "image", "motion", "fill")  # sections that set the method, not the scene
 
 
@@ -32,7 +32,7 @@ _METHOD = ("psf", "image", "motion", "fill")  # sections that set the method, no
 class ScenePreset:
     """A scene that is shipped with the package.
 
-    name: "thesis/fig_3_04_left" or "sphere": its file among the examples; title: the caption.
+    name: its file among the examples, such as "sphere" or "thesis/fig_3_04_left"; title: caption; group: heading.
     """
 
     name: str
@@ -64,7 +64,7 @@ def presets() -> tuple[ScenePreset, ...]:
 def load_preset(session: Document, name: str) -> None:
     """Go to the scene of a preset, as an undo step; its images are copied below the root.
 
-    Raises SceneError; FileError: the root is not writable; KeyError: there is no such preset.
+    Raises SceneError, FileError if the root is not writable, and KeyError if there is no such preset.
     """
     preset = {each.name: each for each in presets()}[name]
     table, start = read_mapping(str(preset.path), ()), preset.path.parent
@@ -75,13 +75,13 @@ def load_preset(session: Document, name: str) -> None:
 
 
 def _copied(path: Path, root: Path) -> str:
-    """Name of a file's copy below the root, so that a saved scene stays usable when its folder is moved."""
+    """Copy a file below the root, so that a saved scene stays usable if the root is moved; returns the copy's name."""
     content = path.read_bytes()
     name = f"{IMAGES}/{path.name}"
     target = below(root, name)
     if not target.exists():
         atomic_write_bytes(make_writable_folder(target.parent) / target.name, content)
-    elif not holds(target, content):  # somebody's other image
+    elif not holds(target, content):  # another image of this name
         return keep_image(root, content, path.suffix[1:])
     return name
 
@@ -109,7 +109,7 @@ def _thesis() -> Table:
 
 
 def _numbered(preset: ScenePreset) -> ScenePreset:
-    """A preset with a non-unique title, extended by the part of its figure."""
+    """A preset with the letter of its part of the figure added to its title, which several presets share."""
     part = re.search(r"_([a-z])$", preset.name)
     return replace(preset, title=preset.title.replace(":", f" {part[1]}:", 1)) if part else preset
 

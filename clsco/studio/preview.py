@@ -28,9 +28,9 @@ from clsco.studio.renderers import kind_of
 
 REST = 0.120  # s without a change after which the exact picture is rendered
 LATEST = 1e9  # s, of a time sample
-MEASURE = "measure"  # purpose of a question
+MEASURE = "measure"  # purpose of a question that asks for the response
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
-_MOST_CRASHES = 3  # crashes with the same scene: of both renderers, and of a restarted one
+_MOST_CRASHES = 3  # after which a scene is not tried again: of both renderers, and of a restarted one
 
 T = TypeVar("T")
 Report = Callable[[dict[str, Any]], Awaitable[None]]
@@ -62,8 +62,8 @@ def _now() -> float:
 class Preview:
     """Pictures of a session for one tab.
 
-    There is one slot: a waiting picture is discarded when the state changes. At most two pictures are in flight, so
-    that a slow browser gets fewer pictures, not late ones.
+    Only the latest state is rendered: a waiting picture is discarded when the state changes. At most two pictures are
+    in flight, so that a slow browser gets fewer pictures, not late ones.
 
     send: sends pictures to the browser.
     """
@@ -71,23 +71,23 @@ class Preview:
     def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
         self._session, self._renderer, self._send = session, renderer, send
         self._view, self._index = "color", 0
-        self._time: float | None = None  # of the one time sample that is shown
+        self._time: float | None = None  # time of the only time sample to show, s; None for the whole frame
         self._eye: Eye = "left"  # of a stereo pair
-        self._state = 1  # counts all changes; a revision is one of the scene alone
+        self._state = 1  # counts changes of scene, view, frame and eye; a revision counts those of the scene
         self._done = (0, EXACT)  # state and rung of the latest picture
         self._changed_at = 0.0
         self._news = asyncio.Event()
         self._unseen: list[tuple[int, int]] = []
         self._is_exact_underway = self._is_hidden = False
-        self._work: asyncio.Future[Any] | None = None  # what is waited for of the renderer, that may take long
-        self._stops, self._is_stopped = 0, False  # by the user; the latter until the next change
+        self._work: asyncio.Future[Any] | None = None  # the renderer's work that is awaited
+        self._stops, self._is_stopped = 0, False  # stops by the user; True until the change after a stop
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Report]] = {}
         self._other: Scene | None = None
-        self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
-        self.small: tuple[int, bytes] = (-1, b"")  # picture of the latest exact frame, and of which revision
-        self._outlines, self._outlined = False, 0  # are they wanted; of which state they were sent
-        self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
+        self._stack: list[tuple[int, Scene]] = []  # frames still to send, with their numbers
+        self.small: tuple[int, bytes] = (-1, b"")  # revision and small picture of the latest exact frame
+        self._outlines, self._outlined = False, 0  # True to send object numbers; state for which they were sent
+        self._warm: set[Any] = set()  # kinds of scenes for which kernels were compiled ahead
 
     def changed(self) -> None:
         """Handle a change of the session's scene."""
@@ -115,7 +115,7 @@ class Preview:
             found: T = self._work.result()
             return found
         finally:
-            if self._work.cancel():  # not done: this task ends
+            if self._work.cancel():  # still running, because this task is canceled
                 await asyncio.wait({self._work})
             self._work = None
 
@@ -135,7 +135,10 @@ class Preview:
     def look(
         self, view: str | None = None, index: int | None = None, time: float | None = None, eye: Eye | None = None
     ) -> None:
-        """Show another view, frame or eye; `time`: show only the frame's time sample at this time, s."""
+        """Show another view, frame or eye; None keeps the current one.
+
+        time: with `index`, time of the only time sample to show, s; None for the whole frame.
+        """
         before = self._view, self._index, self._time, self._eye
         if view in VIEWS:
             self._view = view
@@ -162,8 +165,8 @@ class Preview:
     def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
         """Call `report` with the figures of a pixel when the exact frame is ready.
 
-        Of several requests with one purpose, the latest wins. With MEASURE, the response of the pixel's source is
-        requested. After `stop` there is no answer.
+        Of several requests with one purpose, only the latest is answered. With the purpose MEASURE, the response of the
+        pixel's source is measured instead. After `stop` there is no answer.
         """
         if self._is_stopped:
             return
@@ -181,7 +184,7 @@ class Preview:
         self._news.set()
 
     def outline(self, is_wanted: bool) -> None:
-        """Switch on or off that each exact frame is followed by its object numbers."""
+        """Start or stop sending the object numbers of each exact frame after it."""
         self._outlines, self._outlined = is_wanted, 0
         self._news.set()
 
@@ -190,7 +193,7 @@ class Preview:
         await self._send(packed_message(self._session.revision, content))
 
     async def run(self) -> None:
-        """Send pictures until canceled."""
+        """Send pictures and answers until canceled."""
         while True:
             await self._room()
             done, rung = self._done
@@ -216,7 +219,7 @@ class Preview:
                 await self._news.wait()
 
     async def _besides(self, work: Awaitable[None]) -> None:
-        """Run background work and ignore its errors: pictures report faults of the scene."""
+        """Run background work; crashes are reported, but not faults of the scene, which pictures report."""
         try:
             await work
         except RendererEndedError as error:
@@ -246,7 +249,7 @@ class Preview:
             await self._news.wait()
 
     async def _changes_within(self, seconds: float) -> bool:
-        """True if the state changes within this time."""
+        """Wait for a change of the state, at most this time; returns True if there was one."""
         state, end = self._state, _now() + seconds
         while self._state == state and (left := end - _now()) > 0:
             self._news.clear()
@@ -304,7 +307,7 @@ class Preview:
                 if job.rung != DRAGGING and self._state != state:
                     return False
                 if late or self._is_full:
-                    late.append(picture)  # it waits when the renderer is free for other tabs
+                    late.append(picture)  # sent later, so that the renderer is free for other tabs
                 else:
                     await self._post(picture, revision, number)
         self._is_exact_underway = False

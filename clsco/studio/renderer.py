@@ -1,4 +1,4 @@
-"""The renderer runs in a separate process, so that a driver crash or a long render does not block a window."""
+"""The renderer, in a separate process, so that a driver crash or a long render does not stop the studio."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, Vie
 
 TICK = 0.5  # s between reports on long work
 REHEARSED = (2, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
-PATIENCE = 1.0  # s that one of these may take
-SILENCE = 30.0  # s without one, after which the process is given up: it is stopped, or its driver hangs
+PATIENCE = 1.0  # s that one of these pictures may take
+SILENCE = 30.0  # s without an answer or a report, after which the process is killed: it is stopped, or its driver hangs
 
 
 class RendererEndedError(ClscoError):
@@ -39,17 +39,17 @@ class PictureJob:
     scene: Scene
     index: int  # number of the frame
     view: str  # one of `pictures.VIEWS`
-    # DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker
+    # DRAGGING: a preview, as large as the time budget allows. EXACT: the exact frame; for images a lossy one first
     rung: int
     eye: Eye = "left"  # view of a stereo pair
-    took: float = 0.0  # time of an exact frame of the kind, s, which a preview takes at most; 0 where nobody knows
+    took: float = 0.0  # time of an exact frame of a similar scene, s, which no preview exceeds; 0 if unknown
 
 
 @dataclass(frozen=True)
 class Question:
     """Request for the figures of a pixel.
 
-    measures: request the response of the pixel's source, which needs another rendering.
+    measures: True to request the response of the pixel's source, which needs another rendering.
     """
 
     scene: Scene
@@ -130,8 +130,9 @@ class RendererProcess:
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         """Ask for the figures of a pixel. `watch` and errors are as for `pictures`.
 
-        Returns the figures of `clsco.studio.inspector.inspected`, and `seconds` that a measurement takes; if the
-        question measures, `x`, `y`, and `response`, the `clsco.studio.inspector.figures_of` of the response.
+        Returns the figures of `clsco.studio.inspector.inspected`, and `seconds` that a measurement takes. If the
+        question measures, returns `x`, `y`, and `response`, the `clsco.studio.inspector.figures_of` of the response, or
+        `unmeasured`, the reason why there is none.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)
@@ -230,7 +231,7 @@ def _listen(pipe: Connection, loop: asyncio.AbstractEventLoop, answers: asyncio.
 
 
 def _work(pipe: Connection, device: str | None) -> None:
-    """Main function of the process: one thread listens, this one renders."""
+    """Main function of the process: a thread receives jobs, another reports progress, and this one renders."""
     import queue
 
     jobs: queue.SimpleQueue[tuple[str, int, Any]] = queue.SimpleQueue()
@@ -252,13 +253,17 @@ def _work(pipe: Connection, device: str | None) -> None:
 
 
 def _needed(job: PictureJob) -> Scene:
-    """The scene of a job; without blur, the slowest feature, if the job's view does not show blur."""
+    """The scene to render for a job: an analytic one without blur, the slowest feature, if the view hides blur."""
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 
 @dataclass
 class _Known:
-    """A frame with all of its ground truth, True if its weights are tilted, and the time of a response, s."""
+    """A frame with all of its ground truth, kept for further questions.
+
+    asked: scene, number and view of the frame; is_tilted: True if weights depend on the gradient of R; seconds: time
+    that a measurement takes.
+    """
 
     asked: tuple[Scene, int, Eye]
     frame: Any
@@ -284,7 +289,7 @@ class _RenderWorker:
             self._live.cancel()
 
     def answer(self, what: str, number: int, content: Any) -> None:
-        """Do a job, and send that it is done, or the error."""
+        """Do a job of the kind `what`, send its answers, and at the end None or the error."""
         error: ClscoError | None = None
         self._current = number, time.monotonic()
         try:
@@ -308,7 +313,7 @@ class _RenderWorker:
             error = self._short_of_memory(content) if raised.short_of_memory else raised
         except ClscoError as raised:
             error = raised
-        except Exception as raised:  # a fault of ours, which is no reason to lose what is kept
+        except Exception as raised:  # a bug: the process goes on, with its caches
             traceback.print_exc()
             error = ClscoError(f"renderer: must not fail; got {type(raised).__name__}: {raised}")
         self._current = None
@@ -356,7 +361,7 @@ class _RenderWorker:
     def _coarse_picture(
         self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
     ) -> ViewPicture:
-        """Render a preview, and learn from its time."""
+        """Render a preview; learns: True to learn from its time."""
         from clsco.studio.pictures import picture_of, truth_of
 
         wanted, start = _needed(job), time.perf_counter()

@@ -25,12 +25,12 @@ class Renderers:
     def __init__(self, device: str | None = None) -> None:
         self._main, self._quick = RendererProcess(device), RendererProcess(device)
         self._rehearsed: set[Any] = set()  # kinds of scenes
-        self._cold: dict[Any, Scene] = {}  # those to rehearse, by kind
+        self._cold: dict[Any, Scene] = {}  # scenes to rehearse, by kind
         self._rehearsal: asyncio.Task[None] | None = None
-        self._took: dict[Any, float] = {}  # s, of exact frames
+        self._took: dict[Any, float] = {}  # times of exact frames, s, by kind and view
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
-        """Pictures of a job, as they are finished. As for `RendererProcess`."""
+        """Pictures of a job, as they are finished; arguments and errors as for `RendererProcess.pictures`."""
         kind = kind_of(job.scene)
         renderer, key = self._main, (kind, job.view)
         if job.rung == DRAGGING:
@@ -49,7 +49,7 @@ class Renderers:
             raise
 
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
-        """Ask for the figures of a pixel. As for `RendererProcess`."""
+        """Ask for the figures of a pixel; arguments, result and errors as for `RendererProcess.inspect`."""
         return await self._main.inspect(question, watch)
 
     async def warm(self, scene: Scene) -> None:
@@ -62,13 +62,13 @@ class Renderers:
         while self._cold:
             kind, scene = self._cold.popitem()  # the latest, which somebody looks at
             took = self._took.get((kind, "color"), 0.0)
-            with suppress(ClscoError):  # what is wrong is reported by the pictures
+            with suppress(ClscoError):  # pictures report faults of the scene
                 await self._quick.rehearse(PictureJob(scene, 0, "color", DRAGGING, took=took))
                 self._rehearsed.add(kind)
                 await self._main.warm(scene)
 
     def cancel(self) -> None:
-        """Cancel jobs other than previews before their next pass."""
+        """Cancel the job of the main process before its next pass; the process for previews goes on."""
         self._main.cancel()
 
     def close(self) -> None:

@@ -66,7 +66,7 @@ class Addresses:
 
     async def share(self, request: Request) -> JSONResponse:
         """Go to the scene of a link, given by its URL fragment."""
-        content = await request.body()  # before any answer, or a connection with what is not read yet is reset
+        content = await request.body()  # before any answer: an unread body resets the connection
         session = self._session(request)
         try:
             text = content.decode("ascii", "replace")
@@ -113,7 +113,7 @@ class Addresses:
             content = sample_picture(folder, part, parts) if 0 <= part < parts else b""
         except (ClscoError, KeyError, ValueError, IndexError, OSError, StopIteration):
             content = b""
-        return _picture(content, **{"cache-control": "private, max-age=86400"})  # one made anew has another address
+        return _picture(content, **{"cache-control": "private, max-age=86400"})  # a new set has another address
 
     def scene_picture(self, request: Request) -> Response:
         """A small picture of a scene as displayed, by its name in the state folder."""
@@ -166,10 +166,9 @@ def _refused(message: str) -> JSONResponse:
 
 
 def small_picture(session: Document, path: str) -> tuple[bytes, str]:
-    """A PNG of at most 160 x 160 px of a texture, and text with its size and bits; empty if the path is not of a
-    texture.
+    """A PNG of at most 160 x 160 px of the texture at the key `path`, and a text with its size and bits.
 
-    Raises ClscoError.
+    Both are empty if the key is not one of a texture. Raises ClscoError.
     """
     name = session.known(path) if path.rpartition(".")[2] in FILE_KEYS and not path.endswith(".depth") else None
     if not isinstance(name, str):

@@ -60,7 +60,7 @@ SHOWN = "file_"  # prefix of the names of pictures of scene files, followed by t
 MOST_SHOWN = 200
 MOST_KEPT = 64
 OPENING = "open.html"
-# What the browser is opened with, as all users of the machine see its command line: a file that is the user's alone.
+# The browser opens this file, which only its user can read; all users of the machine see the browser's command line.
 _OPENING = """<!DOCTYPE html>
 <html lang="en"><meta charset="utf-8"><title>clsco studio</title>
 <meta http-equiv="refresh" content="0; url={address}">
@@ -74,9 +74,9 @@ class Tab:
         self.session = session
         self.preview: Preview | None = None
         self.watched: tuple[str, ...] = ()
-        self.typed: set[str] = set()  # keys whose boxes have other values than those that were told
-        self.told = asyncio.Event()  # that there is something to tell
-        self.pictured = -1  # revision whose picture was kept
+        self.typed: set[str] = set()  # keys that the page has changed since values were last sent
+        self.told = asyncio.Event()  # set when there is something to send
+        self.pictured = -1  # revision whose small picture was saved
         self.page = Page()
 
 
@@ -113,9 +113,9 @@ class Studio:
         return session
 
     async def tab(self, name: str = "") -> str:
-        """Name for a tab: reuse the given one for a reloaded page if no open tab has it, else a new name.
+        """Name of the tab for a page: the given name, if such a tab exists and no page has it open, else a new tab's.
 
-        A page that is reloaded announces that it leaves; a duplicated tab does not.
+        A page that is reloaded announces that it leaves; a duplicated tab does not, and so gets a new name.
         """
         known = self.tabs.get(name)
         for _ in range(10):
@@ -129,13 +129,13 @@ class Studio:
         for old in excess:
             self.tabs.pop(old).page.end()
         if excess:
-            gc.collect()  # a page refers to itself, and short commands let much garbage gather
+            gc.collect()  # pages have reference cycles, and automatic collection is rare in commands
         new = secrets.token_urlsafe(12)
         self.tabs[new] = Tab(self.new_session())
         return new
 
     def kept_scenes(self) -> list[Path]:
-        """Scenes saved when a studio ended, latest first."""
+        """Files of scenes that former studios saved for recovery, latest first."""
         ours = {self._kept(name) for name in self.tabs}
         found = [path for path in self.state.path.glob(f"{KEPT}*.json") if path not in ours]
         return sorted(found, key=_changed_at, reverse=True)
@@ -205,10 +205,10 @@ class Studio:
         loops = (preview.run, partial(_tell, tab, preview))
         tasks = [asyncio.create_task(keep_running(loop, report, (WebSocketDisconnect,))) for loop in loops]
         try:
-            with suppress(WebSocketDisconnect, RuntimeError, asyncio.CancelledError):  # the last: the studio ends
+            with suppress(WebSocketDisconnect, RuntimeError, asyncio.CancelledError):  # CancelledError: the studio ends
                 while True:
                     text = (await socket.receive()).get("text")
-                    if text is None:  # the end, or bytes, which no page sends
+                    if text is None:  # the end, or bytes, which our page never sends
                         break
                     if text == LEAVING:
                         await socket.close()
@@ -238,7 +238,7 @@ class Studio:
                 await self._do(tab, preview, pointer, said)
         except SceneError as error:
             await preview.tell(error=error.messages)
-        except Exception as error:  # a fault of ours, which is no reason to end the tab
+        except Exception as error:  # a bug: the tab stays open
             if isinstance(error, WebSocketDisconnect):
                 raise  # the tab is closed
             traceback.print_exc()
@@ -260,7 +260,7 @@ class Studio:
                     tab.typed.add(path)
                     tab.session.patch(path, value, drag if isinstance(drag, int) else None)
                 finally:
-                    if isinstance(count := said.get("count"), int):  # the page knows then what its picture is of
+                    if isinstance(count := said.get("count"), int):  # tells the page which change its pictures show
                         await preview.tell(heard=count, faults=dict(tab.session.faults))
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str) and is_path(path))
@@ -274,7 +274,7 @@ class Studio:
             case {"do": "keep"}:
                 await preview.tell(kept=tab.session.remembered())
             case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
-                if before not in self.tabs:  # else it is still there, and this is a copy of its page
+                if before not in self.tabs:  # else that tab still exists, and this page is a duplicate
                     linked = await asyncio.to_thread(from_link, link, tab.session.readable)
                     tab.session.resume(linked, file, digest)
                     await preview.tell(resumed=True)
@@ -289,7 +289,7 @@ def _changed_at(path: Path) -> float:
 
 
 def _shown_name(path: Path) -> str:
-    """Name of the displayed picture of a scene file."""
+    """Name, in the state folder, of the small picture of a scene file as displayed."""
     return f"{SHOWN}{digest_of(path)[:32]}.jpg"
 
 
@@ -368,7 +368,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
         for message in tab.page.taken():
             await preview.tell(**message)
         state = {
-            "revision": session.revision,  # so that the page knows whose values it has
+            "revision": session.revision,  # tells the page to which revision its values belong
             "title": session.scene.title,
             "file": session.file,
             "saved": session.is_saved,
@@ -392,7 +392,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             await preview.tell(**state, **rest)
         before, values, keys = state, now, found
         await tab.told.wait()
-        await asyncio.sleep(0.03)  # what comes together is told together
+        await asyncio.sleep(0.03)  # sends simultaneous changes together
 
 
 Draw = Callable[[str, Studio, str], tuple[Page, str]]
@@ -453,7 +453,7 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     hosts = [f"{name}:{port}" for name in ((shown, *LOOPBACK) if shown in LOOPBACK else (shown,))]
     guard = Guard(application(studio, draw), hosts, token, state.key())
     studio.proof_key = guard.proof_key
-    os.environ["WEBSOCKETS_MAX_LINE_LENGTH"] = str(MAX_HEADER)  # read by what uvicorn imports now
+    os.environ["WEBSOCKETS_MAX_LINE_LENGTH"] = str(MAX_HEADER)  # read by websockets, which uvicorn imports below
     config = uvicorn.Config(
         guard, log_level="warning", access_log=False, server_header=False, proxy_headers=False, http="h11",
         h11_max_incomplete_event_size=MAX_HEADER, ws_max_size=MAX_PATCH, ws_per_message_deflate=False,
@@ -469,14 +469,14 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
         if opens_browser:
             state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
             address = (state.path / OPENING).as_uri()
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # which nobody waits for
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # never awaited
         connections = server.server_state.connections
         closing = asyncio.create_task(keep_running(partial(close_half_open, connections), studio.report))
         await serving
         closing.cancel()
 
     gc.collect()
-    gc.freeze()  # what stays is not looked through for what pages leave
+    gc.freeze()  # later collections skip all permanent objects
     try:
         with suppress(KeyboardInterrupt):
             asyncio.run(run())

@@ -38,7 +38,7 @@ __all__ = ["ConflictError", "Document"]
 class Document(Editor):
     """A scene that is edited key by key, opened and saved, and shared as a link.
 
-    root: folder of all files that may be read and written.
+    root: folder of all files that may be read and written; the shipped examples may be read, too.
     """
 
     def __init__(self, root: Path) -> None:
@@ -60,8 +60,8 @@ class Document(Editor):
     def open(self, path: Path) -> None:
         """Go to the scene of a file below the root, as an undo step.
 
-        Raises SceneError: as `clsco.load_sweep`; the file, or a file that it names, is not below the root. Then the
-        state is unchanged.
+        Raises SceneError as `clsco.load_sweep`, or if the file is not below the root, or names a file that is neither
+        below the root nor an example; the state is then unchanged.
         """
         target = self.inside(path)
         table, digest = read_scene(target)
@@ -77,16 +77,16 @@ class Document(Editor):
         path : Path, optional
             Ends in .toml or .json; by default the file of the scene.
         overwrite : bool
-            Overwrite a file other than the one opened or saved.
+            True to overwrite a file that has other content than this session opened or saved.
 
         Raises
         ------
         ConflictError
-            The file was changed by others, or is another file.
+            The file has other content than this session opened or saved, and `overwrite` is False.
         SceneError
-            It is not below the root, or its name has another extension.
+            There is no name, the file is not below the root, or its name has another extension.
         FileError
-            It cannot be written.
+            The file cannot be written.
         """
         target, text, table = self._written(path)
         if not overwrite and digest_of(target) != self._digests.get(target, ""):
@@ -108,9 +108,10 @@ class Document(Editor):
         return link_of(self.table, self.folder, self.root)
 
     def load_share(self, linked: Linked) -> None:
-        """Go to the scene of a link, from `from_link`, as an undo step.
+        """Go to the scene of a link, as an undo step.
 
-        `refused` gets the names of missing images. Raises SceneError; then the state is unchanged.
+        linked: result of `from_link`; `refused` becomes its missing images. Raises SceneError; the state is then
+        unchanged.
         """
         table, missing = linked
         self.take(self._state_of(table, None), missing)
@@ -126,8 +127,10 @@ class Document(Editor):
         }
 
     def resume(self, linked: Linked, file: str, digest: str) -> None:
-        """Go to a scene described by `remembered`, with its link read by `from_link`, as an undo step. Raises
-        SceneError; then the state is unchanged.
+        """Go to a scene that `remembered` described, as an undo step.
+
+        linked: its link, read by `from_link`; file, digest: as remembered. Raises SceneError; the state is then
+        unchanged.
         """
         table, missing = linked
         target = self.inside(Path(file)) if file else None
@@ -137,7 +140,7 @@ class Document(Editor):
             self._digests[target] = digest
 
     def load_table(self, table: Table, start: Path) -> None:
-        """Go to a scene whose file names are relative to a folder, as an undo step. Raises SceneError."""
+        """Go to a scene whose file names are relative to the folder `start`, as an undo step. Raises SceneError."""
         state = self._state_of(table, None)
         if start.is_relative_to(self.root):
             self.take(replace(state, table=moved(table, start, self.root)))
@@ -145,7 +148,7 @@ class Document(Editor):
         self.take(replace(state, table=relocated(table, lambda _, name: str(start / name))))
 
     def keep(self, path: Path) -> None:
-        """Save the scene for `recover`, if it has changed since it was last saved. Raises FileError."""
+        """Save the scene for `recover`, if it has changed since the last call. Raises FileError."""
         if self._kept != self.revision:
             keep(self.table, self.folder, path)
             self._kept = self.revision
@@ -155,7 +158,7 @@ class Document(Editor):
         self.load_table(*read_kept(path))
 
     def inside(self, path: Path) -> Path:
-        """A path below the root, after following all links. Raises SceneError for any other path."""
+        """The path, resolved against the root, with links followed; raises SceneError if it is not below the root."""
         return below(self.root, path)
 
     def source(self, name: str) -> str:
@@ -181,7 +184,7 @@ KEY, KEY_BYTES = "key", 32
 
 
 class StateFolder:
-    """Folder with data for the next studio in the same folder: unsaved scenes, pictures and a secret.
+    """Folder with data for the next studio with the same root: unsaved scenes, pictures and a secret.
 
     Parameters
     ----------
@@ -191,8 +194,8 @@ class StateFolder:
     Attributes
     ----------
     path : Path
-        `clsco/studio/DIGEST` in XDG_STATE_HOME; if no private folder is possible, a temporary one, which is lost at the
-        end.
+        `clsco/studio/DIGEST` in XDG_STATE_HOME; if no private folder is possible, a temporary one, which is removed
+        when the studio ends.
     """
 
     def __init__(self, root: Path) -> None:
@@ -211,7 +214,7 @@ class StateFolder:
         atomic_write_bytes(self.path / name, content)  # in a folder that nobody else can write to
 
     def key(self) -> bytes:
-        """A secret, saved for the next studio in the folder if possible."""
+        """A secret of KEY_BYTES random bytes, saved if possible, so that the next studio uses the same secret."""
         with suppress(OSError):
             if len(known := self.read(KEY, KEY_BYTES)) == KEY_BYTES:
                 return known

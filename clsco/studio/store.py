@@ -35,17 +35,17 @@ Linked = tuple[Table, dict[str, tuple[Any, str]]]
 
 
 class ConflictError(ClscoError):
-    """A file on disk differs from its content when it was read or written."""
+    """A file on the disk has other content than the session last read from it or wrote to it."""
 
 
 def read_scene(path: Path) -> tuple[Table, str]:
     """Content of a scene file and its digest. Raises SceneError as `clsco.load_scene`."""
-    digest = digest_of(path)  # before it is read: where it is changed meanwhile, saving says so
+    digest = digest_of(path)  # before the file is read: if it changes in between, `save` reports a conflict
     return read_mapping(str(path), ()), digest
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a scene or an image; "" if the file is missing, or larger than 1 GiB."""
+    """SHA-256 of a scene or an image, hexadecimal; "" if the file is missing, or larger than 1 GiB."""
     try:
         with open_regular(path, LARGEST_IMAGE, follow=True) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -74,7 +74,7 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
         text = tomlkit.dumps(document)
         if tomllib.loads(text) == wanted:
             return text
-    except (OSError, ValueError, TOMLKitError):  # it is gone, or no longer what was opened
+    except (OSError, ValueError, TOMLKitError):  # the old file is missing or no longer valid
         pass
     return toml_text(sparse(table))
 
@@ -88,7 +88,7 @@ def _content(path: Path | None) -> Any:
 
 
 def _kept(fewer: Any, table: Any, old: Any) -> Any:
-    """The sparse form of a table, plus keys at their defaults that the old file has."""
+    """The keys of a table that are in its sparse form `fewer`, or in `old`, the content of the previous file."""
     if not isinstance(table, Mapping):
         return table
     found = {}
@@ -110,8 +110,9 @@ def _kept(fewer: Any, table: Any, old: Any) -> Any:
 
 
 def _twin(item: Mapping[str, Any], index: int, listed: list[Any]) -> Any:
-    """The table in the old file that corresponds to one of the scene: equal, with the same name, or at the same
-    position.
+    """The table of the old file that corresponds to `item`, the scene's table at `index`; None if there is none.
+
+    listed: tables of the old file. An equal table is preferred, then one with the same name, then the one at `index`.
     """
     others = [other for other in listed if isinstance(other, Mapping)]
     same = [other for other in others if other == item]
@@ -123,7 +124,7 @@ def _twin(item: Mapping[str, Any], index: int, listed: list[Any]) -> Any:
 
 
 def _arranged(text: str, table: Table) -> str:
-    """The text of a scene file with its objects and groups in the order of another scene, which shares some of them."""
+    """The text of a scene file with objects and groups added, removed and reordered as in `table`."""
     content = tomllib.loads(text)
     for key in ("object", "group"):
         listed, wanted = content.get(key, []), table.get(key, [])
@@ -162,8 +163,8 @@ def _is_array(value: Any) -> bool:
 
 
 def _append(document: Any, key: str, value: Any) -> None:
-    """Add a key after the others, before any comment of the next table."""
-    body = getattr(getattr(document, "value", None), "body", [])  # of a table; that of the whole file has none
+    """Add a key after the other keys of a tomlkit table, before trailing comments, which describe the next table."""
+    body = getattr(getattr(document, "value", None), "body", [])  # [] for the document as a whole
     last: list[Any] = []
     while len(body) > 1 and body[-1][0] is None:
         last.insert(0, body.pop())
@@ -181,13 +182,13 @@ def difference(path: Path, text: str) -> str:
     """Changes from a file to a text, as a unified diff."""
     try:
         before = read_regular(path, LARGEST, follow=True).decode("utf-8-sig", "replace").splitlines()
-    except OSError:  # none, or what is no scene
+    except OSError:  # no file, or one that cannot be a scene
         before = []
     return "\n".join(difflib.unified_diff(before, text.splitlines(), "on the disk", "in the studio", lineterm=""))
 
 
 def moved(table: Table, start: Path, to: Path) -> Table:
-    """The table with file names relative to another folder."""
+    """The table with file names that are relative to the folder `to` instead of `start`; absolute names stay."""
     if start == to:
         return table
 
@@ -239,19 +240,20 @@ def from_link(text: str, places: Iterable[Path]) -> Linked:
     text : str
         From `link_of`, with or without "#s=".
     places : iterable of Path
-        Folders to search for its files; the first is the studio's folder.
+        Folders to search for its files: in the first, the studio's, by their paths; in the others, by their names.
 
     Returns
     -------
     table : dict
         Not validated. A missing image is replaced by the default.
     missing : dict
-        Names of missing images with messages, by path of the key.
+        Name and message for each missing image, by path of the key.
 
     Raises
     ------
     SceneError
-        The text is not a link, holds more than 1 MiB, names more than MOST_FILES files, or needs a missing depth map.
+        The text is not a link, holds more than 1 MiB, names more than MOST_FILES files or an absolute path, or needs a
+        depth map or an image of the aperture that is missing.
 
     Notes
     -----
@@ -346,15 +348,15 @@ def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str
     key : str
         Key of the array: "object" for [[object]].
     order : sequence of int or None
-        For each table its number in the text, counted from 0; None for a new one.
+        For each table of the result, its number in the text, counted from 0; None for a new table.
     new : sequence of str
-        Texts of new tables, one for each position in `order`.
+        For each table of the result, its text if it is new; other texts are ignored.
 
     Returns
     -------
     str
-        Separated tables of the array are moved together, to the position of the last one. Headers inside strings are
-        not detected: compare the content afterwards.
+        The tables of the array follow each other at the position of the last one. A line inside a string may be
+        mistaken for a header, so compare the parsed content afterwards.
     """
     parts = _parts(text.splitlines(), key)
     slots = [number for number, (is_table, _) in enumerate(parts) if is_table]
@@ -374,7 +376,7 @@ def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str
 
 
 def _parts(lines: Sequence[str], key: str) -> list[tuple[bool, list[str]]]:
-    """Lines of the text in parts: tables of the array, and text between them."""
+    """Lines of the text, split into tables of the array (True) and other parts (False)."""
     parts: list[tuple[bool, list[str]]] = [(False, [])]
     for line in lines:
         header = _HEADER.match(line)

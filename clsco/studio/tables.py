@@ -1,4 +1,4 @@
-"""Changes to a copy of a scene's mapping, and its faults by key."""
+"""Labels and sliders of scene keys, changes to a copy of a scene's mapping, and its faults by key."""
 
 from __future__ import annotations
 
@@ -87,10 +87,10 @@ SLIDERS = {  # ranges of useful values; typed values may be beyond
 }  # fmt: skip
 POINT = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "z": (50.0, 1000.0)}
 BY_UNIT = {"mm": (-100.0, 500.0), "deg": (-180.0, 180.0), "deg/s": (-90.0, 90.0), "mm/s": (-50.0, 50.0)}
-BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 200.0)}  # times it
+BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 200.0)}  # ends of sliders divided by it
 SCALES = {"focus_distance": "inverse", "f_number": "stops"}
 WIDE = 20.0  # ratio of a slider's ends from which on its scale is logarithmic
-OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # after what the thesis names
+OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # after the keys of the thesis
 
 
 def pose_label(path: str) -> str:
@@ -107,7 +107,7 @@ def pose_label(path: str) -> str:
 
 
 def keyframe_label(path: str) -> str:
-    """Label of a keyframe's key, numbered from 1; "" for other keys."""
+    """Label of a key of a keyframe, with the keyframe's number from 1; "" for other keys."""
     number, _, key = path.partition(".keyframe.")[2].partition(".")
     return f"{words(key)} of keyframe {int(number) + 1}" if key else ""
 
@@ -122,17 +122,17 @@ def words(key: Any) -> str:
 
 Table = dict[str, Any]
 DEEPEST = 8  # parts of a path
-LONGEST = 200  # characters of a part
+LONGEST = 200  # characters of a path
 _ALIKE = {*Textured.model_fields, "name", "motion", "group"}  # keys that an object keeps when its shape changes
-_SEEDS: dict[str, list[Any]] = {  # of vectors that have no default, of which a component is given
+_SEEDS: dict[str, list[Any]] = {  # initial values of vectors without a default, when a component is entered
     "direction": [0.0, 0.0, 1.0],
     "bounds": [[-1000.0, 1000.0]] * 3,
     "position": [0.0, 0.0, 0.0],
     "origin": [0.0, 0.0, 0.0],
     "texture_offset": [0.0, 0.0],
 }
-_ALL_ALIKE = ("resolution", "texture_size", "texture_repeats")  # of these the others are what the one is
-_START: dict[str, Table] = {  # of shapes that have no defaults
+_ALL_ALIKE = ("resolution", "texture_size", "texture_repeats")  # all components start equal to the entered one
+_START: dict[str, Table] = {  # initial keys of shapes without defaults
     "quadric": {"coefficients": [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0], "center": [0.0, 0.0, 280.0]}
 }
 
@@ -155,7 +155,7 @@ def path_parts(path: str) -> list[str]:
 
 
 def at(node: Any, parts: Sequence[str]) -> Any:
-    """The entry at `parts`, None if there is none."""
+    """The entry of nested tables and lists at the keys and indices `parts`; None if there is none."""
     for part in parts:
         if isinstance(node, list | tuple):
             node = node[int(part)] if part.isdecimal() and len(part) < 10 and int(part) < len(node) else None
@@ -165,7 +165,7 @@ def at(node: Any, parts: Sequence[str]) -> Any:
 
 
 def with_value(table: Table, parts: list[str], value: Any) -> Table:
-    """The table with another value, without keys that contradict it. Raises SceneError."""
+    """A copy of the table with a value at `parts`, without keys that contradict it. Raises SceneError."""
     changed: Table = _copied({key: _shallow(entry) for key, entry in table.items()}, parts)
     displace(changed, ".".join(parts), value)
     if (fault := put(changed, parts, value)) is not None:
@@ -235,7 +235,7 @@ def seed(key: str, value: Any) -> list[Any] | None:
 
 
 def pose_for(rotation: Any, part: str) -> Any:
-    """A static rotation converted to the form with this part: Euler angles, axis and angle, or a quaternion."""
+    """A static rotation in the form that has the key `part`: unchanged if it has this form already, else 0 deg."""
     if part.isdecimal():
         return rotation if isinstance(rotation, list) else [0.0, 0.0, 0.0]
     if part in ("axis", "angle"):

@@ -100,8 +100,9 @@ def _kept_name(path: Path) -> str:
 
 
 def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A dialog to save under a name; returns a function that saves at once if there is a file, and one that always
-    asks.
+    """A dialog to save under a name.
+
+    Returns two functions: one saves at once if the scene has a file, and otherwise asks for a name; one always asks.
     """
     dialog = Dialog("Save the scene")
     typed = {"name": ""}
@@ -161,7 +162,7 @@ def share_dialog(session: Document) -> Callable[[], None]:
 
     def show() -> None:
         link = session.share()
-        here = f"{page().address}{link}"  # with the place of the cookie, which others need not know
+        here = f"{page().address}{link}"  # with the secret path, which others need not know
         typed["link"] = ""
         with dialog.filled():
             say("p", "The address holds the whole scene, but for images.")

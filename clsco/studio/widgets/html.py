@@ -16,7 +16,7 @@ from clsco.studio.forms import Field
 Handler = Callable[[Any], object]
 EVENTS = ("click", "change", "input", "toggle")
 _EMPTY = ("img", "input")  # tags without an end
-_PAGE: ContextVar[Page] = ContextVar("page")  # that is drawn, or in which something was pressed
+_PAGE: ContextVar[Page] = ContextVar("page")  # being drawn, or whose event is handled
 
 
 class Page:
@@ -56,7 +56,7 @@ class Page:
             _PAGE.reset(token)
 
     def hear(self, number: int, value: Any) -> None:
-        """Call the handler of an element that still exists; errors are shown."""
+        """Call the handler of the element `number` with its value, if it still exists; errors are shown."""
         if number in self.handlers:
             with self.current():
                 tried(lambda: self.handlers[number](value))
@@ -75,12 +75,12 @@ class Page:
         self._messages = [message for message in self._messages if not first <= message.get("part", -1) < last]
 
     def taken(self) -> list[dict[str, Any]]:
-        """Take the queued messages."""
+        """Return the queued messages, and clear the queue."""
         messages, self._messages = self._messages, []
         return messages
 
     def end(self) -> None:
-        """Call the handlers for closing."""
+        """Call the functions in `endings`."""
         for end in self.endings:
             end()
 
@@ -106,8 +106,8 @@ class Element:
 def say(tag: str, text: str = "", **attributes: Any) -> Element:
     """Write an element with an escaped text.
 
-    In attribute names `_` becomes `-`; None and False are left out. An attribute named after an event of `EVENTS` is a
-    handler, called with the element's value.
+    In attribute names `_` becomes `-`, and is removed at the end; attributes that are None or False are omitted. An
+    attribute named after an event of `EVENTS` is a handler, called with the element's value.
     """
     out, words = page().out, ""
     for name, value in attributes.items():
@@ -171,7 +171,7 @@ class PagePart:
 
 
 def tried(action: Callable[[], object]) -> bool:
-    """Call a function, and show its error if there is one; True if there is none."""
+    """Call a function, and show its ClscoError if it raises one; returns True if it raises none."""
     try:
         action()
     except ClscoError as error:
@@ -214,7 +214,8 @@ def choice(
 ) -> None:
     """A labeled list of options; `chosen` is called with the selected value.
 
-    options: values with their labels; missing: for values that cannot be selected, the missing requirement, or "".
+    options: labels by value, or values that are their own labels; missing: by value, the reason why it cannot be
+    selected, "" for none.
     """
     named = options if isinstance(options, Mapping) else {option: option for option in options}
     needs = missing or {}
@@ -230,7 +231,7 @@ def choice(
 class Dialog:
     """A native dialog of the browser, which keeps the focus inside, and closes with Esc.
 
-    draw: draws its initial content.
+    draw: draws its initial content; filled: `PagePart.filled` of its content.
     """
 
     def __init__(self, title: str, draw: Callable[[], object] = lambda: None, wide: bool = False) -> None:

@@ -210,7 +210,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
                             "button", word.capitalize(), type="button", title=title, aria_pressed="false",
                             data_figure=word, aria_label=f"{word.capitalize()}: {method}",
                         )  # fmt: skip
-                    if inpainting.image.dtype == "uint8":  # else what is shown has fewer bits
+                    if inpainting.image.dtype == "uint8":  # else the displayed picture has fewer bits
                         say("a", "Save as PNG", href=place, download=f"{method}.png")
     with say("div", class_="scrolled"), say("table", class_="figures"):
         say("caption", "Figures of the methods, as in figure 5.21")

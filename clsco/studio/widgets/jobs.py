@@ -31,9 +31,7 @@ SPOKEN_S = 2.0  # between announcements of progress to screen readers
 
 
 def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable[[], None]:
-    """The Generate dialog: frames, a focal stack or a data set, and their output folder; returns a function that opens
-    it.
-    """
+    """The dialog that writes frames, a focal stack or a data set to a folder; returns a function that opens it."""
     dialog, truth = Dialog("Generate"), dict[str, bool]()
     answers: dict[str, Any] = {
         "folder": "", "set_folder": "", "subframes": False, "preset": "", "nearest": "200", "farthest": "400",

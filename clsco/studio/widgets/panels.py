@@ -20,15 +20,15 @@ from clsco.studio.tables import SHAPE_LABELS, at, words
 from clsco.studio.widgets.html import PagePart, button, check_box, choice, number, page, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
-_TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
+_TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # positions among the panels of the thesis
 
 
 @dataclass
 class Chosen:
     """State of the panels of a page.
 
-    index: index of the object; is_open: panels by title, for the scene identified by `scene`; before: motions that were
-    switched off, by path.
+    index: index of the selected object; is_open: by title, True for panels that the user unfolded and False for folded
+    ones, in the scene whose `State.opened` is `scene`; before: values of motions that were switched off, by path.
     """
 
     index: int = 0
@@ -38,7 +38,7 @@ class Chosen:
 
 
 def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
-    """Draw the objects of a session and all panels, and redraw them when their set changes."""
+    """Draw the objects of a session and all panels, and redraw a part when its set of controls changes."""
     now = chosen or Chosen(scene=session.state.opened)
 
     def draw() -> None:
@@ -59,7 +59,7 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
 
     def changed() -> None:
         now.index = min(now.index, len(session.table["object"]) - 1)
-        if now.scene != session.state.opened:  # whose panels are folded by what it uses
+        if now.scene != session.state.opened:  # another scene, whose keys decide which panels are open
             now.scene = session.state.opened
             now.is_open.clear()
         for position, (part, of, before) in enumerate(parts):
@@ -73,7 +73,7 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
 
 
 def _names(session: Document, chosen: Chosen) -> Any:
-    """Key of the list of objects: the list is redrawn when it changes."""
+    """Key of the list of objects, which is redrawn when the key changes."""
     return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
 
 
@@ -82,8 +82,9 @@ def _is_thesis(session: Document, chosen: Chosen) -> Any:  # noqa: ARG001 - as `
 
 
 def _form(session: Document, chosen: Chosen) -> Any:
-    """Key of the panels: they are redrawn when it changes. It excludes values that are typed or dragged in them,
-    because redrawing would interrupt the user.
+    """Key of the panels, which are redrawn when the key changes.
+
+    The key excludes values that are typed or dragged in the panels, because redrawing would interrupt the user.
     """
     path = f"object.{chosen.index}"
     moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
@@ -171,7 +172,7 @@ def _select(shown: Field, value: Any, box: str) -> None:
             say("option", "by default", value="", selected=value is None)
         for option, label in shown.choices:
             say("option", label, value=option, selected=option == value)
-        if isinstance(value, list):  # weights of a shutter curve, which a file gives
+        if isinstance(value, list):  # weights of a shutter curve, from a scene file
             say("option", _brief(value), value="", selected=True, disabled=True)
 
 
@@ -296,7 +297,7 @@ def object_list(session: Document, index: int, choose: Callable[[int], None]) ->
 
 def _adding(session: Document, choose: Callable[[int], None]) -> None:
     """Draw a list of shapes, to add an object."""
-    ready = [shape for shape in SHAPES if shape != "depth_map"]  # which needs a file first
+    ready = [shape for shape in SHAPES if shape != "depth_map"]  # a depth map needs a file first
 
     def add(shape: object) -> None:
         choose(session.add_object(str(shape)))
@@ -308,7 +309,7 @@ def _adding(session: Document, choose: Callable[[int], None]) -> None:
 
 
 def draw_sweep(session: Document) -> None:
-    """Draw a selector of scenes, if a file has several."""
+    """Draw a selector of the scenes of a sweep; nothing for a single scene."""
 
     def draw() -> None:
         labels = session.state.labels
