@@ -30,12 +30,12 @@ from clsco.scene.quantities import (
 
 
 def _aperture_mm(data: dict[str, Any]) -> float:
-    """Default of the aperture diameter D, mm."""
+    """Default of the aperture diameter D, mm; data: the keys before it."""
     return 10.0 if data["f_number"] is None else float(data["focal_length"] / data["f_number"])
 
 
 def _sensor_distance_mm(data: dict[str, Any]) -> float:
-    """Default of the sensor distance s, mm; 1/s = 1/f - 1/u."""
+    """Default of the sensor distance s, mm, 1/s = 1/f - 1/u; data: the keys before it."""
     f, u = data["focal_length"], data["focus_distance"]
     return 21.739 if u is None else float(image_distance(f, u))
 
