@@ -20,7 +20,7 @@ The two engines work on any arrays, of NumPy or pyopencl::
 `device=` takes a part of a device's name, "cpu", "gpu", or a Device, Context or CommandQueue of pyopencl. Lengths are
 in mm, angles in degrees, times in s. Each name is imported when it is first used: without OpenCL everything but
 `render`, `render_frame`, `render_sweep`, `response`, `Live`, `defocus`, `inpaint` and `list_devices` works.
-`reference.render` renders in NumPy float64 without OpenCL. Errors that are raised on purpose are of `ClscoError`.
+`reference.render` renders in NumPy float64 without OpenCL. Errors raised on purpose are subclasses of `ClscoError`.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-# pyopencl keeps what it generates in the user's cache folder, as pickles, which it runs whoever has put them there, and
-# fails where it cannot write there. To generate it takes less time than to look it up.
+# pyopencl caches generated code as pickles in the user's cache folder. It would execute pickles that anybody put there,
+# and fails if it cannot write there. Generating the code takes less time than looking it up.
 os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
 
-# The stub has a line for each public name, `from MODULE import NAME as NAME`, which type checkers read as well.
+# The stub, which type checkers read as well, has a line for each public name, `from MODULE import NAME as NAME`.
 _LINES = map(str.split, Path(__file__).with_suffix(".pyi").read_text("utf-8").splitlines())
 _MODULES = {words[-1]: words[1] for words in _LINES if words[:1] == ["from"]}
 __all__ = sorted(_MODULES)

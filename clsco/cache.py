@@ -38,9 +38,10 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
-        """The value of a key, which callers must not change; make: computes the value if it is not cached.
+        """The value of a key; callers must not change the value.
 
-        Two threads may call `make` at the same time, and get the same value. size: returns the bytes of a value.
+        make: computes the value if it is not cached; two threads may call it at the same time, but get the same value.
+        size: returns the size of a value in bytes.
         """
         place = _Key(key)
         with self._lock:

@@ -14,7 +14,7 @@ STATISTIC_SLOTS = 2
 STATISTIC_BEYOND = 3  # 1 if an object was hit outside of its predicted extent
 STATISTIC_OUTSIDE = 4  # 1 if a source predicted to be still is not (kernels/trace/still.clh)
 PLACE_NUMBERS = 10  # count of numbers that describe the place of an object at a time sample
-NARROW_IMAGE = 4  # px, width of an image below which a surface counts as small (kernels/trace/small.clh)
+NARROW_IMAGE = 4  # px; a surface whose image is narrower counts as small (kernels/trace/small.clh)
 MOVING_MARGIN = 4  # px around moving objects, within which sources are not still
 
 # Bits of the feature CURVED (kernels/common/geometry.clh).
@@ -22,8 +22,8 @@ CURVED_FIELD = 1
 CURVED_SPHERE = 2
 CURVED_IMAGE = 4
 
-# Coordinates of a surface that a texture lies on (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh), and what
-# is beyond an image.
+# Kinds of coordinates that map a texture to its surface (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh),
+# and continuations of an image beyond its edges.
 MAP_PROJECTED = -1
 MAP_PLANE = 0
 MAP_CYLINDER = 1
@@ -35,26 +35,26 @@ WRAP_REPEAT = 0
 WRAP_MIRROR = 1
 WRAP_CLAMP = 2
 WRAP_NONE = 3
-CUBE_BORDER = 2  # texels of neighbors around a face of a cube map at each level, as a bicubic filter reads them
+CUBE_BORDER = 2  # texels of neighbors around a face of a cube map at each level, for a bicubic filter
 
 # Footprints of pixels on textures that lie on surfaces (kernels/trace/footprint.clh).
-FOOTPRINT_CELLS = 8  # along an axis of a pixel
-LEAST_TEXELS = 2  # across the narrow side of a footprint, where the level is not the finest
-CELL_TEXELS = 11  # along an axis of a cell, at most
-MOST_CELL = 16  # texels along an axis of the image
-NARROWEST = 64  # cells are at least one texel over this wide
-MOST_SHEAR = 1  # texels along columns times those along rows that an axis of a cell has, at most
-MOST_TEXELS = 24  # along an axis of a pixel: beyond, the level is a coarser one
-BENT_CELLS = 32  # near a pole, where the footprint is bent, and cells are points
-BENT_TEXELS = 0.75  # along an axis of such a cell
-MOST_BENT_TEXELS = 64
-DETAILED_TEXELS = 0.54  # per pixel, along the wider axis, from which on it may need sub-pixel sources
-DETAILED_MOST = 4.5  # |R| in px, up to which
-FINE_TEXELS = 1.17  # from which on a pixel is cut into smaller parts, up to a larger radius
-FINE_MOST = 9.0
-NEAR_FOCUS = 0.3  # |R| in px below which smaller parts are needed as well
-# Squares of texels per pixel are compared with so many times the whole numbers, which images often have exactly:
-# rounding must not decide.
+FOOTPRINT_CELLS = 8  # largest number of cells along an axis of a pixel
+LEAST_TEXELS = 2  # least number of texels across the narrow side of a footprint, unless the level is the finest
+CELL_TEXELS = 11  # largest number of texels along an axis of a cell, unless cells would be too many
+MOST_CELL = 16  # largest width of a cell along an axis of the image, texels
+NARROWEST = 64  # cells are at least 1 / NARROWEST texels wide
+MOST_SHEAR = 1  # largest product of the texels along columns and those along rows that an axis of a cell spans
+MOST_TEXELS = 24  # largest number of texels along an axis of a pixel; if there are more, the level is a coarser one
+BENT_CELLS = 32  # as FOOTPRINT_CELLS, near a pole, where the footprint is bent and cells are points
+BENT_TEXELS = 0.75  # as CELL_TEXELS, near a pole
+MOST_BENT_TEXELS = 64  # as MOST_TEXELS, near a pole
+DETAILED_TEXELS = 0.54  # texels per pixel, along the wider axis, above which a pixel may need sub-pixel sources
+DETAILED_MOST = 4.5  # px, |R| from which on it needs none
+FINE_TEXELS = 1.17  # texels per pixel above which a pixel is cut into smaller parts
+FINE_MOST = 9.0  # px, as DETAILED_MOST, for such a pixel
+NEAR_FOCUS = 0.3  # px, |R| below which smaller parts are needed as well
+# Factor on the limits of squared numbers of texels: images often have a whole number of texels per pixel, for which
+# rounding would decide the comparison.
 APART = 1.17
 
 # Merged sources (kernels/trace/merge.cl).
@@ -62,14 +62,14 @@ MERGED_SIDE = 3  # pixels along an axis that one merged source replaces, an odd 
 
 # Visibility (kernels/common/visibility.clh).
 LENS_CELLS = 8  # cells of the lens per half axis, if visibility is tested on a grid of cells
-SHARED_PLACE = 10.0  # px per lens radius, below which an occluder's edge differs between the parts of a pixel
+SHARED_PLACE = 10.0  # px per lens radius; an occluder's edge that is closer differs between the parts of a pixel
 
 # Tables of weights (kernels/common/psf.clh, kernels/blur/cpu).
 TAP_LANES = 8  # floats in a vector of taps; rows of weights are padded to whole vectors
 POWERS = 4  # coefficients of a weight, a cubic polynomial in the position within an interval
 TABLE_STEPS = 48  # least number of intervals per octave of the radius
-# Floats in the widest vector; intervals of which a kernel reads the coefficients of a tap together, from every
-# TAP_LANES-th one on.
+# Floats in the widest vector, and intervals in a window: kernels read the coefficients of a tap for a whole window, and
+# windows begin at every TAP_LANES-th interval.
 WIDE_LANES = 16
 
 # Weights by chords (clsco/optics/chords.py, kernels/common/chords.clh).
@@ -79,7 +79,7 @@ LEAST_OPENING = 5e-4  # px, radius of a lens opening; the light of smaller ones 
 # Number of rows in the band of a work-item: enough bands for several cores, and little overlap. The order of sources is
 # counted from the first row of the band, so strips of whole bands are bit-identical to the whole frame.
 BAND = 64
-COLUMN_STEP = 32  # least number of columns of sources in a piece of a launch, if sources are processed by columns
+COLUMN_STEP = 32  # least number of columns of sources per launch, if sources are processed by columns
 MOST_ITEMS = 256  # largest number of groups of sources of a column in memory at a time
 ITEMS_BYTES = 2**18  # memory limit of groups of sources with Gaussian PSFs, unless a few groups are larger
 MOST_ASIDE = 5  # largest number of columns in a block of sources with Gaussian PSFs
@@ -96,7 +96,8 @@ LONGEST_RUN = 8  # largest number of weights in a run, which a kernel keeps in r
 DROPPED_BITS = 26  # number of lower bits of a sum over a disc that 32-bit sums omit
 
 # Layered occlusion (kernels/layered/layered.cl).
-DISCONTINUITY = 1.0  # px, least |R1 - R2| of two points, their relative shift over the lens, that can hide a pixel
+# px, least |R1 - R2| of two neighbors at which one can hide a pixel behind it: their relative shift over the lens.
+DISCONTINUITY = 1.0
 LAYER_BIN = 0.25  # px; depth layers end at multiples of this radius
 NO_SEED = 1 << 14  # px, an offset for "no seed", larger than any blur
 DISCONTINUITY_CLASSES = 10  # number of size classes: beyond 1, 2, 4 ... times DISCONTINUITY
@@ -106,8 +107,8 @@ PUSH_PIXELS = 4  # pixels of a coarser level that a work-item computes
 
 # Forward warp (kernels/warp/warp.cl).
 OWNED_PIXELS = 64  # sources of a row that a work-item moves, if work-items own bands of the image
-WIDEST_GAP = 3  # px to each side in a gap of a surface that grows in the image, up to four times its size
-NO_WINNER = 2**31 - 1  # number in place of a source's in a pixel to which no source is moved
+WIDEST_GAP = 3  # px to each side in a gap of a surface that grows in the image, by up to a factor of four
+NO_WINNER = 2**31 - 1  # number of the source in a pixel to which no source is moved
 
 # Filling of missing pixels (kernels/inpainting/fill.cl, fill_mean_median.cl, mean_median.cl).
 FILL_LANES = 8  # pixels in a vector
@@ -127,7 +128,7 @@ SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
 NOISE_LANES = 16  # pixels in a vector
 SENSED_PIXELS = 128  # pixels of a row that a work-item reads out, whole vectors
 LEAST_NORMAL = 30  # mean of electrons from which on their distribution is approximated by a corrected normal one
-FEW_ELECTRONS = 80  # limit of electron counts with a smaller mean, larger than any count from random words
+FEW_ELECTRONS = 80  # limit of counts whose mean is below LEAST_NORMAL; no random word gives a larger count
 # Streams of random words, and number of streams per plane.
 SHOT_STREAM = 0
 PATTERN_STREAM = 1

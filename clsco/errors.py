@@ -10,7 +10,7 @@ from unicodedata import category
 
 
 class ClscoError(Exception):
-    """Base of the errors that clsco raises for what a user can correct: one line, `where: rule; got value`."""
+    """Base of the errors for faults that a user can correct; the message is one line, `where: rule; got value`."""
 
     def __init__(self, message: str) -> None:
         super().__init__(visible(message))
@@ -24,7 +24,7 @@ class SceneError(ClscoError):
         Exception.__init__(self, "\n".join(self.messages))
 
     def __reduce__(self) -> tuple[type[SceneError], tuple[tuple[str, ...]]]:
-        return type(self), (self.messages,)  # from process to process
+        return type(self), (self.messages,)  # so that another process can unpickle the error
 
 
 class FileError(ClscoError):
@@ -73,16 +73,16 @@ def import_extra(where: object, module: str, extra: str) -> Any:
 
 
 def require_extra(where: object, module: str, extra: str) -> None:
-    """Raise MissingDependencyError as `import_extra`, without importing the module."""
+    """Raise MissingDependencyError as `import_extra` would, without importing the module."""
     if find_spec(module) is None:
         raise MissingDependencyError(f"{where}: needs {module}: pip install 'clsco[{extra}]'; got no such module")
 
 
 def visible(text: str, lines: bool = False) -> str:
-    r"""A text with escapes in place of invisible characters other than spaces, such as control characters, marks of
-    writing direction, and lone surrogates, because names of files and texts in them may be untrusted.
+    r"""A text in which escapes such as \x1b replace all invisible characters except spaces.
 
-    lines: leave ends of lines and tabs unchanged.
+    Names of files, and texts in them, may be untrusted: they may hold control characters, marks of writing direction
+    and lone surrogates. lines: True to leave ends of lines and tabs unchanged.
 
     >>> from clsco.errors import visible
     >>> visible("a\x1b[2J b")

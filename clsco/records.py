@@ -21,21 +21,22 @@ REAL_BYTES = 8  # size planned for a number on the device, in either precision
 def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     """Dtype of every struct by its C name, in order of declaration.
 
-    grid_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top: first
-    row of the strip; guard: apron columns, above: apron rows before the first row; width, height of the grid; step:
-    slope between neighboring rays on the axis, rest_step: in the reference pose; radial, tangential, reach: see
-    `clsco.optics.distortion.Distortion`, start, newton: first guess of its inverse, and number of Newton steps. lens_t:
-    see `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the
-    stack.
-    texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t:
-    see `clsco.optics.motion.Pose`; step: slope between neighboring rays at that time. exposure_t: see
-    `clsco.optics.still.StillSplit`; still: 1 to make still sources, 0 to make the others, in the window.
-    group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
-    psf_t: conversion of a blur radius to a table coordinate, the intervals that the tables hold (first, count), and the
-    range that radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens
-    in lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column, per_row:
-    cells of `clsco.optics.field.SeidelField`, and cells per px; stride, sub_stride: see
-    `clsco.optics.psf_tables.PsfTable`.
+    grid_t: rows, columns: size of the frame, or of a strip (`clsco.frame.strips`); frame_rows: rows of the whole frame;
+    top: first row of the strip; guard: width of the apron; above: rows of the grid above the strip; width, height: size
+    of the grid with apron; step: slope between neighboring rays on the axis; rest_step: `step` in the reference pose;
+    radial, tangential, reach: see `clsco.optics.distortion.Distortion`; start, newton: first guess of the inverse
+    distortion, and number of Newton steps.
+    lens_t: see `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: number of the
+    object's texture. texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see
+    `clsco.optics.light.PlacedLight`. pose_t: see `clsco.optics.motion.Pose`; step: slope between neighboring rays at
+    the pose's time. exposure_t: see `clsco.optics.still.StillSplit`; still: 1 to make the still sources, 0 to make the
+    other sources, which are in the window left, top, right, bottom. group_t: see
+    `clsco.optics.visibility.OcclusionGroup`; count: number of objects in the scene.
+    psf_t: see `clsco.optics.psf_tables.PsfTable` for first, count, low, end, reach, stride, and, with the prefix sub_,
+    those of sub-pixel sources; key to sub_steps: conversion of a blur radius to a table coordinate; lens_extent: radius
+    of the pupil in lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column,
+    per_row: number of cells of `clsco.optics.field.SeidelField`, and cells per px.
+    sensor_t: see `clsco.optics.sensor.sensor_values`.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     grid: list[Any] = [

@@ -96,14 +96,14 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: K
 
 
 def _exposed(root: Path, *ours: Path) -> Path | None:
-    """The topmost folder in which another user could put kernels; `ours`: folders created in `root`, outermost
-    first.
+    """The topmost folder in which another user could put files, None if there is none; ours: folders created in `root`,
+    outermost first.
     """
     if not hasattr(os, "geteuid"):
         return None
     user = os.geteuid()
     above = root.stat()
-    swappable = above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX  # a folder in it could be replaced
+    swappable = above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX  # anybody could replace a subfolder
     if above.st_uid not in (user, 0) or swappable:
         return root
     for folder in ours:
@@ -178,8 +178,10 @@ def work_name(prefix: str, more: str = "") -> str:
 
 
 def remove_left(folder: Path, prefix: str = "") -> None:
-    """Remove temporary files and folders of ended processes, those of this machine by process id, those of others by
-    age; prefix: of their names, by default any hidden name.
+    """Remove temporary files and folders (`work_name`) of ended processes.
+
+    A process of another machine counts as ended if nothing has changed for ABANDONED_S. prefix: start of the names; by
+    default any name that begins with a dot.
     """
     for path in folder.glob(f"{prefix}.*.part"):
         with suppress(OSError, ValueError):

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import zipfile  # 3 ms
 
-HEADER = 2**14  # bytes of the header of an NPY at most; numpy takes 10000
-MOST_DIRECTORY = 2**22  # bytes of an archive's directory, enough for 40,000 members
+HEADER = 2**14  # largest header of an NPY, bytes; numpy accepts up to 10000
+MOST_DIRECTORY = 2**22  # largest directory of an archive, bytes; enough for 40,000 members
 _END = b"PK\x05\x06"  # start of an archive's end record: 22 bytes and a comment of up to 65535
 
 
@@ -107,7 +107,7 @@ def member_bytes(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
     if size > most:
         raise ValueError(f"{size} bytes in {name}")
     with open_member(archive, name) as member:
-        content = member.read(size + 1)  # without a size all that is there would be unpacked, and then cut off
+        content = member.read(size + 1)  # without a size, the whole member would be unpacked, however large it is
     if len(content) != size:
         raise ValueError(f"{len(content)} bytes of {size} in {name}")
     return content

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from clsco.resources import ExposedFolderError, open_regular, private_folder
 
 SUFFIX = ".arrays"
-MOST_BYTES = 2**29  # of a folder; beyond it, the least recently used files are deleted
+MOST_BYTES = 2**29  # largest size of a folder; beyond it, the least recently used files are deleted
 SCANS = 16  # number of scans of the folder while this process writes MOST_BYTES
-LARGEST = 2**27  # bytes of a file
+LARGEST = 2**27  # largest size of the arrays of a key, bytes
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -57,11 +57,11 @@ class ArrayCache:
                 return None
             os.utime(path)
             return _unpacked(content)
-        except (OSError, ValueError, AttributeError):  # a file of another version
+        except (OSError, ValueError, AttributeError):  # missing, damaged or of another version
             return None
 
     def put(self, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write arrays; a full disk or a read-only folder is not an error."""
+        """Store arrays, unless they are larger than LARGEST; a full disk or a read-only folder is not an error."""
         if self.folder is None or sum(array.nbytes for array in arrays.values()) > LARGEST:
             return
         content, path = _packed(arrays), self._path(key)
@@ -93,8 +93,9 @@ class ArrayCache:
 
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Arrays of numbers as bytes: a line with the dtype and shape of each, then their content. This is faster to read
-    than an NPZ, an archive with a Python literal per array.
+    """Arrays of numbers as bytes: a line with the dtype and shape of each, then their contents.
+
+    They are read faster than from an NPZ, an archive with a Python literal per array.
     """
     about = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])

@@ -18,7 +18,7 @@ _BLOCK = 2**18  # bytes that are read at once
 
 
 def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
-    """Raise FileError with the line `path: rule; got value`; for an OSError the value is its reason."""
+    """Raise FileError with the line `path: rule; got value`; of an OSError as `got`, only the reason is shown."""
     where = str(path)
     if isinstance(got, OSError):
         got = got.strerror or got
@@ -28,7 +28,7 @@ def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception 
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """Open a temporary file that is renamed to `path` when it is complete on the disk; until then an older file stays.
+    """Open a temporary file that is renamed to `path` once it is complete on disk; until then, an older file remains.
 
     Raises FileError if the folder, the disk or a codec fails, and leaves no file.
     """
@@ -54,9 +54,9 @@ def atomic_write_bytes(path: Path, content: bytes) -> None:
 
 @contextlib.contextmanager
 def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Open a hidden folder whose files move to `folder` when all are written; on an error they are removed.
+    """Create a hidden folder whose files move to `folder` when all are written; on an error they are removed.
 
-    name: kind of the files, for messages. Older files stay until they are replaced. Raises FileError.
+    name: kind of the files, for messages. Older files remain until they are replaced. Raises FileError.
     """
     temporary = _temporary(folder / name)
     try:
@@ -94,9 +94,7 @@ def make_writable_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def is_same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
-    """True if two paths, existing or not, lead to the same place through all symbolic links; a link to itself leads
-    only to itself.
-    """
+    """True if two paths, existing or not, are equal once symbolic links are resolved; link cycles remain unresolved."""
     return os.path.realpath(path) == os.path.realpath(other)
 
 

@@ -1,8 +1,8 @@
 """Color spaces of image files: curves that decode codes, and profiles with which an output looks like its input.
 
 Codes become linear radiance in the primaries of their own profile. Outputs get codes of the same curve, and the same
-profile, so unchanged pixels keep their codes and their look. If images with several profiles meet, a matrix converts
-each to the primaries of sRGB.
+profile, so unchanged pixels keep their codes and their look. If images with different profiles are used together, a
+matrix converts each to the primaries of sRGB.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ MOST_TAGS = 256
 LARGEST_FALL = 1e-3  # largest decrease in radiance, by rounding where two parts of a curve meet
 SRGB_LIKE = 2e-4  # largest difference in radiance from sRGB; half a code of 8 bits next to black is 1.5e-4
 _CHANNELS = {b"GRAY": 1, b"RGB ": 3}
-# Of a curve (a x + b)^g + e from d on, and c x + f below it.
-_ALPHA, _BETA = 1.09929682680944, 0.018053968510807  # of BT.2020, which makes BT.709 continuous
+# Parameters g, a, b, c, d, e, f of a curve that is (a x + b)^g + e from x = d on, and c x + f below.
+_ALPHA, _BETA = 1.09929682680944, 0.018053968510807  # digits of BT.2020, with which the curve of BT.709 is continuous
 _BT709 = (1 / 0.45, 1 / _ALPHA, 1 - 1 / _ALPHA, 1 / 4.5, 4.5 * _BETA, 0.0, 0.0)
 _LINEAR = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _CICP = {1: _BT709, 6: _BT709, 14: _BT709, 15: _BT709, 4: (2.2, *_LINEAR[1:]), 5: (2.8, *_LINEAR[1:]), 8: _LINEAR}
@@ -87,15 +87,16 @@ class Color:
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile for red, green and blue, as codes or as linear values: the profile from the file, or one made
-        from the primaries; b"" if none is needed.
+        """ICC profile of an RGB image: that of the file, or one made from the primaries; b"" if none is needed.
+
+        linear: True to make a profile for linear values, False for codes.
         """
         if self.icc or self.chromaticities is None:
             return self.icc
         return _profile(self.name, self.chromaticities, _curve_tag(self.curve, linear))
 
     def png_chunks(self, colored: bool) -> tuple[tuple[bytes, bytes], ...]:
-        """Chunks of a PNG in this color space, for gray or for color."""
+        """Kind and content of chunks that store this color space in a PNG, `colored` or gray."""
         icc = self.icc or (self.profile(False) if colored and not self.chunks else b"")
         return ((b"iCCP", b"icc\0\0" + zlib.compress(icc, 9)),) if icc else self.chunks
 
@@ -163,14 +164,14 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
     known = None if chromaticities_to_srgb(numbers) is None else numbers
     if exponent <= 0.0:
         return SRGB if known in (None, SRGB_CHROMATICITIES) else Color("of cHRM", chunks=carried, chromaticities=known)
-    if abs(exponent - 0.45455) < 5e-5:  # which stands for sRGB (PNG, third edition, 11.3.2.2)
+    if abs(exponent - 0.45455) < 5e-5:  # this exponent stands for sRGB (PNG, third edition, 11.3.2.2)
         return SRGB if chrm is None else Color("of gAMA", chunks=carried, chromaticities=known)
     curve = Curve(_parametric((1 / exponent, *_LINEAR[1:]))[None])
     return Color("of gAMA", chunks=carried, curve=curve, chromaticities=known)
 
 
 def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
-    """The curve of each channel, or of all; None if it is the curve of sRGB."""
+    """The curve from radiance tables of each channel or of all channels; None if it is the curve of sRGB."""
     srgb = decode(CODES, "srgb")
     if all(float(np.abs(table - srgb).max()) <= SRGB_LIKE for table in tables):
         return None
@@ -181,7 +182,7 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
     """Name, channels, radiance of 2^16 codes per channel, and chromaticities, from an ICC profile (ICC.1:2022).
 
-    Radiance is None without curves, chromaticities are None without a matrix.
+    Radiance is None if the profile has no curves, and chromaticities are None if it has no matrix.
     """
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
@@ -198,15 +199,17 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tup
         tags[kind] = icc[start : start + size]
     channels = _CHANNELS.get(icc[16:20], 0)
     names = [b"kTRC"] if channels == 1 else [b"rTRC", b"gTRC", b"bTRC"]
-    is_lab = channels == 1 and icc[20:24] == b"Lab "  # whose curve gives lightness
+    is_lab = channels == 1 and icc[20:24] == b"Lab "  # the curve gives lightness, not radiance
     tables = None if is_lab or not all(name in tags for name in names) else [_table(tags[name]) for name in names]
     primaries = _primaries(tags, icc[8]) if icc[16:24] == b"RGB XYZ " else None
     return _name(tags.get(b"desc", b"")), channels, tables, primaries
 
 
 def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
-    """Chromaticities of an RGB profile; None if unknown. The colorants in the profile are adapted to D50; the white
-    before adaptation is in the tag `chad`, or in `wtpt` of old profiles.
+    """Chromaticities of an RGB profile; None if unknown.
+
+    The colorants in the profile are adapted to D50; the white before adaptation follows from the tag `chad`, or from
+    `wtpt` in profiles before version 4.
     """
     columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
     if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):
@@ -272,7 +275,7 @@ def _name(desc: bytes) -> str:
 
 
 def _table(tag: bytes) -> NDArray[np.float64]:
-    """Radiance of 2^16 codes by a curveType or a parametricCurveType."""
+    """Radiance of all 2^16 codes from a tag of an ICC profile, a curveType or a parametricCurveType."""
     if tag[:4] == b"curv":
         (count,) = struct.unpack_from(">I", tag, 8)
         if count == 0:
@@ -297,12 +300,15 @@ def _table(tag: bytes) -> NDArray[np.float64]:
 def _parametric(parameters: tuple[float, ...]) -> NDArray[np.float64]:
     g, a, b, c, d, e, f = parameters
     x = np.arange(len(CODES)) / (len(CODES) - 1)
-    with np.errstate(all="ignore"):  # what is no number is refused next
+    with np.errstate(all="ignore"):  # NaN and infinity are rejected next
         return _increasing(np.where(x >= d, np.maximum(a * x + b, 0.0) ** g + e, c * x + f))
 
 
 def _increasing(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Raise an error for a curve without an inverse, as outputs could not be encoded."""
+    """The table of a curve, with falls due to rounding removed, clipped to 0 to 1.
+
+    Raises ValueError for a curve without an inverse, as outputs could not be encoded.
+    """
     highest = np.maximum.accumulate(table)
     if not np.isfinite(table).all() or (highest - table).max() > LARGEST_FALL or highest[-1] <= highest[0]:
         raise ValueError("a curve that does not increase")

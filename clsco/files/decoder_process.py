@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 MEMORY = 2**28  # bytes of memory that any decoder may use
 FACTOR = 4  # further memory, as a multiple of the bytes of its arrays
 SECONDS, RATE = 20.0, 2**25  # s of CPU time for any decoder, and bytes of arrays for each further second
-PATIENCE = 6  # limit by the clock, as a multiple of the CPU time: the processor may have other work
+PATIENCE = 6  # limit of wall-clock time, as a multiple of that of CPU time: the processor may have other work
 _ROOT = Path(__file__).resolve().parents[2]  # folder of this package; the current folder may hold another
 _COMMAND = "from clsco.files.decoder_process import serve; serve()"
 _PIPE = 2**20  # bytes of a pipe's buffer, if the system supports it
@@ -111,7 +111,7 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Out
             limits = f"{memory >> 20} MiB and {seconds:.0f} s"
             raise ValueError(f"a decoder that ended with status {status}, allowed {limits}") from None
         except BaseException:
-            process.kill()  # what is left of an answer belongs to no call
+            process.kill()  # or the next call would read the rest of this answer
             _serving.end()
             raise
         finally:
@@ -155,7 +155,7 @@ def _bytes(array: NDArray[Any]) -> memoryview:
 
 def serve() -> None:
     """Answer calls on stdin until it is closed."""
-    threading.stack_size(2**20)  # of the threads of decoders, which count as memory
+    threading.stack_size(2**20)  # stacks of the decoders' threads count as memory
     calls, answers = sys.stdin.buffer, sys.stdout.buffer
     while line := calls.readline():
         try:
@@ -175,7 +175,7 @@ def serve() -> None:
 
 def _call_function(call: Mapping[str, Any]) -> Output:
     module, _, name = call["function"].partition(":")
-    _unlimit()  # what is imported is no decoder's
+    _unlimit()  # limits are for the decoder, not for imports
     function = getattr(importlib.import_module(module), name)
     _limit(call["memory"], call["seconds"])
     with open_regular(call["path"], follow=True) as file:

@@ -26,12 +26,12 @@ from clsco.resources import DEVICE, open_regular
 
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
-LARGEST_EXR = 2**29  # values in all channels, which are decoded together
-DENSEST_EXR = 2**15  # values of a byte: a chunk of one color by DWAB, the densest of the compressions, has half as many
-MOST_WINDOW = 4  # largest data window of a part of an EXR, in pixels of the display window
-MOST_SCANS = 100  # scans of a JPEG, each of which processes all pixels; encoders make about 20 at most
+LARGEST_EXR = 2**29  # largest number of values in all channels of an EXR, which are decoded together
+DENSEST_EXR = 2**15  # most values per byte of an EXR; DWAB, the densest compression, has half as many for a plain color
+MOST_WINDOW = 4  # largest data window of a part of an EXR, as a multiple of the pixels of the display window
+MOST_SCANS = 100  # most scans of a JPEG, each of which processes all pixels; encoders make about 20 at most
 PIXEL_BYTES = 32  # largest size of a file per pixel: four float64
-MOST_TAG = 2**24  # bytes of a color profile in a TIFF, of which larger ones than those of PNG are refused later
+MOST_TAG = 2**24  # largest color profile read from a TIFF, bytes; profiles above LARGEST_PROFILE are rejected later
 OTHER_BYTES = 2**26  # largest size of a file besides its pixels
 
 IMAGE_FORMATS = {
@@ -60,10 +60,10 @@ _FIRST_BYTES = {
 def open_format(
     path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS
 ) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a file in the format that its extension and first bytes agree on; yields the file, at its first byte, and
-    the format.
+    """Open a file whose extension and first bytes agree on a format.
 
-    formats: format by extension. Errors of the file or of a codec become FileError.
+    Yields the file, at its first byte, and the format. formats: format by extension. Errors of the file or of a codec,
+    also those raised in the body of the `with` statement, become FileError.
     """
     path = Path(path)
     kind = formats.get(path.suffix.lower(), "")
@@ -84,7 +84,7 @@ def open_format(
         raise_file_error(
             path, "must be a file that can be read" if error.errno else f"must be a whole {kind}", error, error
         )
-    except Exception as error:  # damage: each codec has its own exceptions for it, and none lists them
+    except Exception as error:  # damage: each codec has exceptions of its own, and none documents them all
         raise_file_error(path, f"must be a whole {kind}", error, error)
 
 
@@ -106,7 +106,7 @@ def path_of(file: BinaryIO) -> Path:
 
 def unzstd(path: Path, content: bytes, most: int) -> memoryview:
     """Decompress a Zstandard frame of at most `most` bytes. Raises an error of imagecodecs if it has more."""
-    unpacked = np.empty(most, np.uint8)  # whose pages nobody has before they are written
+    unpacked = np.empty(most, np.uint8)  # the system allocates its pages only when they are written
     return memoryview(import_extra(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
 
 
@@ -121,7 +121,7 @@ def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     file.seek(0)
     check_limits(path_of(file), columns, rows)
     size, most = os.fstat(file.fileno()).st_size, PIXEL_BYTES * columns * rows + OTHER_BYTES
-    if size > most and kind != "EXR":  # which may hold many layers
+    if size > most and kind != "EXR":  # an EXR may hold many layers
         raise_file_error(path_of(file), f"a file of {columns} x {rows} pixels must have at most {most} bytes", size)
     return columns, rows
 
@@ -194,8 +194,8 @@ def _by_imageio(content: bytes, extension: str, mode: str | None = None) -> NDAr
     import imageio.v3  # 75 ms, and most commands read no image
 
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Image size")  # that limit is checked from the header already
-        options: dict[str, Any] = {"mode": mode, "writeable_output": False}  # else another copy is made
+        warnings.filterwarnings("ignore", "Image size")  # our own limit has been checked from the header
+        options: dict[str, Any] = {"mode": mode, "writeable_output": False}  # or imageio would make another copy
         return imageio.v3.imread(content, plugin="pillow", extension=extension, **options)
 
 
@@ -209,7 +209,7 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
 
 def _scans(content: bytes) -> int:
     """Number of scans of a JPEG: a scan of a few bytes can make a decoder process all pixels again."""
-    scans, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # but for those within the pixels of a scan
+    scans, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # markers that do not occur within a scan
     while (match := mark.search(content, at)) is not None and match[1] != b"\xd9":
         scans += match[1] == b"\xda"
         at = match.end() + int.from_bytes(content[match.end() : match.end() + 2], "big")
@@ -260,10 +260,10 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
 
 
 def exr_parts(file: BinaryIO) -> Sequence[Any]:
-    """Headers of the parts of an EXR, which are decoded together. Raises FileError if they are too large."""
+    """Headers of the parts of an EXR. Raises FileError if the parts, which are decoded together, are too large."""
     parts: Sequence[Any] = import_extra(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
     values, layers = 0, list[str]()
-    width, height = _window(parts[0].header["displayWindow"])  # which parts have in common
+    width, height = _window(parts[0].header["displayWindow"])  # the same for all parts
     check_limits(path_of(file), width, height)
     for part in parts:
         columns, rows = _window(part.header["dataWindow"])
@@ -284,7 +284,7 @@ def exr_parts(file: BinaryIO) -> Sequence[Any]:
 
 def _exr_tags(file: BinaryIO) -> Tags:
     named = (part.header["chromaticities"] for part in exr_parts(file) if "chromaticities" in part.header)
-    return Tags(chromaticities=tuple(next(named, ())))  # which parts have in common
+    return Tags(chromaticities=tuple(next(named, ())))  # the same for all parts
 
 
 def _window(corners: Sequence[Any]) -> tuple[int, int]:
@@ -301,8 +301,8 @@ def _exr_size(file: BinaryIO) -> tuple[int, int]:
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
     """Decode channels of an EXR from any of its parts: (rows, columns) of the display window, by name.
 
-    choose: selects from the list of all channel names, as `full_names` gives them. outside: value of pixels of the
-    display window outside a part's data window.
+    choose: takes the names of all channels, as from `full_names`, and returns those to decode. outside: value of pixels
+    of the display window that are outside a part's data window.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(
@@ -310,7 +310,7 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
     )
     chosen = choose([name for names in named for name in names.values()])
     pages = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
-    if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
+    if len(pages) != len(parts):  # OpenEXR omits parts that it cannot decode
         raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
     planes = {}
     for part, names, page in zip(parts, named, pages, strict=True):
@@ -324,7 +324,7 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
 
 
 def _in_display(header: Mapping[str, Any], plane: NDArray[Any], outside: float) -> NDArray[Any]:
-    """Copy a plane from the data window into the display window."""
+    """A plane of the data window, cropped and padded with `outside` to the display window."""
     (left, top), (right, bottom) = (corner.tolist() for corner in header["displayWindow"])
     (first, above), (last, below) = (corner.tolist() for corner in header["dataWindow"])
     if (left, top, right, bottom) == (first, above, last, below):
@@ -394,7 +394,7 @@ def _npy_size(file: BinaryIO) -> tuple[int, int]:
         raise_file_error(path_of(file), rule, f"{dtype} of shape {shape}")
     check_limits(path_of(file), flat[1], flat[0])
     needed, size = start + math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size
-    if size < needed:  # before memory for it is taken
+    if size < needed:  # checked before memory is allocated
         raise ValueError(f"{size} bytes of {needed}")
     return flat[1], flat[0]
 

@@ -22,7 +22,7 @@ def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: s
 
 
 def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDArray[np.uint16]:
-    """Codes of KITTI's depth, uint16 (rows, columns): 256 per m, 0 where no surface is.
+    """Codes of KITTI's depth, uint16 (rows, columns): 256 per m, 0 without a surface.
 
     depth: planar Z in mm, +inf without a surface; rounded to 1/256 m = 3.9 mm. where: begins messages. Raises FileError
     for NaN, negative depth, and depth that rounds to 0 or to more than 255.996 m. Validated by OpenCV.

@@ -58,15 +58,16 @@ def read_image(
     hidden: pixels (rows, columns) whose floats need not be finite; none by default. layer: of an EXR with several, as
     for `clsco.files.layers.image_channels`.
 
-    Raises FileError, in one line, for everything that is not exactly one such image: no readable file, wrong extension,
-    damaged, over 2^27 pixels or 65536 a side (refused from the header), transparent, CMYK, several pages, values that
-    are not finite. Also where TIFF and 16-bit color PNG lack the extra `formats`, and EXR the extra `exr`.
+    Raises FileError if the file does not hold exactly one such image: it is unreadable or damaged, has the wrong
+    extension, over 2^27 pixels or 65536 a side (rejected from the header), is transparent or CMYK, or has several pages
+    or values that are not finite. Raises MissingDependencyError if TIFF and 16-bit color PNG lack the extra `formats`,
+    or EXR the extra `exr`.
 
-    8 and 16 bits come as stored; palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become
-    float32. Axes of length 1 before and behind the image in an NPY are dropped. PNG, JPEG and TIFF are turned upright
-    by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B or Y of one layer are read, in its
-    display window: pixels outside of the data window are 0. The color space is returned, not applied; the scale of a
-    PFM is ignored. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
+    8 and 16 bits are returned as stored; palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64
+    become float32. Axes of length 1 before and behind the image in an NPY are dropped. PNG, JPEG and TIFF are turned
+    upright by their orientation. Opaque alpha is dropped. From an EXR, the channels R G B or Y of one layer are read in
+    its display window: pixels outside of the data window are 0. The color space is returned, not applied; the scale of
+    a PFM is ignored. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
     with open_format(path) as (file, kind):
         data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
@@ -85,7 +86,8 @@ def check_sizes(
 ) -> None:  # fmt: skip
     """Raise FileError if a mask or a depth map differs from its image in size (columns, rows).
 
-    image, other: names of the image and of the mask or depth map; right, size: their sizes. hint: for exchanged sides.
+    image, other: names of the image and of the mask or depth map; right, size: their sizes. hint: what the message adds
+    if columns and rows are exchanged.
     """
     if size != right:
         sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
@@ -94,7 +96,7 @@ def check_sizes(
 
 
 def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
-    """Raise FileError if the file of a mask or a depth map differs in size from its image, or its size cannot be read.
+    """Raise FileError if the file of a mask or a depth map differs in size from its image, or a file cannot be read.
 
     image, other: paths. size: columns and rows of the other file, upright. formats: of the other file, as for
     `clsco.files.decoders.open_format`.
@@ -105,8 +107,10 @@ def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapp
 
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
-    """Note that the untagged one of an image and its mask or depth map is taken to be upright, if only the other has an
-    orientation tag, and their sizes do not prove it; else "". Parameters and errors as for `check_same_size`.
+    """Note that a file without an orientation tag is taken to be upright; "" if there is nothing to note.
+
+    The note is for an image and its mask or depth map, if only one of them has a tag, and their sizes do not prove that
+    the other one is upright. Parameters and errors are those of `check_same_size`.
     """
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)
@@ -116,8 +120,9 @@ def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORM
 
 
 def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[int, str, str]:
-    """Orientation from the only one of two files that has a tag, that file, and the other; 1, "", "" if both or neither
-    have one.
+    """Orientation, if only one of two files is turned by its tag, and the paths of this and of the other file.
+
+    Returns 1, "" and "" if both or neither are turned.
     """
     if image == other:
         return 1, "", ""
@@ -134,7 +139,10 @@ def _orientation(path: str, formats: Mapping[str, str]) -> int:
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Raise an error for anything but a finite gray or RGB image of 8, 16 or 32 bits."""
+    """Decoded values as in `Picture.data`: bools become 8 bits, other floats float32; hidden: as for `read_image`.
+
+    Raises FileError for anything but a gray or RGB image of finite values.
+    """
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
         raise_file_error(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
     if data.dtype == np.bool_:  # a mask of NumPy
@@ -196,9 +204,9 @@ def write_exr(
 ) -> None:  # fmt: skip
     """Write named channels (rows, columns) in an OpenEXR file with lossless compression.
 
-    float16 is stored as such, uint16 becomes uint32, all other types float32. names: names of the views, "left" and
-    "right" for stereo pairs, () for a single view; views: channels of each view; several views are parts with the
-    attribute `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as
+    float16 is stored as such, uint16 becomes uint32, all other types float32. views: channels of each view, by name.
+    names: names of the views, "left" and "right" for stereo pairs, () for a single view. Several views are parts with
+    the attribute `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as
     {"aperture": 2.8}. Raises MissingDependencyError, FileError.
     """
     exr = import_extra(path, "OpenEXR", "exr")
@@ -223,7 +231,7 @@ def _exr_type(plane: NDArray[Any]) -> str:
 
 
 class _ErrorKeeper:
-    """A file that remembers a write error, because OpenEXR ignores an error in its last write, the table of lines."""
+    """A file that remembers a write error, because OpenEXR ignores errors in its last write, the table of lines."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.file = file
@@ -245,9 +253,7 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
 
 
 def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
-    """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, so that every reader shows
-    it.
-    """
+    """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, for readers that need them."""
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
 
@@ -257,9 +263,9 @@ class ImageWriter:
     """Writer of images with one file extension.
 
     label: name of the format with its article, for messages. write: takes a path, an image (rows, columns[, 3]) of
-    codes or of linear float32, and, if `color_kinds` is not empty, a color space. color_kinds: attributes of `Color`
-    that the format can store. code_bits: most bits of codes that the format holds, 0 for none. floats: True if it holds
-    linear float32. needs: a module, and the extra of clsco that installs it.
+    codes or of linear float32, and, if `color_kinds` is not empty, a color space. code_bits: largest number of bits per
+    code in the format, 0 if it holds no codes. floats: True if it holds linear float32. needs: a module, and the extra
+    of clsco that installs it. color_kinds: attributes of `Color` that the format can store.
     """
 
     label: str
@@ -274,7 +280,7 @@ class ImageWriter:
         self.write(path, image, *([color] if self.color_kinds else []))
 
     def loss(self, color: Color) -> str:
-        """Note on a color space that such a file cannot store; "" if it can."""
+        """Note that a file of this format cannot store a color space; "" if it can."""
         if color.is_plain or any(getattr(color, kind) for kind in self.color_kinds):
             return ""
         return f"{self.label} has no place for the color profile {color.name}, which is left out"
@@ -291,7 +297,7 @@ WRITERS = {
 
 
 def writer_for(path: Path) -> ImageWriter:
-    """Writer for a path's extension; raises FileError if the extra that it needs is missing."""
+    """Writer for a path's extension. Raises MissingDependencyError if the extra that it needs is missing."""
     writer = WRITERS[path.suffix.lower()]
     if writer.needs is not None:
         import_extra(path, *writer.needs)
@@ -303,8 +309,8 @@ def save_image(
 ) -> None:  # fmt: skip
     """Write an image (rows, columns[, 3]) of linear radiance in the format of its extension: PNG, TIFF or EXR.
 
-    bits: bits of a PNG's codes, 8, 16 or 32. color: color space of the file. Raises MissingDependencyError, and
-    FileError for another extension or a failed write.
+    bits: bits of a PNG's codes, 8 or 16; 32 gives 16. color: color space of the file. Raises MissingDependencyError,
+    and FileError for another extension or a failed write.
     """
     to, ending = Path(path), Path(path).suffix.lower()
     if ending not in WRITERS:

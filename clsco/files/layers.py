@@ -1,7 +1,7 @@
-"""Channel names of EXR files with several layers or parts: selects the image or the depth.
+"""Channel names of EXR files with several layers or parts, from which the image or the depth is selected.
 
-A channel's name is its layer, a dot, and its own name: "ViewLayer.Combined.R". In a file of several parts the name of
-the part precedes it. Without a given layer, the usual names of renderers decide.
+A channel's name is its layer, a dot, and its own name: "ViewLayer.Combined.R". In a file of several parts, the name of
+the part precedes it. If no layer is given, the usual names of renderers decide.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """Full names of channels by their names within the part, for each part, given as (name, channels).
+    """For each part of a file, the full names of its channels by their names within the part.
 
-    In a file with one part both names are the same.
+    parts: (name, channels) of each part. In a file with a single part, full names are the names within the part.
     """
     if len(parts) == 1:
         return [{name: name for name in parts[0][1]}]
@@ -63,8 +63,9 @@ def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
 def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     """The channels that may be the depth: all of the most likely kind, or none.
 
-    Likely kinds in order: Z; a channel of a layer called depth; another Z or V that is not a third vector component; R
-    G B or Y; the only channel. layer: name of a layer, its last words, or name of the channel; by default any layer.
+    Likely kinds in order: Z; a channel called depth, or Z or V of a layer called depth; Z or V of any other layer; R G
+    B; Y; the only channel. A Z or V beside X and Y is the component of a vector, and does not count. layer: name of a
+    layer, its last words, or name of a channel; by default any layer, but for R G B and Y the one without a name.
     """
     if layer is not None:
         if layer in names:
@@ -97,7 +98,7 @@ def _own(name: str, layer: str | None) -> str:
 
 
 def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Channel names within each layer, by layer."""
+    """Names of the channels in each layer, without the layer's name; "" is the layer without a name."""
     layers: dict[str, set[str]] = {}
     for name in names:
         layer, _, own = name.rpartition(".")

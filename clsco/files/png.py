@@ -15,7 +15,7 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 BLOCK = 2**22  # bytes of an image that are compressed at once
 GRAY, RGB, PALETTE, GRAY_ALPHA, RGB_ALPHA = 0, 2, 3, 4, 6
 _SAMPLES = {GRAY: 1, RGB: 3, PALETTE: 1, GRAY_ALPHA: 2, RGB_ALPHA: 4}
-# First column, first row, step of the columns and of the rows in each pass of an interlaced image.
+# Passes of an interlaced image: first column, first row, step of the columns, step of the rows.
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 
 
@@ -55,9 +55,9 @@ def png_size(file: BinaryIO) -> tuple[int, int]:
 def check_png(file: BinaryIO) -> tuple[bytes, int, int, bytes | None]:
     """Check a PNG from its first byte to its last pixel, as far as possible without decoding.
 
-    Returns the file without ancillary chunks, bits per sample, color type, and the data of the chunk tRNS. Raises
-    ValueError with a description of the file if it is not a complete still image. Pillow shows missing rows as black,
-    libpng fails on ancillary chunks, and both may skip checksums.
+    Returns the file without ancillary chunks, bits per sample, color type, and the data of the chunk tRNS, None if
+    there is none. Raises ValueError with a description of the file if it is not a complete still image. Without this
+    check, Pillow shows missing rows as black, libpng fails on ancillary chunks, and both may skip checksums.
     """
     size = os.fstat(file.fileno()).st_size
     parts = [file.read(8)]

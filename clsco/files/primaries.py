@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
 
-ALIKE = 1e-3  # largest difference of a matrix from 1, which is less than half a code of 8 bits at white
+ALIKE = 1e-3  # a matrix this close to the identity counts as the identity: under half a code of 8 bits at white
 D50 = np.array([0.9642, 1.0, 0.8249])  # white of the profile connection space (ICC.1:2022, 7.2.16)
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _D65, _C = (0.3127, 0.329), (0.31, 0.316)
@@ -54,7 +54,7 @@ def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float
 
     white: X, Y and Z of the white from which the primaries were adapted to D50, by Bradford's method.
     """
-    with np.errstate(all="ignore"):  # numbers that are none span no colors
+    with np.errstate(all="ignore"):  # `colorants` rejects chromaticities that are not finite
         native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])
         return tuple((native[:2] / native.sum(axis=0)).T.ravel().tolist())
 

@@ -13,7 +13,7 @@ from clsco.errors import FileError
 def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
     """The first wrong value, its position, and the number of wrong values: "nan at row 0, column 1 (2 in all)".
 
-    wrong: of the shape of `values`, or without its channel axis; then all channels of the pixel are shown.
+    wrong: mask in the shape of `values`, or without the channel axis; in this case all channels of the pixel are shown.
     """
     first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
     shown = ", ".join(f"{value:.6g}" for value in np.ravel(values[first]))
@@ -21,11 +21,11 @@ def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
 
 
 def check_values(where: str, rule: str, values: NDArray[Any], wrong: NDArray[np.bool_]) -> None:
-    """Raise FileError `where: rule; got value at row, column (number in all)` if any value is wrong."""
+    """Raise FileError `where: rule; got ...` if the mask `wrong` marks any value, with the text of `first_of`."""
     if wrong.any():
         raise FileError(f"{where}: {rule}; got {first_of(values, wrong)}")
 
 
 def raise_shape_error(where: str, rule: str, values: NDArray[Any]) -> NoReturn:
-    """Raise FileError `where: shape must be ...; got shape`."""
+    """Raise FileError on the shape of `values`: `where: shape must be rule; got shape`."""
     raise FileError(f"{where}: shape must be {rule}; got {values.shape}")

@@ -15,7 +15,7 @@ def strict_json(content: bytes | str) -> Any:
     except RecursionError:
         raise ValueError("nested too deeply") from None
     text = content if isinstance(content, bytes) else content.encode(errors="replace")
-    if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(value):  # most have fewer, which is soon counted
+    if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(value):  # counting is fast, and rules out most
         raise ValueError("nested too deeply")
     return value
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from clsco.files.color import LARGEST_PROFILE, Color, chunk_color, exr_color, icc_color
 
-MOST_CHUNKS = 2**20  # of a PNG: its pixels in pieces of 1 kB
-LONGEST = 2**22  # bytes of a tag that is read
+MOST_CHUNKS = 2**20  # largest number of chunks of a PNG, enough for 1 GB of pixels in pieces of 1 kB
+LONGEST = 2**22  # largest tag that is read, bytes
 _PNG_COLORS = (b"cICP", b"sRGB", b"gAMA", b"cHRM")
 _PNG_TAGS = (b"eXIf", b"iTXt", b"iCCP", *_PNG_COLORS)
 _JPEG_ICC = b"ICC_PROFILE\0"
 _JPEG_EXIF, _JPEG_XMP, _PNG_XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0", b"XML:com.adobe.xmp\0\0\0\0\0"
 _XMP_ORIENTATION = re.compile(rb'tiff:Orientation(?:="|>)([1-8])["<]')
-_ORIENTATION, _ICC = 0x0112, 0x8773  # in EXIF and TIFF
+_ORIENTATION, _ICC = 0x0112, 0x8773  # numbers of tags in EXIF and TIFF
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def tiff_tags(values: Any) -> Tags:
 
 
 def _inflated(chunk: bytes) -> bytes:
-    """The profile in a chunk iCCP; a damaged or too large one is replaced by bytes that are rejected later."""
+    """The profile in a chunk iCCP; for a damaged or too large one, bytes that are rejected later."""
     packed = chunk.partition(b"\0")[2][1:]
     try:
         return zlib.decompressobj().decompress(packed, LARGEST_PROFILE + 1) or b"empty"
@@ -137,7 +137,7 @@ def _orientation(exif: bytes, xmp: bytes) -> int:
     if exif:
         from PIL import Image
 
-        with contextlib.suppress(Exception):  # a damaged tag says nothing of the pixels, and each damage has its own
+        with contextlib.suppress(Exception):  # pixels may be intact if a tag is damaged; Pillow raises many types
             known = Image.Exif()
             known.load(exif)
             orientation = known.get(_ORIENTATION)

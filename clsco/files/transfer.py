@@ -19,8 +19,8 @@ CODES = np.arange(2**16, dtype=np.uint16)
 class Curve:
     """A transfer curve that is not in `TRANSFERS`, such as that of a color profile.
 
-    radiance: (1 or 3, 65536), linear radiance of each 16-bit code, not decreasing: for all channels, or for red, green
-    and blue.
+    radiance: linear radiance of each 16-bit code, never decreasing: (1, 65536) for all channels, or (3, 65536) for red,
+    green and blue.
     """
 
     radiance: NDArray[np.float64]
@@ -30,7 +30,7 @@ class Curve:
         return self.radiance[:, :: 257 if bits == 8 else 1]
 
     def starts(self, bits: int) -> NDArray[np.float64]:
-        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts: that of the half code below it."""
+        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts, half a code below it."""
         return self._starts_8 if bits == 8 else self._starts_16
 
     @cached_property
@@ -42,8 +42,9 @@ class Curve:
         return self._above_codes(0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:]), 16)
 
     def _above_codes(self, starts: NDArray[np.float64], bits: int) -> NDArray[np.float64]:
-        """Starts of codes, moved above the radiance of the code below on flat parts of the curve, so that each code
-        encodes to itself.
+        """Starts of codes, moved above the radiance of the code below where the curve is flat.
+
+        So each code is decoded to a radiance that is encoded to the same code.
         """
         below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
         return np.where(starts > below, starts, np.maximum(0.5 * (below + above), np.nextafter(below, 2.0)))
@@ -97,8 +98,8 @@ def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArr
 
     linear: float32 or float64 of any shape, 1 = white; below 0 and NaN become 0, above 1 the largest code.
 
-    A code starts at the radiance of the half code below it. No power is computed per pixel: the square root, along
-    which sRGB codes are nearly even, selects a bin with at most one start, and one comparison decides.
+    A code starts at the radiance half a code below it. No power is computed per pixel: the square root of radiance, in
+    which sRGB codes are nearly evenly spaced, selects a bin with at most one start, and one comparison decides.
     """
     codes: NDArray[Any] = np.empty(linear.shape, f"u{bits // 8}")
     if isinstance(transfer, Curve):
@@ -141,7 +142,7 @@ def _radiance_of_codes(bits: int, transfer: str) -> NDArray[np.float64]:
 
 
 def _bin_of(radiance: NDArray[np.floating], top: int) -> NDArray[np.intp]:
-    # Two bins per code: along the square root the steepest part of sRGB has 1.45 codes in 1 / top.
+    # Two bins per code are enough: in the square root of radiance, an interval of 1 / top has at most 1.45 sRGB codes.
     bins: NDArray[np.intp] = (np.sqrt(radiance) * radiance.dtype.type(2 * top)).astype(np.intp)
     return bins
 

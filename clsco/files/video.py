@@ -24,8 +24,8 @@ from clsco.files.yuv import yuv_planes
 from clsco.resources import remove_left
 
 SLOWEST, FASTEST = 1, 240  # frames per second that an interval may give
-MOST = 2**20  # of the parts of a rate, and frames per second: far below what the fields of containers hold
-STANDARD_RATES = 1001 * 120  # denominators up to this one: intervals of 1001 / 120000 s come back as they are
+MOST = 2**20  # largest rate, numerator and denominator of a rate; containers can store far larger numbers
+STANDARD_RATES = 1001 * 120  # largest denominator of an interval: from a float, 1001 / 120000 s is found exactly
 _TRANSFER_TAGS = {"srgb": 13, "linear": 8}  # codes of ITU-T H.273
 _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 
@@ -35,7 +35,7 @@ class VideoPreset:
     """Encoding of a clip: FFmpeg's names of container, codec and pixel format, and options of the encoder.
 
     suffix: extension of its files. bits: bits per value. gray: pixel format of gray frames; "" to store them in color.
-    least: smallest columns and rows that the encoder accepts.
+    least: least number of columns and of rows that the encoder accepts.
     """
 
     suffix: str
@@ -59,15 +59,15 @@ class VideoPreset:
 
 
 _FFV1 = {"level": "3", "slicecrc": "1", "slices": "4", "g": "1"}
-_X264 = {"crf": "16", "x264-params": "mbtree=0"}  # mbtree reads memory that it did not write: bits differ by run
-# One row for each preset. Every encoder has one thread, as bits of most depend on their number.
+_X264 = {"crf": "16", "x264-params": "mbtree=0"}  # mbtree reads uninitialized memory: bits differ from run to run
+# One row for each preset. Every encoder has a single thread, because the bits of most depend on the number of threads.
 PRESETS = {
     "mp4": VideoPreset(".mp4", "mp4", "libx264", "yuv420p", 8, _X264),
     "mp4-444": VideoPreset(".mp4", "mp4", "libx264", "yuv444p", 8, _X264),
     "hevc10": VideoPreset(
         ".mp4", "mp4", "libx265", "yuv420p10le", 10,
         {"crf": "16", "x265-params": "log-level=none:pools=none:frame-threads=1"}, least=66,
-    ),  # with one block of 64 columns x265 reads and writes beyond its memory
+    ),  # if a frame has only one block of 64 columns, x265 reads and writes beyond its memory
     "av1": VideoPreset(
         ".mp4", "mp4", "libsvtav1", "yuv420p10le", 10, {"crf": "20", "preset": "8", "svtav1-params": "lp=1"}, least=4
     ),
@@ -164,7 +164,7 @@ def write_clip(
     which is clipped. rate: frames per second. preset: one of `PRESETS`. transfer: curve of the codes, "srgb" or
     "linear"; floats are encoded by it. comment: for the file's metadata, where the container has any.
 
-    Returns notes on changes: 16 bits reduced to 8, padded sizes, a rate that Matroska readers round. Raises
+    Returns notes on changes: 16 bits rounded to fewer, padded sizes, a rate that Matroska rounds. Raises
     MissingDependencyError without PyAV, and FileError if there are no frames, frames differ or are not finite, or an
     encoder or the disk fails. Errors raised by `frames` propagate unchanged. After any error no file is left.
 
@@ -180,7 +180,7 @@ def write_clip(
     clip = _Clip(target, PRESETS[preset], rate, transfer, comment, first)
     try:
         remove_left(target.parent)
-        with atomic_write(target) as file:  # by its name, as the index of an mp4 moves to its beginning
+        with atomic_write(target) as file:  # PyAV opens it by name, as it moves the index of an mp4 to the beginning
             clip.encode(str(Path(file.name).absolute()), _check_kinds(target, first, source))
     except _FromFramesError as error:
         raise error.error from None
@@ -188,7 +188,7 @@ def write_clip(
 
 
 def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
-    """Note on the rate that FFmpeg reads if it differs: Matroska stores the interval in ns."""
+    """Note on the rate that FFmpeg reads from a clip, if it differs from `rate`: Matroska stores the interval in ns."""
     with _av(path).open(str(path.absolute())) as container:
         seen = container.streams.video[0].average_rate
     return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
@@ -203,7 +203,7 @@ class _FromFramesError(Exception):
 
 
 def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """Frames, checked to contain finite numbers."""
+    """Frames, checked to be images of codes or of finite floats; where: the clip, for FileError."""
     for number, image in enumerate(frames):
         frame, name = np.asarray(image), f"frame {number}"
         if frame.ndim not in (2, 3) or frame.shape[2:] not in ((), (3,)) or 0 in frame.shape:
@@ -251,7 +251,7 @@ class _Clip:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Stored columns and rows: whole blocks."""
+        """Stored columns and rows, rounded up to whole blocks."""
         (rows, columns), (down, right) = self.first.shape[:2], self.preset.blocks
         return -(-columns // right) * right, -(-rows // down) * down
 
@@ -269,7 +269,7 @@ class _Clip:
     def encode(self, target: str, frames: Iterator[NDArray[Any]]) -> None:
         """Write all frames. Raises FileError, and OSError if the disk fails."""
         av, preset = _av(self.where), self.preset
-        os.environ.setdefault("SVT_LOG", "1")  # errors alone: SVT-AV1 writes two dozen lines to stderr
+        os.environ.setdefault("SVT_LOG", "1")  # errors only: otherwise SVT-AV1 writes two dozen lines to stderr
         files = {"fflags": "+bitexact"} | ({"movflags": "+faststart"} if preset.container in ("mp4", "mov") else {})
         try:
             with av.open(target, "w", format=preset.container, options=files) as container:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 RED, BLUE = 0.2126, 0.0722  # shares of luma
 _GREEN = 1 - RED - BLUE
-# Rows Y, Cb, Cr: luma has 219 steps of 8 bits, color differences have 224, of -1/2 to 1/2.
+# Rows: Y, Cb, Cr. In 8 bits, luma from 0 to 1 has 219 steps, and a color difference from -1/2 to 1/2 has 224.
 _MATRIX = np.array(
     [
         [219 * RED, 219 * _GREEN, 219 * BLUE],
@@ -21,11 +21,11 @@ _OFFSETS = np.array([16, 128, 128])
 
 
 def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1)) -> list[NDArray[Any]]:
-    """Luma and color differences of an image: Y, Cb and Cr, uint8 or uint16 (rows, columns), rounded once.
+    """Luma and color differences of an image: Y (rows, columns), and Cb and Cr, smaller by `blocks`, rounded once.
 
     codes: uint8 or uint16 (rows, columns[, 3]), in the transfer curve that the video states. bits: of the planes, 8 or
-    10. blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0, (1, 2) for 4:2:2; the image
-    consists of whole blocks.
+    10; they are uint8 or uint16. blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0,
+    (1, 2) for 4:2:2; the image consists of whole blocks.
 
     Color differences are sited as in MPEG-2: on the left of two columns, averaged with weights 1 2 1, and midway
     between two rows. libswscale gives the same from 8-bit codes, but its 10-bit luma from 16-bit codes is too large by

@@ -20,7 +20,7 @@ from clsco.optics.motion import Eye, eye_pose, moved_points, poses_at, rest_cent
 from clsco.optics.rays import slopes_at
 from clsco.scene.model import Scene
 
-FLIP = np.diag([1.0, -1.0, 1.0])  # y up in scenes, down in files of cameras
+FLIP = np.diag([1.0, -1.0, 1.0])  # y points up in scenes, down in files of cameras
 EXR_AXES = np.diag([-1.0, -1.0, 1.0])  # OpenEXR's camera has x to the left, y up
 FINEST = 1001 * 120  # largest denominator of a frame rate, as in 120000/1001
 BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, green, blue and white
@@ -30,8 +30,8 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
     """The camera of a frame at the middle of its shutter, the time of its ground truth.
 
     scene: one with a resolution. The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of
-    the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; with a
-    zoom, at the middle of the shutter. Validated by surface points projected to the next frame and the other view,
+    the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom
+    it is that at the middle of the shutter. Validated by surface points projected to the next frame and the other view,
     against flow and disparity.
     """
     columns, rows = scene.camera.frame_size
@@ -73,8 +73,9 @@ def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]
 
 
 def frame_rate(interval: float) -> Fraction:
-    """Frames per second for an interval in s: 1001/30000 s, as a float, gives 30000/1001. Numerator and denominator
-    have at most 31 bits.
+    """Frames per second for an interval in s, with at most 31 bits each in numerator and denominator.
+
+    A float of 1001/30000 s gives exactly 30000/1001.
     """
     larger = max(interval, 1.0 / interval)
     fraction = Fraction(larger).limit_denominator(min(FINEST, int(2**31 / larger)))

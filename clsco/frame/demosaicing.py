@@ -27,16 +27,16 @@ KERNELS: dict[str, tuple[Array, Array, Array]] = {
         np.array([[0, 0, -3, 0, 0], [0, 4, 0, 4, 0], [-3, 0, 12, 0, -3], [0, 4, 0, 4, 0], [0, 0, -3, 0, 0]]) / 16,
     ),
 }
-"""Weights of neighbors, by method: for green at red or blue pixels; at green pixels, for the color of other pixels in
-their row; for red at blue pixels and blue at red ones."""
+"""Three arrays of weights of the neighbors, by method. The first is for green at red and blue pixels. The second is for
+red and blue at green pixels, whose row has pixels of that color; it is transposed if their column has. The third is for
+red at blue pixels and for blue at red pixels."""
 
 
 def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -> Array:
     """Red, green and blue of all pixels, (rows, columns, 3), from a plane (rows, columns) of measured values.
 
-    filters: channels of a block of 2 x 2 pixels, row by row; method: bilinear, malvar or menon, which raises
-    MissingDependencyError without colour-demosaicing. The mosaic is extended by reflection, which preserves its
-    pattern.
+    filters: channels of a block of 2 x 2 pixels, row by row; method: bilinear, malvar or menon. The mosaic is extended
+    by reflection, which preserves its pattern. Raises MissingDependencyError if menon lacks colour-demosaicing.
 
     >>> import numpy as np
     >>> from clsco.frame.demosaicing import demosaic
@@ -69,7 +69,7 @@ def _kernel(method: str, measured: int, channel: int, *, same_row: bool) -> Arra
 
 
 def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...]) -> Array:
-    """Weighted sums of neighbors for every second pixel of every second row."""
+    """Weighted sums of neighbors for every second pixel of every second row, from row y and column x on."""
     total, first = np.zeros(size), _APRON - len(kernel) // 2
     for (dy, dx), weight in np.ndenumerate(kernel):
         if weight:
@@ -80,6 +80,6 @@ def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...
 
 def menon_function() -> Any:
     """Demosaicing function of the package colour-demosaicing. Raises MissingDependencyError if it is not installed."""
-    with warnings.catch_warnings(), np.printoptions():  # it changes how all arrays are printed
-        warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
+    with warnings.catch_warnings(), np.printoptions():  # the package changes how all arrays are printed
+        warnings.simplefilter("ignore", DeprecationWarning)  # SciPy warns of how the package imports it
         return import_extra("sensor.demosaic", "colour_demosaicing", "sensor").demosaicing_CFA_Bayer_Menon2007

@@ -18,9 +18,9 @@ LEAST_SIDE = 2  # px, smallest side of a frame that can be demosaiced
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
     """Irradiance for codes (rows, columns, planes): (code - black) / (gain white), 1 = white.
 
-    Returns float32 (rows, columns[, 3]), demosaiced if the sensor asks for it. Noise may be negative. In a color mosaic
-    that is not demosaiced, channels that a pixel has not measured are 0; in gray each pixel measures the only channel.
-    Raises MissingDependencyError if `demosaic = "menon"` needs colour-demosaicing.
+    Returns float32 (rows, columns[, 3]), demosaiced if the sensor's `demosaic` is not "none". Values may be negative by
+    noise. In a color mosaic that is not demosaiced, channels that a pixel has not measured are 0; in a gray scene each
+    pixel measures the only channel. Raises MissingDependencyError if `demosaic = "menon"` lacks colour-demosaicing.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
     light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])
@@ -34,7 +34,10 @@ def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.fl
 
 
 def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
-    """Value of the channel that each pixel measures, an array of shape `size` = (rows, columns, planes)."""
+    """Value of the channel that each pixel measures, (rows, columns, planes).
+
+    values: a number per channel. size: (rows, columns).
+    """
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
     return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)
@@ -59,7 +62,8 @@ def sensor_truth(
 ) -> dict[str, NDArray[Any]]:
     """Outputs of a sensor in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, (rows, columns[, 3]).
 
-    raw, saturated: (rows, columns, planes). light: irradiance, (rows, columns[, 3]), for `electrons` and `noise_sigma`.
+    raw, saturated: (rows, columns, planes). light: irradiance, (rows, columns[, 3]), for `electrons` and `noise_sigma`;
+    without it these two are omitted.
     """
     arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:

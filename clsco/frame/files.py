@@ -33,7 +33,7 @@ from clsco.scene.model import Scene
 
 
 def _single(shot: Shot, file: TruthFile) -> NDArray[Any]:
-    """The array of a shot that a file of a single array holds."""
+    """The array of a shot that belongs in a file for a single array."""
     (frame,) = shot.views
     (array,) = file.arrays(frame).values()
     return array
@@ -48,7 +48,7 @@ def _write_exr(path: Path, shot: Shot, file: TruthFile) -> None:
     channels = [exr_channels(_per_pixel(shot, frame, file.arrays(frame))) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
     known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
-    if not shot.color.is_plain:  # an EXR without chromaticities where only a profile has its primaries
+    if not shot.color.is_plain:  # replace the chromaticities, or omit them if only an ICC profile states the primaries
         others = known or [{}] * len(shot.views)
         known = [{k: v for k, v in about.items() if k != "chromaticities"} for about in others]
         known = [about | shot.color.exr_attributes() for about in known]
@@ -70,7 +70,7 @@ def _write_npy(path: Path, shot: Shot, file: TruthFile) -> None:
 
 def _write_pfm(path: Path, shot: Shot, file: TruthFile) -> None:
     array = _single(shot, file)
-    if file.names[0] in (*_FLOWS, "disparity"):  # which are 0 where nothing is
+    if file.names[0] in (*_FLOWS, "disparity"):  # unknown values are 0 in frames, +inf in files
         vectors = array.reshape(*array.shape[:2], -1)
         known = _known(shot, file)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
         array = np.where(known, vectors, np.float32(np.inf)).reshape(array.shape)
@@ -112,22 +112,20 @@ def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
 
 
 def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
-    """Mask of pixels with known flow or disparity: those that show a surface, which for flow stays in front of the
-    lens.
-    """
+    """Mask of pixels with known flow or disparity: they show a surface, which for flow remains in front of the lens."""
     (frame,), (name,) = shot.views, file.names
-    assert frame.mask is not None  # is among what the format needs besides
+    assert frame.mask is not None  # `besides` of the format has it
     if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
         return frame.mask
     return frame.mask & ~mark_behind_lens(shot.scene, frame, 1 if name == "flow" else -1)
 
 
 _WITHOUT = (*SENSOR_NAMES, "subframes")
-# One channel or three of floats for each pixel, and vectors.
+# Arrays of floats that a PFM can hold: one to three per pixel.
 _FLOATS = tuple(FILE_NAMES[name] for name, each in OUTPUTS.items() if each.dtype is np.float32 and name not in _WITHOUT)
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
-# By name, one row for each format: `clsco render --format` takes its names from here.
-LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
+LARGEST_JSON = 2**22  # largest JSON file of a frame, bytes; 64 objects with all of their keys take a fiftieth
+# One row for each format, by name; `clsco render --format` takes its names from here.
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
     "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
@@ -146,9 +144,7 @@ TRUTH_FORMATS = {
 
 
 def files_of(truth: str, formats: str = "", types: str = "") -> tuple[TruthFile, ...]:
-    """Files of ground truth that options ask for: the arrays in `truth`, in each format of `formats`. Raises SceneError
-    as `choose_files`.
-    """
+    """Files of ground truth for a user's options; arguments and errors are those of `choose_files`."""
     return choose_files(truth, formats, types, TRUTH_FORMATS)
 
 
@@ -182,7 +178,7 @@ def _pictures(stem: str, subframes: int) -> list[str]:
 def _truth_names(
     index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
 ) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
-    """Name of each file that `file` stands for, with the eyes and the outputs that the file holds.
+    """Name of each file that `file` stands for, the eyes in it, and its arrays, as `names` of a `TruthFile`.
 
     held: arrays that the frame has, named as in files.
     """
@@ -213,7 +209,7 @@ def frame_files(
 
 
 def frame_json(folder: str | os.PathLike[str], index: int) -> Path:
-    """The file that describes a frame, which is written last."""
+    """Path of the JSON file that describes a frame; this file is written last."""
     return Path(folder) / f"frame_{index:04d}.json"
 
 
@@ -225,11 +221,12 @@ def write_frame(
 
     views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
     EXR holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on. bits:
-    of the textures, 8, 16 or 32; for 32 the PNG has 16. transfer: curve of the PNG, which clips radiance to 0 to 1; the
-    other files are not clipped. truth: each file holds the color and all ground truth of the frame, or the arrays that
-    it names, linear; files written once per scene (`write_scene_files`) are skipped. about: additional content of the
-    JSON file. scene: one with a resolution; its camera gives the attributes of an EXR. color: color space of the PNG,
-    whose curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its chromaticities.
+    bits of the textures, 8, 16 or 32; the PNG has 16 for 32. transfer: curve of the PNG, "srgb" or "linear"; the PNG
+    clips radiance to 0 to 1, the other files do not. truth: files to write; each holds the color and all ground truth
+    of the frame, or only the arrays that it names, linear; files written once per scene (`write_scene_files`) are
+    skipped. about: additional content of the JSON file. scene: one with a resolution; its camera gives the attributes
+    of an EXR. color: color space of the image, whose curve replaces "srgb"; unless it is sRGB, the JSON file has its
+    name, and an EXR its chromaticities.
 
     Returns the content of the JSON file: `about`, the metadata (of a stereo pair in `views`), `truth` if a ground-truth
     file does not hold everything, and `files`, SHA-256 by file name. Raises FileError if a file cannot be written, or
@@ -251,7 +248,7 @@ def write_frame(
                 shot = Shot(tuple(by_eye[eye] for eye in eyes), scene, color)
                 TRUTH_FORMATS[file.format].write(temporary / name, shot, part)
         digests = {path.name: sha256(path) for path in sorted(temporary.iterdir())}
-        remove_file(described)  # an older frame is not whole any more
+        remove_file(described)  # from now on, an older frame is incomplete
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
     partial = [str(file) for file in truth if str(file) != file.format]
     profile = {} if color.is_plain else {"color_profile": color.name}
@@ -269,7 +266,7 @@ def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Seque
 
 
 def read_complete(folder: str | os.PathLike[str], index: int) -> dict[str, Any] | None:
-    """JSON content of a frame on disk if all files that it names exist unchanged, else None."""
+    """Content of the JSON file of a frame, if all files that it names exist unchanged, else None."""
     described = frame_json(folder, index)
 
     def is_as_recorded(name: str, digest: str) -> bool:

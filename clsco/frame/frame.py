@@ -16,7 +16,7 @@ from clsco.frame.channels import exr_channels
 from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
 from clsco.frame.outputs import FILE_NAMES
 
-GREEN = 1  # channel that represents all, if only one is used
+GREEN = 1  # channel that stands for all colors where a single one is used
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,14 +35,14 @@ class Frame:
         Number of the frame in its sequence, from 0.
     color : float32 (rows, columns[, 3])
         Linear radiance, 1 = white: blurred by defocus and motion. None with `color=False`. With a sensor, radiance
-        computed from its codes, with their noise, demosaiced if the sensor is.
+        computed from its codes, with their noise, and demosaiced unless sensor.demosaic is "none".
     sharp : float32 (rows, columns[, 3])
         Linear radiance: all in focus.
     depth : float32 (rows, columns), mm
         Planar Z at the pixel center, +inf without a surface.
     blur_radius : float32 (rows, columns[, 3]), px
         Signed blur radius R, positive behind the focus; `coc` in files. One for each of red, green and blue if the
-        lens has longitudinal color.
+        lens has longitudinal chromatic aberration.
     mask : bool (rows, columns)
         True if a surface is visible.
     filled : uint8 (rows, columns)
@@ -125,7 +125,7 @@ class Frame:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The image and all requested ground truth, by name in files, such as "color" and "coc"."""
+        """The image and all requested ground truth by their names in files, such as "color" and "coc"."""
         by_name = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
         return {name: array for name, array in by_name.items() if array is not None}
 
@@ -239,5 +239,5 @@ class Frame:
         return png_to_show(self.color) if "color" in self.arrays() else None
 
     def _repr_html_(self) -> str:
-        """The line of `print` with the image, for notebooks."""
+        """The line that `print` shows, and the image, as HTML for notebooks."""
         return html_to_show(repr(self), [self.color] if "color" in self.arrays() else [])

@@ -36,7 +36,7 @@ class FrameFolder:
 
     numbers: frame numbers, consecutive. eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between
     frames. transfer: curve of the PNG files, "srgb" or "linear". of: number of frames of the scene. scenes: hashes of
-    scenes; a single one if all frames were rendered from the same file.
+    the frames' scenes (`scene_sha256`); a single one if all frames are of the same scene.
     """
 
     folder: Path
@@ -53,7 +53,7 @@ class FrameFolder:
             yield read_image(self._file(number, "png", eye)).data
 
     def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
-        """An array of each frame, from its NPZ or else its EXR.
+        """An array of each frame, float32, from its NPZ or else its EXR; name: name in files, such as "coc".
 
         Raises FileError if a frame has neither file, or the file does not hold the array with its channels.
         """
@@ -148,7 +148,7 @@ def _numbers(folder: Path) -> Iterator[int]:
 
 
 def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
-    """The content of a JSON file; None, with a fault, if it is invalid."""
+    """The content of a JSON file; if it is invalid, None, and a message is added to `faults`."""
     try:
         content = json.loads(read_regular(path, LARGEST_JSON, follow=True))
     except OSError as error:
@@ -163,7 +163,7 @@ def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
 
 
 def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[float, str, bool, int]:
-    """Interval, transfer, True for a stereo pair, number of frames; wrong values become defaults with a fault."""
+    """Interval, transfer, True for a stereo pair, number of frames; an invalid value becomes a default and a fault."""
 
     def value(table: str, key: str, default: Any, is_right: Any) -> Any:
         inner = scene.get(table, {})

@@ -36,7 +36,7 @@ def png_to_show(image: NDArray[np.floating]) -> bytes:
 
 def html_to_show(line: str, images: Iterable[NDArray[np.floating]] = ()) -> str:
     """A line with images of linear radiance below it, as self-contained HTML."""
-    import base64  # as html 1 ms, and few frames are shown
+    import base64  # takes 1 ms, as does html, and few frames are shown
     import html
 
     pictures = (base64.b64encode(png_to_show(image)).decode() for image in images)

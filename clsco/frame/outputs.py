@@ -22,12 +22,12 @@ Group = Literal["always", "motion", "surfaces", "stereo", "readout", "lens", "se
 class Output:
     """An array of a frame.
 
-    name: attribute of `Frame`. dtype: type. components: numbers per pixel; 0: the channels of the image. unit, about:
-    unit and description. group: key in `clsco.plan.decisions.POSSIBLE` of the scenes that have it; "image": only made
-    if asked for by name. empty: value without a surface; None: the background has values. by_rays: True if the kernel
-    `ground_truth` computes it. figure: largest difference, by `measure`, at which two such arrays agree: float32
-    rounding at the size of the values; for color 1/400 of an 8-bit code. in_file: name in files. layer: layer in an
-    EXR, by default the name in files; letters: channels of that layer.
+    name: attribute of `Frame`. components: numbers per pixel; 0: as many as the image has channels. unit, about: unit
+    and description. group: scenes that have the output, a key of `clsco.plan.decisions.POSSIBLE`; "always": all scenes;
+    "image": all, but only if it is requested by name. empty: value without a surface; None if the background has values
+    of its own. by_rays: True if the kernel `ground_truth` computes it. figure: tolerance of comparisons, about float32
+    rounding, for color 1/400 of an 8-bit code; measure: unit of `figure`, by default `unit`. in_file: name in files, by
+    default `name`. layer: layer in an EXR, by default the name in files; letters: channels of that layer.
     """
 
     name: str
@@ -118,12 +118,14 @@ RAY_OUTPUTS = tuple(row.name for row in _ROWS if row.by_rays)
 FILE_NAMES = {row.name: row.in_file or row.name for row in _ROWS}
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
 OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
-"""Outputs that are not made without color."""
+"""Outputs that are made only together with color."""
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of outputs besides color from user input, an iterable or a comma-separated text: members of `ALL_TRUTH` or
-    `IMAGE_NAMES`, or names in files; "all" is `ALL_TRUTH`. Raises SceneError for other names.
+    """Attributes of the outputs besides color that a user requests.
+
+    truth: an iterable or a comma-separated text of members of `ALL_TRUTH` or `IMAGE_NAMES`, or of their names in files;
+    "all" stands for `ALL_TRUTH`. Raises SceneError for other names.
     """
     if truth == "all":
         return ALL_TRUTH
@@ -133,7 +135,7 @@ def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 
 
 def attributes_of(names: str | Iterable[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Attributes of `Frame` for names of outputs or of arrays in files. Raises SceneError if one is not in `known`."""
+    """Attributes of `Frame` for outputs named by attribute or as in files. Raises SceneError unless all are `known`."""
     listed = [name for name in names.split(",") if name] if isinstance(names, str) else [*names]
     attributes = [ATTRIBUTES.get(name, name) for name in listed]
     for name, attribute in zip(listed, attributes, strict=True):

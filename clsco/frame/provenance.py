@@ -16,7 +16,7 @@ from clsco.scene.changes import dump, table_at
 from clsco.scene.model import Scene
 from clsco.scene.quantities import Within
 
-# Units of derived parameters and of a frame's metadata, where the name does not say them.
+# Units of derived parameters and of a frame's metadata, unless the name states them.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
 FRAME_UNITS = {
     "intermediate[].time": "s",
@@ -42,7 +42,7 @@ def units(scene: Scene) -> dict[str, str]:
             value = getattr(model, name)
             listed = enumerate(value) if isinstance(value, tuple) else ()
             sections += [(key, value), *((f"{key}[{k}]", each) for k, each in listed)]
-            is_table = hasattr(type(value), "model_fields")  # whose own keys have units
+            is_table = hasattr(type(value), "model_fields")  # the table's own keys have units
             if (unit := _unit((field.annotation, *field.metadata))) and not is_table:
                 units_of_keys[key] = unit
     return units_of_keys
@@ -63,10 +63,7 @@ def _unit(parts: Iterable[Any]) -> str:
 
 
 def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
-    """SHA-256 of all texture and depth files of scenes.
-
-    Returns: path to digest in hexadecimal. Raises FileError: a file cannot be read.
-    """
+    """SHA-256 in hexadecimal of all input files of scenes, by path. Raises FileError if a file cannot be read."""
     paths = [path for scene in scenes for _, item in scene.inputs for path in item.files().values()]
     return {path: _digest(path) for path in dict.fromkeys(paths)}
 
@@ -79,16 +76,15 @@ def _digest(path: str) -> str:
 
 
 def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
-    """SHA-256 of the files and arrays of a table, by key."""
+    """SHA-256 of the files and arrays of a table, by key; known: digests of files, by path."""
     files = {key: known[path] for key, path in item.files().items()}
     return files | {key: array.sha256 for key, array in item.arrays().items()}
 
 
 def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
-    """SHA-256 of everything that decides the image: all parameters, and the contents of textures and depth maps without
-    their paths.
+    """SHA-256 of everything that determines the image: all parameters, and contents of input files but not their paths.
 
-    scene: with its resolution. digests: from `file_digests`, if known. Raises FileError for a file that cannot be read.
+    scene: one with a resolution. digests: those of `file_digests`, if known. Raises FileError if a file cannot be read.
     """
     known = file_digests([scene]) if digests is None else digests
     content = dump(scene)
@@ -101,8 +97,8 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Entries of a frame's JSON file that come from its scene.
 
-    The parameters as in a scene file, with a description in place of an array; derived parameters in mm, the units, the
-    hashes and the version. Arguments and errors are those of `scene_sha256`.
+    These are the parameters as in a scene file, with a description in place of each array, derived parameters in mm,
+    units, hashes and the version. Arguments and errors are those of `scene_sha256`.
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests

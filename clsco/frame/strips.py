@@ -33,9 +33,9 @@ class Strip:
 def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
     """Cut a frame of `rows` rows into strips; the first one is the tallest.
 
-    tallest: rows of a strip at most, a multiple of BAND or all rows. guard: rows of the apron before the first and
-    after the last row of the frame. reach: distance in rows at which a source may still contribute to a pixel. step:
-    grids begin at multiples of this many rows.
+    tallest: largest number of rows of a strip, a multiple of BAND or `rows`. guard: rows of the apron before the first
+    and after the last row of the frame. reach: largest distance in rows at which a source may contribute to a pixel.
+    step: source grids begin at multiples of this many rows.
     """
     tops = range(0, rows, tallest)
     return tuple(make_strip(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)
@@ -44,7 +44,8 @@ def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -
 def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
     """The strip from row `top` to before row `end`; the other arguments as for `cut_strips`.
 
-    Its pixels equal those of the whole frame, bit by bit, if `top` is a multiple of BAND, and `end` is one or `rows`.
+    Its pixels equal those of the whole frame, bit by bit, if `top` is a multiple of BAND, and `end` is such a multiple
+    or `rows`.
     """
     above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
     return Strip(top, end - top, above + (top + guard - above) % step, below)

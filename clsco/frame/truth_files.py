@@ -45,9 +45,7 @@ class TruthFile:
         return f"{self.format}{options}" + (f":{','.join(self.names)}" if self.names else "")
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
-        """The arrays of a frame that belong in the file, named as in files. Raises FileError for floats beyond
-        float16.
-        """
+        """The arrays of a frame for this file, by their names in files. Raises FileError for floats beyond float16."""
         known = frame.arrays()
         held = {name: array for name, array in known.items() if name in (self.names or known)}
         halves = held if ALL in self.float16 else self.float16
@@ -56,12 +54,13 @@ class TruthFile:
 
 
 def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
-    """Convert an array of floats to float16; other arrays, and times, stay unchanged. Raises FileError for values
-    beyond its range.
+    """Convert an array of floats to float16; other arrays and times (one axis) are returned unchanged.
+
+    where: begins messages. Raises FileError for values beyond the range of float16.
     """
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
-    with np.errstate(over="ignore"):  # what becomes infinite is refused next
+    with np.errstate(over="ignore"):  # values that become infinite are rejected next
         half = array.astype(np.float16)
     check_values(where, "sizes must be at most 65504 in float16", array, np.isinf(half) & np.isfinite(array))
     return half
@@ -71,7 +70,8 @@ def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
 class Shot:
     """Content of a file of ground truth.
 
-    views: a frame, or both views of a stereo pair. scene: one with a resolution. color: color space of the radiance.
+    views: a frame, or both views of a stereo pair; () for a file of a whole scene. scene: one with a resolution, if
+    known. color: color space of the radiance.
     """
 
     views: tuple[Frame, ...]
@@ -83,11 +83,12 @@ class Shot:
 class TruthFormat:
     """A format of ground truth.
 
-    name: pattern of file names, "{stem}_{array}.flo", or the folder of files of a whole scene. write: takes a path, the
-    content, and the file that a user asked for, with a single name if `per` is "array". per: content of one file: both
-    views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: arrays that it can
-    hold. besides: other attributes of a frame that it needs, to mark known pixels. options: "compressed" if its floats
-    can be compressed, "float16" if they can have 16 bits. needs: a module, and the extra of clsco that installs it.
+    name: pattern of file names, such as "{stem}_{array}.flo", or the folder of files of a whole scene. write: takes a
+    path, the content, and the file that a user asked for, with a single name if `per` is "array". per: content of one
+    file: both views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: names in
+    files of the arrays that it can hold. besides: other attributes of a frame that it needs, to mark known pixels.
+    options: "compressed" if its floats can be compressed, "float16" if they can have 16 bits. needs: a module, and the
+    extra of clsco that installs it.
     """
 
     name: str
@@ -100,7 +101,9 @@ class TruthFormat:
 
 
 def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of arrays in files, in their fixed order; "blur_radius" becomes "coc", and "all" all names of ground truth.
+    """Names in files of requested arrays, in their fixed order: "blur_radius" becomes "coc".
+
+    truth: attributes or names in files, an iterable or a comma-separated text; "all" stands for all ground truth.
     Raises SceneError for other names.
     """
     attributes = attributes_of(ALL_TRUTH if truth == ALL else truth, [*OUTPUTS])
@@ -108,7 +111,7 @@ def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 
 
 def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Stored types of arrays, by name.
+    """Types in which arrays are stored, by the array's name.
 
     text: such as "color=float32,depth=float16"; "all=float16" applies to every array that is not named and can have
     this type. known: types that each array can have. Raises SceneError with a message for each fault.
@@ -157,7 +160,9 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
-    """Ground-truth file of a format, such as "npz+compressed", with the arrays in `names` that it can hold."""
+    """File of the format `text`, such as "npz+compressed", with the arrays in `names` that it can hold; halves: names
+    of arrays to store as float16.
+    """
     form, *options = text.split("+")
     if form not in known:
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")

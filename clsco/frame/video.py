@@ -54,7 +54,8 @@ def write_video(
     Returns
     -------
     tuple of str
-        Changes, one line each: codes of 16 bits rounded to fewer, sizes padded to even numbers.
+        Changes, one line each: codes of 16 bits rounded to fewer, sizes padded to even numbers, a rate that Matroska
+        rounds.
 
     Raises
     ------
@@ -103,17 +104,17 @@ def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Playing:
-    """Playback speed of a clip: frames per second, or a factor relative to the scene."""
+    """Playback speed of a clip: `fps` frames per second, or if that is None, `speed` times the speed of the scene."""
 
     fps: Fraction | None = None
     speed: Fraction = Fraction(1)
 
     def rate(self, interval: float, where: str) -> Fraction:
-        """Frames per second. Raises ArgumentError as `rate_of`."""
+        """Frames per second of frames that are `interval` s apart; where: begins messages. Errors as of `rate_of`."""
         return rate_of(interval, where, self.speed) if self.fps is None else self.fps
 
     def about(self, interval: float, where: str) -> str:
-        """Description of the rate, and how it differs from the scene's."""
+        """Text with the rate, and how it differs from the scene's; arguments as for `rate`."""
         rate = self.rate(interval, where)
         text = f"{rate} frames per second"
         if self.fps is None and self.speed == 1:
@@ -202,5 +203,5 @@ def clip_path(path: Path, eye: str) -> Path:
 
 
 def folder_clip(folder: Path, preset: str) -> Path:
-    """The clip beside the frames of a folder."""
+    """Path of the clip in a folder of frames."""
     return folder / f"clip{PRESETS[preset].suffix}"

@@ -26,10 +26,11 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 
 @dataclass(frozen=True)
 class FrameView:
-    """Color display of an array. array: its name in files.
+    """Display of an output in colors.
 
-    extent: returns numbers of one array; their maxima over the arrays of a clip are the scale. paint: takes the array
-    and the scale; returns 8-bit RGB. label: text that states the scale.
+    array: name of the output in files. extent: takes an array, returns one or more numbers; their maxima over all
+    arrays of a clip are the scale. paint: takes an array and the scale, returns 8-bit RGB. label: returns a text that
+    states the scale.
     """
 
     array: str
@@ -81,7 +82,7 @@ def _paint_radius(radius: NDArray[Any], scale: tuple[float, ...]) -> Picture:
 
 
 def _flow_extent(flow: NDArray[Any]) -> tuple[float, ...]:
-    known = _require(flow, "flow", np.inf).all(axis=-1)  # a rolling shutter may have none
+    known = _require(flow, "flow", np.inf).all(axis=-1)  # flow may be inf with a rolling shutter
     return (float(np.hypot(*flow[known].T).max(initial=0.0)),)
 
 
@@ -138,7 +139,7 @@ def flow_colors(flow: NDArray[Any], longest: float) -> Picture:
 
 
 def _wheel() -> NDArray[np.float64]:
-    """The 55 hues, (55, 3), 1 = full."""
+    """Colors of the 55 hues of the color wheel, (55, 3), from 0 to 1."""
     hues = [color for _, color in _WHEEL]
     steps = []
     for (count, color), after in zip(_WHEEL, (*hues[1:], hues[0]), strict=True):

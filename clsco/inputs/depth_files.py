@@ -30,9 +30,11 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
     pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM is not applied, as
     in readers of Middlebury's files. TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`. Returns an
     array (rows, columns) with row 0 on top, integers as stored or float64, which may include zero, negative numbers,
-    NaN and infinity. Raises FileError, in one line, for a file that does not hold exactly one depth map: unreadable,
-    wrong extension, damaged, over 2^27 pixels or 65536 a side (rejected from the header), channels that differ.
-    Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
+    NaN and infinity.
+
+    Raises FileError if the file does not hold exactly one depth map: it is unreadable or damaged, has the wrong
+    extension, over 2^27 pixels or 65536 a side (rejected from the header), or channels that differ. Validated against
+    files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
     """
     with open_format(path, DEPTH_FORMATS) as (file, kind):
         if kind == "EXR":

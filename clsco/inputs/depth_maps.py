@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 ZERO_IS_MISSING = ("mm", "m", "disparity")
 FARTHEST = 1e-12  # inverse depth in 1/mm of an infinitely far surface; 0 means no surface
-ONE_SURFACE = 1.1  # largest ratio of the depths at both ends of a gap for which one surface spans it
+ONE_SURFACE = 1.1  # largest ratio of the depths at both ends of a gap at which the ends belong to one surface
 ROUNDING = 1e-6  # share of the radius at infinity by which rounded radii (float32: a few times 2^-24) may exceed it
 
 
@@ -34,7 +34,7 @@ class DepthValues:
     inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface. The other fields count pixels.
     zero, negative, nan, infinite: pixels without a surface, by the value in the file.
     far: pixels with an infinitely far surface, whose inverse depth is `FARTHEST`.
-    soft: pixels at the edge of two surfaces with a depth between both, since assigned to one of the surfaces.
+    soft: pixels whose depth was between those of two surfaces, and that have been assigned to one of them.
     """
 
     inverse_depth: Array
@@ -71,23 +71,26 @@ class DepthValues:
 def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str = "depth") -> DepthValues:
     """Turn the numbers of a depth file into inverse depth.
 
-    raw: (rows, columns), integers or float64. item: defines what `raw` means. where: name of the map in error messages.
+    raw: (rows, columns), integers or float64. item: defines unit, scale and the like of `raw`. where: name of the map
+    in error messages.
 
     unit         inverse depth w of v = raw scale + offset   no surface               missing code   infinitely far
-    mm, m        1 / v                                       v = 0, negative, NaN     0              +inf, as 1e10 m
+    mm, m        1 / v                                       v = 0, negative, NaN     0              +inf, also 1e10 m
     inverse_mm,  v                                           v negative, NaN, +inf    none           v = 0
     inverse_m
     disparity    p v / (baseline s0), v in px                v = 0, negative, NaN,    0              -
                                                              +inf
     coc          K - v / kappa, v the signed R in px         NaN, infinite            none           R = kappa K
 
-    A missing code is an integer that marks unmeasured pixels, whatever the offset, such as 0 in KITTI's PNGs of scale
-    1/256; files of floats mark them by NaN, Middlebury's PFMs by inf. If near and far are set, the finite numbers are
-    scaled to that range, and no number marks missing pixels. A surface infinitely far, or farther than 1e12 mm, gets
-    1e-12 per mm, and is blurred as at infinity. Raises FileError if no pixel has a surface; if |R| exceeds 512 px, with
-    a guess of the intended unit; if a depth is below 1e-6 mm; if a blur radius exceeds that at infinity, which no depth
-    has; and if near and far are set, but all numbers are equal. Validated against the formulas in exact fractions, and
-    by converting analytic depth to every unit and back.
+    K and kappa are focus_power and blur_scale of `clsco.optics.lens.Lens`. A missing code is an integer that marks
+    unmeasured pixels, whatever the offset, such as 0 in KITTI's PNGs of scale 1/256; files of floats mark them by NaN,
+    Middlebury's PFMs by inf. If near and far are set, the finite numbers are scaled to that range, and no number marks
+    missing pixels. Surfaces at infinity, or farther than 1e12 mm, get 1e-12 per mm, and are blurred as at infinity.
+
+    Raises FileError if no pixel has a surface; if |R| exceeds 512 px, with a guess of the intended unit; if a depth is
+    below 1e-6 mm; if a blur radius (coc) is larger than at infinity, as no depth has it; and if near and far are set,
+    but all numbers are equal. Validated against the formulas in exact fractions, and by converting analytic depth to
+    every unit and back.
     """
     unit, nowhere = item.unit, np.zeros(raw.shape, np.bool_)
     with np.errstate(over="ignore"):
@@ -146,8 +149,10 @@ def fill_depth(w: Array) -> Array:
 
 
 def _across(w: Array) -> tuple[Array, Array]:
-    """Interpolated w of every pixel, between the nearest known pixels of the row, and the distance in px of these two
-    pixels; 0 and inf for a row without known pixels.
+    """w of every pixel, interpolated between the nearest known pixels of its row, and the distance of these two in px.
+
+    A pixel with known pixels on one side only gets w of the nearest, and twice the distance to it; rows without known
+    pixels get 0 and inf.
     """
     column = np.broadcast_to(np.arange(w.shape[1]), w.shape)
     left = np.maximum.accumulate(np.where(w > 0, column, -1), axis=1)
@@ -199,8 +204,8 @@ def map_values(
 
     scene: a scene with a resolution. raw: numbers of the object's file or array. image: returns the object's radiance,
     called only if edges are soft (`assign_soft_edges`); if None, depths alone decide. Pixels without depth become
-    infinitely far, or are filled from their surroundings (`fill_depth`), so that the image is complete; with
-    fill.method = "none" they have no surface. Raises FileError if the frame has another size, and as `inverse_depth`.
+    infinitely far with no_depth = "far"; otherwise they are filled from their surroundings (`fill_depth`), or have no
+    surface with fill.method = "none". Raises FileError if the frame has another size, and as `inverse_depth`.
     """
     from clsco.files.images import check_sizes
 
@@ -226,8 +231,9 @@ def map_values(
 def _without_soft_edges(
     values: DepthValues, depth: Array | None, camera: Camera, image: Callable[[], NDArray[np.float32]] | None
 ) -> DepthValues:
-    """Assign the pixels of soft edges to one of the two surfaces. depth: numbers of the file if they are not linear in
-    the blur radius, else None.
+    """Assign the pixels of soft edges to one of the two surfaces.
+
+    depth: numbers of the file if they are not linear in the blur radius, else None. image: as for `map_values`.
     """
     from clsco.inputs.soft_edges import assign_soft_edges  # 1 ms, and few scenes have depth maps
 
@@ -245,8 +251,8 @@ def _without_soft_edges(
 
 
 def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> Array:
-    """Numbers in `unit`, scaled so that the nearest depth is `near` and the farthest `far`, mm; numbers that are not
-    finite are kept.
+    """Numbers scaled so that, in `unit`, the nearest depth is `near` and the farthest `far`, mm; numbers that are not
+    finite are unchanged.
     """
     finite = np.isfinite(value)
     if not finite.any():
@@ -296,7 +302,11 @@ def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: 
 
 
 def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> str:
-    """Name of a unit in which no blur radius is too large, and some radius differs from that at infinity."""
+    """Hint for the error on too large blur radii: the unit that the numbers probably have, or what else may be wrong.
+
+    A unit is likely if no radius is too large in it, and if the range of the radii is at least a tenth of the largest
+    range in any such unit.
+    """
     at_infinity = abs(float(blur_radius(camera, 0.0)))
     if at_infinity > LARGEST_BLUR:
         return f"the camera has {at_infinity:.4g} px at infinity: aperture_diameter or pixel_pitch is probably wrong"

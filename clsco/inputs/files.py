@@ -43,13 +43,13 @@ if TYPE_CHECKING:
 
 CACHE_BYTES = 2**29  # size of a depth map of 8192 x 8192
 MOST_BYTES = 2**31  # largest size of a file that is identified by its content; larger files are not cached
-SETTLED_NS = 10**8  # age up to which a file may change again without a change of its time stamps
+SETTLED_NS = 10**8  # ns after a change of a file during which another change may leave its time stamps the same
 V = TypeVar("V")
 Maps = tuple[NDArray[np.float64] | None, ...]
 
 
 class About(NamedTuple):
-    """Properties of an image without its pixels: True for one channel, its color space, and `Picture.notes`."""
+    """Properties of an image without its pixels: True if it is gray, its color space, and `Picture.notes`."""
 
     is_gray: bool
     color: Color
@@ -60,7 +60,7 @@ class InputFiles:
     """Decoded files of scenes. Threads may share it.
 
     limit: memory limit in bytes, beyond which the least recently used files are evicted. Files and arrays in memory are
-    identified by their content: a copy is not decoded again, a changed file or array is.
+    identified by their content: a copy is not decoded again, but a changed file or array is.
     """
 
     def __init__(self, limit: int = CACHE_BYTES) -> None:
@@ -189,8 +189,8 @@ class InputFiles:
         return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Input) -> Hashable | None:
-        """Key of an array, or of a file from its content, extension and layer; None for sources without a key, such as
-        pipes.
+        """Cache key of an array from its content, or of a file from content, extension and layer; None if it must not
+        be cached, such as a pipe.
         """
         if isinstance(source, ArrayInput):
             return "array", source.sha256
@@ -217,6 +217,6 @@ def shared_files() -> InputFiles:
 
 
 def _stamp(path: str) -> tuple[int, ...]:
-    """Size and times of a file, which change when the file does; the last two numbers are times in ns."""
+    """Numbers that change when a file does: device, inode, size in bytes, and times of both changes in ns."""
     state = Path(path).stat()
     return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns

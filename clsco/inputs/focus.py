@@ -25,7 +25,7 @@ MOST_POINTS = 2**20  # largest number of pixels from which a quantile of depth i
 
 @dataclass(frozen=True)
 class Focus:
-    """Target of the focus: a pixel (column, row), or the fraction of the picture that is nearer, 0 to 1."""
+    """Target of the focus; on: a pixel (column, row), or the share of surface pixels that are nearer, 0 to 1."""
 
     on: tuple[int, int] | float
 
@@ -33,8 +33,8 @@ class Focus:
 def lens_line(scene: Scene, w: Array) -> str:
     """Text on a depth map: the range of its blur radius R, the share of pixels in focus, and warnings.
 
-    w: inverse depth (rows, columns), 1/mm; 0 for pixels without a surface, of which not all may be. Example: "R -0.1 to
-    33 px; in focus: 12 % of the picture". A pixel is in focus if |R| is at most `SHARP`.
+    w: inverse depth (rows, columns), 1/mm, 0 for pixels without a surface; at least one pixel has a surface. Example:
+    "R -0.1 to 33 px; in focus: 12 % of the picture". A pixel is in focus if |R| is at most `SHARP`.
     """
     seen = w[w > 0]
     near, far, camera = float(seen.max()), float(seen.min()), scene.camera
@@ -97,8 +97,8 @@ def find_visible(
 ) -> tuple[Array, NDArray[np.intp]]:
     """Inverse depth in 1/mm and number of the object visible in rows i and columns j at t = 0, (len(i), len(j)).
 
-    maps: as returned by `InputFiles.maps`. For a pixel without a surface, the inverse depth is 0, and the number that
-    of a background, or -1. With a depth map, i and j must be in the frame.
+    maps: as returned by `InputFiles.maps`. For a pixel without a surface, the inverse depth is 0, and the number is
+    that of the background, or -1 if there is none. With a depth map, i and j must be in the frame.
     """
     x, y = ray_slopes(camera_at(scene, 0.0), i[:, None], j)
     behind = next((number for number, item in enumerate(scene.objects) if item.is_background), -1)

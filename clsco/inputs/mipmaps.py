@@ -12,8 +12,8 @@ from clsco.constants import CUBE_BORDER
 from clsco.inputs.resampling import AT_A_TIME, resample_rows
 
 Floats = NDArray[np.float32]
-# Sides of a cube, in the order right, left, top, bottom, back, front: axis and sign of the direction that points out of
-# the side, then that of right and that of up as seen from outside; the third axis points to the camera.
+# Sides of a cube, in the order right, left, top, bottom, back, front. Each has three directions as (axis, sign): out of
+# the cube, and, as seen from outside, right and up. Axes 0, 1, 2: right, up, towards the camera.
 SIDES = (
     ((0, 1), (2, -1), (1, 1)),
     ((0, -1), (2, 1), (1, 1)),
@@ -41,9 +41,10 @@ def mipmap_floats(columns: int, rows: int, channels: int, sides: int) -> int:
 def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
     """All levels of one image (rows, columns, channels), or of the six images of a cube map in the order of `SIDES`.
 
-    out: array of `mipmap_floats` floats to which the levels are written in order. Returns each level, (sides, rows,
-    columns, channels): the previous level, low-pass filtered by a cubic two texels wide without second moment, so that
-    interpolation between texels does not widen the image. Sides of a cube have borders of CUBE_BORDER neighbor texels.
+    out: array of `mipmap_floats` floats to which the levels are written in order. Returns the levels, each (sides,
+    rows, columns, channels). A level is the previous one, low-pass filtered by a cubic two texels wide without second
+    moment, so that interpolation between texels does not widen the image. Sides of a cube have borders of CUBE_BORDER
+    neighbor texels.
     """
     rows, columns, channels = images[0].shape
     if out is None:
@@ -113,7 +114,7 @@ def _parts(rows: int, width: int) -> Iterator[tuple[int, int]]:
 
 
 def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Weighted sum of eight taps, which it overwrites."""
+    """Weighted sum of eight taps."""
     total = np.zeros_like(taps[0])
     for k in (3, 2, 1, 0):
         total += _TAPS[3 - k] * (taps[k] + taps[7 - k])

@@ -15,11 +15,12 @@ def resample(
     """Resample an image to another size with the same outer borders, without aliasing.
 
     linear: (rows, columns[, channels]), linear. size: (rows, columns) of the result. first, end: range of result rows
-    to compute, by default all. part: if `linear` holds only the image's rows from `rows_for`, its first row's number
-    and the image's row count. Returns size[, channels], >= 0. Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of
-    Keys 1981), as wide as an output pixel where the image shrinks. The weights of each output pixel sum to 1; beyond
-    the border the nearest pixel repeats; undershoot below 0 becomes 0. Validated on constants, cosines, mirrored
-    images, and by the mean.
+    to compute, by default all. part: if `linear` holds only the rows from `rows_for`, the number of its first row and
+    the number of rows of the whole image. Returns an array size[, channels], >= 0.
+
+    The filter is the Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981); if the image shrinks, it is
+    widened to the output pixels. The weights of each output pixel sum to 1; beyond the border the nearest pixel
+    repeats; undershoot below 0 becomes 0. Validated on constants, cosines, mirrored images, and by the mean.
     """
     if linear.shape[:2] == size:
         return linear[first:end]
@@ -32,8 +33,8 @@ def resample(
 
 
 def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
-    """Range (first, end) of the rows of an image with `before` rows that are needed to compute rows `first` to `end` of
-    its resampled version with `rows` rows.
+    """First row and end of the rows of an image that are needed to compute rows `first` to before `end` of its
+    resampled version; before, rows: rows of the image and of its resampled version.
     """
     if before == rows:
         return first, end
@@ -42,8 +43,10 @@ def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
 
 
 def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Taps of the rows `numbers` of an image resampled from `before` to `rows` rows: the source rows to sum, (numbers,
-    taps), and their distances from the resampled row in widths of the cubic.
+    """Taps of the rows `numbers` of an image resampled from `before` to `rows` rows.
+
+    Returns the numbers of the source rows to sum, (numbers, taps), and their distances from the resampled row in units
+    of the cubic's argument.
     """
     width = max(before / rows, 1.0)
     center: Floats = (numbers + 0.5) * before / rows - 0.5
@@ -54,8 +57,9 @@ def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Fl
 def resample_rows(
     image: Floats, rows: int, numbers: NDArray[np.intp], above: int = 0, before: int | None = None
 ) -> Floats:
-    """Rows `numbers` of an image resampled to `rows` rows, as in `resample`; above, before: its `part`. Preserves
-    second moments, as the cubic has none. The result may be negative.
+    """Rows `numbers` of an image resampled to `rows` rows, as in `resample`; the result may be negative.
+
+    above, before: `part` of `resample`. Second moments are preserved, as the cubic has none.
     """
     before = image.shape[0] if before is None else before
     taps, t = _taps(before, rows, numbers)

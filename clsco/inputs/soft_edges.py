@@ -1,8 +1,8 @@
-"""Soft depth edges: pixels with depths between two surfaces at their edge are assigned to one of them (float64, pure).
+"""Soft depth edges: pixels with depths between those of two surfaces are assigned to one of them (float64, pure).
 
-A depth that was averaged over its pixel, resampled, blurred or compressed goes from one surface to the other in a few
-steps. Each row and each column is searched separately for such steps: they have one sign, are steepest in the middle,
-and begin and end at surfaces that are flat there.
+In a map that was averaged over pixels, resampled, blurred or compressed, the depth goes from one surface to the other
+in a few steps. Each row and each column is searched separately for such runs of steps: all steps of a run have the same
+sign, the middle ones are the steepest, and the surfaces at both ends are flat there.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ LEAST_STEP = 1.0  # smallest step of the blur radius at an edge, px, as for disc
 LONGEST = 8  # most steps on each side of the steepest: an edge at 45 degrees blurred by a Gaussian of 2 px has as many
 SURFACE = 3  # number of pixels examined on each of the two surfaces
 REACH = LONGEST + SURFACE - 1  # number of steps examined on each side of the steepest
-LEAST = 0.05  # share of the steepest step; smaller steps do not belong to the edge
+LEAST = 0.05  # least step of an edge, as a share of its steepest step
 ENDS = 4.0  # least ratio of an edge's last step to a step of the adjacent surface; at the limb of a sphere it is 3.2
-FLAT = 0.25  # share of the steepest step; the steps on the surfaces are not larger
-TAPER = 0.75  # share of the steepest step; the outer steps of a soft edge are not larger, those of a ramp are
+FLAT = 0.25  # largest step on the surfaces, as a share of the steepest step
+TAPER = 0.75  # largest outer step of a soft edge, as a share of the steepest step; ramps have larger ones
 SHORT, FULL = 5, 0.7  # from SHORT pixels on, the mean step of an edge is at most FULL times the steepest
-LEAST_STEEPEST = 0.05  # least share of the whole edge in its steepest step; 0.07 for 1 to 10 m, blurred by 2 px
+LEAST_STEEPEST = 0.05  # least steepest step, as a share of the whole edge; 0.07 for 1 to 10 m, blurred by 2 px
 OVER, RINGING = 0.01, 0.15  # least and largest overshoot of an edge beyond a surface, as shares of the whole step
-SETTLED = 0.4  # share of the overshoot; the surface next to it varies by less, a slanted plane by a half
-LARGER = 1.2  # ratio of steps from which on a larger edge removes a smaller one whose surfaces are part of it
+SETTLED = 0.4  # largest change of the surface behind an overshoot, as a share of the overshoot; 0.5 on a slanted plane
+LARGER = 1.2  # ratio of steps above which an edge removes a smaller one whose surfaces have pixels of the larger edge
 ROWS = 64  # number of rows searched at once
 COLOR_NOISE = 0.03  # least standard deviation of the surfaces' colors, as a share of the brighter one
 AROUND = 8  # number of pixels on each surface from which the variance of its color is computed
@@ -42,9 +42,9 @@ class _Edges:
     """Soft edges crossed by lines (rows or columns), one per entry.
 
     line: number of the line. first: position in the line of the first surface's last pixel; the next `count` pixels are
-    between the two surfaces. step: change of blur radius over the whole edge, signed, px. begin, end: radius of each
-    surface at its last pixel. begin_slope, end_slope: change of that radius per pixel away from the edge. begin_over,
-    end_over: number of pixels at the end of each surface that overshoot.
+    between the two surfaces. step: change of blur radius over the whole edge, signed, px. begin, end: radius of the
+    first and of the second surface at the pixel next to the edge. begin_slope, end_slope: change of this radius per
+    pixel away from the edge. begin_over, end_over: number of pixels next to the edge that overshoot.
     """
 
     line: Indices
@@ -65,8 +65,7 @@ class _Edges:
 def assign_soft_edges(
     radius: Array, stored: Array | None = None, image: Callable[[], NDArray[Any]] | None = None
 ) -> tuple[Indices, Array]:
-    """Find the pixels of a map whose depth is between two surfaces, and assign each of these pixels to one of the two
-    surfaces.
+    """Find the pixels of a map whose depth is between two surfaces, and assign each of them to one of the two.
 
     Parameters
     ----------
@@ -88,9 +87,9 @@ def assign_soft_edges(
 
     Notes
     -----
-    Not found are: edges between surfaces that differ by less than LEAST_STEP; steps of one px, as at hard edges and
-    stairs; ramps; the limb of a sphere, where a neighboring line has no such edge; and edges with a pixel whose color
-    is not a mixture of the two surfaces' colors.
+    The following are not found: edges between surfaces that differ by less than LEAST_STEP; steps without a pixel in
+    between, as at hard edges and stairs; ramps; the limb of a sphere, as neighboring lines have no such edge; and edges
+    of one or two pixels, one of which has a color that is no mixture of the two surfaces' colors.
     """
     pixels, values = _found(radius, stored, image)
     if not len(pixels):
@@ -106,7 +105,7 @@ def assign_soft_edges(
 def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]] | None) -> tuple[Indices, Array]:
     """One pass of `assign_soft_edges`: indices of the pixels between two surfaces, and their new radii."""
     height, width = radius.shape
-    shapes = [radius] if stored is None else [stored, radius]  # an edge is as even in the one that was blurred
+    shapes = [radius] if stored is None else [stored, radius]  # edges are symmetric in whichever was blurred
     stored = shapes[0]
     with np.errstate(invalid="ignore", divide="ignore"):  # for infinite and missing depths
         rows, columns = _soft_edges(radius, shapes), _soft_edges(radius.T, [shape.T for shape in shapes])
@@ -141,14 +140,14 @@ def _steep(radius: Array) -> tuple[Indices, Indices]:
     """Rows and columns of the steps that are large enough to be the steepest step of an edge."""
     steps = radius[:, 1:] - radius[:, :-1]
     least = LEAST_STEP * LEAST_STEEPEST
-    if not steps.size or (steps.max() < least and steps.min() > -least):  # at a fifth of what looking for them takes
+    if not steps.size or (steps.max() < least and steps.min() > -least):  # takes a fifth of the time of the search
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     line, column = np.nonzero(np.abs(steps) >= least)
     return line, column
 
 
 def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: int) -> _Edges:
-    """Soft edges that are steepest between the pixels `column` and `column` + 1 of `line`; lines count from `top`."""
+    """Soft edges whose steepest step is from pixel `column` to `column` + 1 of `line`; `top` is the row of line 0."""
     between = _between_flat(stored, line, column)
     line, column = line[between], column[between]
     near = _steps(stored, line, column, 2)
@@ -174,8 +173,9 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
 
 
 def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.bool_]:
-    """Mark places with nearly flat steps within reach on both sides: ramps have none, and this test is cheaper than
-    examining all steps around each place.
+    """Mark the places that have a nearly flat step within REACH on both sides.
+
+    This discards ramps, and costs less than to examine all steps around each place.
     """
     size = np.zeros((len(stored), stored.shape[1] - 1 + 2 * REACH))  # magnitudes of the steps, 0 beyond the border
     np.abs(stored[:, 1:] - stored[:, :-1], out=size[:, REACH:-REACH])
@@ -196,8 +196,9 @@ def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
 
 
 def _length(steps: Array) -> Indices:
-    """Number of steps on one side of the steepest that belong to each edge; -1 if no flat surface follows them. steps:
-    (edges, REACH), from the steepest outwards, in multiples of the steepest.
+    """Number of steps on one side of the steepest that belong to each edge; -1 if no flat surface follows them.
+
+    steps: (edges, REACH), from the steepest outwards, in multiples of the steepest.
     """
     run = np.minimum.accumulate(steps > LEAST, axis=1).sum(axis=1)
     lengths = np.full(len(steps), -1)
@@ -212,8 +213,7 @@ def _length(steps: Array) -> Indices:
 def _surface(
     radius: Array, stored: Array, line: Indices, place: Indices, other: Indices, way: int
 ) -> tuple[Array, Array, Indices]:
-    """Blur radius of a surface at its last pixel, slope of this radius away from the edge, and number of pixels at the
-    end of the surface that overshoot.
+    """Blur radius of a surface next to an edge, its slope away from the edge, and the number of overshooting pixels.
 
     place, other: columns of the last pixel of this and of the other surface; way: direction from the edge, 1 or -1.
     """
@@ -277,7 +277,7 @@ def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges
 def _assigned(
     edges: _Edges, stored: Array, image: NDArray[Any] | None
 ) -> tuple[Indices, Indices, Array, Array, Indices]:
-    """Pixels between two surfaces: line, position in the line, new radius, and step and count of the edge of each."""
+    """Line, position in the line and new radius of each pixel to be changed, and step and count of its edge."""
     most = int(edges.count.max(initial=0))
     inner = np.arange(1, most + 1)
     between = inner <= edges.count[:, None]
@@ -303,7 +303,7 @@ def _assigned(
 
 
 def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
-    """Fractional number of pixels before the place at which `stored` has passed half of its step."""
+    """Place at which `stored` passes half of its step, as a fractional number of pixels of the first surface."""
     before = stored[edges.line, edges.first + cut]
     after = stored[edges.line, edges.first + cut + 1]
     step = np.where(after == before, 1.0, after - before)
@@ -313,8 +313,11 @@ def _half_way(stored: Array, edges: _Edges, cut: Indices, half: Array) -> Array:
 def _cut_by_color(
     image: NDArray[Any], edges: _Edges, places: Indices, between: NDArray[np.bool_], where: Array
 ) -> tuple[Indices, NDArray[np.bool_]]:
-    """Likeliest number of pixels of the first surface in each edge, and a mask of edges in which the color of every
-    pixel is a mixture of the two surfaces' colors.
+    """Likeliest number of pixels of the first surface in each edge, and a mask of the edges to be used.
+
+    The mask excludes edges of one or two pixels if the color of one is no mixture of the two surfaces' colors. places,
+    between: positions (edges, most) of pixels in their lines, and mask of those in the edge; where: the number of
+    pixels of the first surface by depth, fractional.
     """
     line, side = edges.line[:, None], np.arange(AROUND)
     last = edges.first + edges.count + 1

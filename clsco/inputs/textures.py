@@ -31,8 +31,7 @@ if TYPE_CHECKING:  # decoders are imported where an image is read
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
-# Number of values of an image that are decoded, or resampled, at a time.
-DECODED, RESAMPLED = 2**16, 2**21
+DECODED, RESAMPLED = 2**16, 2**21  # numbers of values of an image that are decoded, or resampled, at a time
 ALIGNMENT = 4096  # bytes; devices in host memory can use an array aligned to this without a copy
 
 Codes = NDArray[np.uint8]
@@ -136,7 +135,7 @@ def radiance_of(
 
 
 def _rows_of(image: NDArray[np.generic], values: int) -> int:
-    """Number of rows of an image that hold about `values` values in total."""
+    """Number of rows of an image that hold `values` values in total, at least 1."""
     return max(1, values * len(image) // image.size)
 
 
@@ -152,7 +151,7 @@ def is_gray(name: str) -> bool:
 
 
 def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
-    """A texture of `channels` channels, and a coverage channel: 1 if the texture covers surfaces behind it, else 0."""
+    """A texture with `channels` channels and a coverage channel: 1 if it `covers` what is behind it, else 0."""
     images = []
     for image in texture.images:
         wider = empty_image((*image.shape[:2], channels + 1))
@@ -219,11 +218,12 @@ def color_of(image: str | LayerInput) -> Color:
 def load_scene_textures(
     scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str | LayerInput], Color] = color_of
 ) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
-    """Load the textures of all objects, each file once. Projected textures get the size of the frame, textures on
-    surfaces keep their size; all are converted to the primaries of sRGB if images have different color profiles.
+    """Load the textures of all objects, each file once.
 
-    load, color: `load_texture` and `color_of`, or replacements. Returns the scene with a resolution, by default that of
-    the first object's texture, and a texture per object. Raises FileError as `load_texture`.
+    Projected textures get the size of the frame; textures on surfaces keep their size. If images have different color
+    profiles, all are converted to the primaries of sRGB. load, color: `load_texture` and `color_of`, or replacements.
+    Returns the scene with a resolution, by default that of the first object's texture, and a texture per object. Raises
+    FileError as `load_texture`.
     """
     names = [item.textures() for item in scene.objects]
     columns, rows = scene.camera.resolution or texture_size(names[0][0])
@@ -262,7 +262,7 @@ def find_stretched(scenes: Iterable[Scene]) -> list[str]:
 
 
 def own_size(source: TextureSource) -> tuple[int, int] | None:
-    """Rows and columns of a texture on a surface: its own size, or one texel for a color."""
+    """Size (rows, columns) at which to load a texture on a surface: one texel for a color, else None, its own size."""
     return (1, 1) if is_drawn(source) and source not in PATTERNS else None
 
 
@@ -294,7 +294,7 @@ def cube_map(sides: Sequence[Texture]) -> Texture:
 
 
 def require_suffix(source: str) -> None:
-    """Raise FileError for a name without an extension that is not a pattern."""
+    """Raise FileError if a source, which is neither pattern nor color, has no extension."""
     if not Path(source).suffix:
         raise FileError(f"texture: {missing_texture(source)}; got {Path(source).name!r}")
 
@@ -315,7 +315,7 @@ def bricks(rows: int, columns: int, first: int = 0, end: int | None = None) -> C
     x = (np.arange(columns, dtype=np.float64) + 0.5) * scale
     length, height, joint = 108.0, 36.6, 5.0
 
-    # Courses wander a little; every second one is shifted by half a brick, and none by exactly half.
+    # Courses are wavy; every second one is shifted by half a brick, and each one by a small random amount besides.
     wavy_y = y[:, None] + 3.0 * (_noise(x / 90, y / 40, 1) - 0.5) + 1.6 * (_noise(x / 17, y / 13, 2) - 0.5)
     wavy_x = x + 3.0 * (_noise(x / 40, y / 30, 3) - 0.5) + 1.6 * (_noise(x / 13, y / 17, 4) - 0.5)
     course = np.floor(wavy_y / height).astype(np.intp)

@@ -59,7 +59,7 @@ def _polynomials() -> Iterator[tuple[int, int]]:
 
 
 def _described(name: str) -> Any:
-    """Type and default of a polynomial's key."""
+    """Type and default of the key of a polynomial; name: "n,m"."""
     about = f"{NAMES.get(name, 'Zernike polynomial')}, rms over the whole lens, waves."
     return Waves, Field(default=0.0, description=about)
 

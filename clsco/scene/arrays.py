@@ -16,7 +16,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from clsco.scene.quantities import Name, fault
 
-MAX_ARRAY_PIXELS, MAX_ARRAY_SIDE = 2**27, 65536  # the limits of image files
+MAX_ARRAY_PIXELS, MAX_ARRAY_SIDE = 2**27, 65536  # same limits as for image files
 TEXTURE_TYPES = ("u1", "u2", "f2", "f4", "f8")
 Kind = Literal["texture", "depth"]
 
@@ -74,7 +74,7 @@ class LayerInput(os.PathLike[str]):
 
 
 Input = str | LayerInput | ArrayInput
-"""The name of a pattern, the path of a file, a layer of one, or an array."""
+"""The name of a pattern, the path of a file, a layer of a file, or an array."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class _InputOf:
     kind: Kind
 
     def check(self, value: Any, text: Callable[[Any], str]) -> str | ArrayInput:
-        """The input in the form stored in the model; raises the fault of an invalid array, and the faults of `text`."""
+        """The input in the form stored in the model; text: validates a name or path. Raises the input's faults."""
         if isinstance(value, ArrayInput):
             return value if value.kind == self.kind else self.check(value.array, text)
         if isinstance(value, np.ndarray):
@@ -143,7 +143,7 @@ class HasInputs(ABC):
 
     @abstractmethod
     def inputs(self) -> dict[str, Input]:
-        """Inputs by key."""
+        """The inputs that the table names, by key."""
 
     def files(self) -> dict[str, str]:
         """Paths of the files among the inputs, by key."""

@@ -30,7 +30,7 @@ from clsco.scene.quantities import (
 
 
 def _aperture_mm(data: dict[str, Any]) -> float:
-    """Default of the aperture diameter D, mm."""
+    """Default of the aperture diameter D, mm; data: the keys before it."""
     return 10.0 if data["f_number"] is None else float(data["focal_length"] / data["f_number"])
 
 

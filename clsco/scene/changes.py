@@ -80,7 +80,7 @@ def _value(text: str) -> Any:
 
 
 def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
-    """Set the entry at `parts`, creating tables as needed; returns the reason if that is impossible."""
+    """Set the entry at the key `parts`, creating tables as needed; returns None, or why that is impossible."""
     node: Any = data
     for position, part in enumerate(parts):
         last = position == len(parts) - 1
@@ -103,7 +103,7 @@ def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
 
 
 def displace(data: dict[str, Any], key: str, value: Any) -> None:
-    """Remove the keys that contradict `key` = `value`."""
+    """Remove the keys from `data` that contradict `key` = `value`."""
     for cause, condition, other in _DISPLACED:
         if key == cause and (condition is None or (isinstance(value, str) and value == condition)):
             section, _, entry = other.partition(".")
@@ -116,8 +116,8 @@ def displace(data: dict[str, Any], key: str, value: Any) -> None:
 def dump(scene: Any) -> dict[str, Any]:
     """Content of the scene file that describes a scene, with all keys that apply to it written out.
 
-    Plain dicts, lists, strings, numbers and booleans, and unchanged arrays of the scene; `parse_scene` makes an equal
-    scene of them.
+    It consists of dicts, lists, strings, numbers and booleans, and of the scene's arrays; `parse_scene` turns it into
+    an equal scene.
     """
     data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
     if scene.camera.f_number is not None:
@@ -171,7 +171,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
         raise SceneError(f"scene: {brief(path)}: nested too deeply; got {shown(value)}") from None
     parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]
     known = dump(scene)
-    for end in range(1, len(parts)):  # if one component of a default is set, keep the others
+    for end in range(1, len(parts)):  # a path to one component of a default, say of a vector, keeps the others
         default = entry_at(known, parts[:end])
         if default is not None and not isinstance(default, dict) and entry_at(data, parts[:end]) is None:
             put(data, parts[:end], default)

@@ -37,7 +37,7 @@ _RULES = {
 
 @lru_cache(maxsize=1)
 def sections(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Models of a scene's tables, by the keys of the tables; root: the scene's model."""
+    """Model of each table of a scene, by the table's key; root: the scene's model."""
     return {
         str(field.validation_alias or name): part
         for name, field in root.model_fields.items()
@@ -76,7 +76,7 @@ def parsed(root: type[Root], mapping: Any, where: str) -> Root:
 
 
 def messages(error: ValidationError, root: type[BaseModel], place: tuple[str | int, ...] = ()) -> list[str]:
-    """Messages on the faults that pydantic found in a scene, or in the scene's table at `place`."""
+    """Messages on the faults that pydantic found in a scene, or in the scene's table at the location `place`."""
     return [_message({**fault, "loc": (*place, *fault["loc"])}, root) for fault in _faults(error)]
 
 
@@ -113,7 +113,7 @@ def _texts(tables: Iterable[Mapping[str, Any]], key: str) -> list[str | None]:
 
 
 def items(data: Mapping[str, Any], key: str = "object") -> list[Mapping[str, Any]]:
-    """Tables of objects, or of the array `key`; any other value is replaced by an empty table."""
+    """Tables in the array `key` of a scene's content, {} for each entry that is not a table; [] without an array."""
     items = data.get(key)
     return [item if isinstance(item, Mapping) else {} for item in items] if isinstance(items, list) else []
 
@@ -127,7 +127,7 @@ def _message(fault: Mapping[str, Any], root: type[BaseModel]) -> str:
     """Message `key: rule; got value` of one fault that pydantic found."""
     kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     loc, shape = tuple(fault["loc"]), None
-    if loc[:1] == ("objects",) and kind != "extra_forbidden":  # a constructor's table, or a faulty default
+    if loc[:1] == ("objects",) and kind != "extra_forbidden":  # argument of a constructor, or a faulty default
         loc = ("object", *loc[1:])
     if len(loc) > 2 and loc[0] == "object" and loc[2] in SHAPES:
         shape, loc = loc[2], loc[:2] + loc[3:]
@@ -167,7 +167,7 @@ def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> 
 
 
 def _table_at(model: type[BaseModel], loc: Sequence[str | int]) -> type[BaseModel]:
-    """Model of the table at location `loc`, inside a table described by `model`, or in an array of tables."""
+    """Model of the table at the location `loc` in a table of the class `model`; `loc` may hold indices of arrays."""
     for key in loc:
         waiting: list[Any] = [model.model_fields[key].annotation] if isinstance(key, str) else []
         while waiting:

@@ -26,7 +26,7 @@ MAX_FILE_BYTES = 2**20
 FILES_ONLY = ("depth", "image")  # keys whose value is always a file, never a built-in pattern
 FILE_KEYS = ("texture", "depth", *SixSided.__annotations__, "image")
 MAX_OUTPUTS = 4096  # largest number of scenes in a sweep
-MAX_DOTS = 100  # per line, as the memory of tomllib grows with the square of the number of parts of a dotted key
+MAX_DOTS = 100  # dots per line of TOML: memory of tomllib grows with the square of the number of parts of a dotted key
 
 SceneLike = Scene | Mapping[str, Any] | str | os.PathLike[str]
 ApertureLike = Aperture | Mapping[str, Any] | str | None
@@ -86,7 +86,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
-    """Find keys of a scene file, valid or not, that have a list or a range of values in place of one value."""
+    """Find the keys in a scene file's content, valid or not, that have a list or a range in place of a single value."""
     swept: list[tuple[Location, Any]] = []
 
     def search(table: Any, model: type[BaseModel], location: Location) -> None:
@@ -113,18 +113,18 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
 
 
 def holds_tables(annotation: Any) -> bool:
-    """True if a key holds a table, or an array of tables."""
+    """True if a key with this type annotation holds a table, or an array of tables."""
     is_table = isinstance(annotation, type) and issubclass(annotation, BaseModel)
     return is_table or any(map(holds_tables, get_args(annotation)))
 
 
 def _is_vector(annotation: Any) -> bool:
-    """True if a key holds several numbers, so that a flat list is one value."""
+    """True if a key with this type annotation holds several numbers, so that a flat list is a single value."""
     return get_origin(annotation) is tuple or any(map(_is_vector, get_args(annotation)))
 
 
 def absolute(scene: Scene, folder: Path) -> Scene:
-    """Make the paths of textures and depth maps absolute; relative ones start at the folder."""
+    """Copy of a scene in which the paths of all input files are absolute; relative paths start at `folder`."""
 
     def placed(item: Owner) -> Owner:
         return item.model_copy(update={key: str(folder / path) for key, path in item.files().items()})
@@ -147,7 +147,7 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
-    """A copy of a scene file's content with renamed files; name: returns the new name for a file's place and name."""
+    """Copy of a scene file's content with other file names; name: returns the new one from location and old name."""
     copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
         copy["aperture"] = dict(aperture)
@@ -189,15 +189,15 @@ def parse_scene(mapping: Mapping[str, Any] | str, where: str = "scene") -> Scene
     Parameters
     ----------
     mapping : mapping or str
-        Content of a scene file, which is not changed, or the text of one in TOML. In a mapping a texture or depth may
-        be a NumPy array, too.
+        Content of a scene file as a mapping, which is not changed, or as TOML text. In a mapping, textures and depths
+        may also be NumPy arrays.
     where : str
-        Name for messages.
+        Name of the scene in messages.
 
     Returns
     -------
     Scene
-        Paths of textures stay as they are.
+        Relative paths of files remain relative.
 
     Raises
     ------
@@ -262,7 +262,10 @@ def camera_of(camera: CameraLike) -> Camera | None:
 
 
 def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -> Section:
-    """Section of a scene from a mapping, or from the value of one of its keys. Raises SceneError."""
+    """Section of a scene from a section, a mapping, None (all defaults), or text: the value of the key `shorthand`.
+
+    name: name of the section, for messages. Raises SceneError.
+    """
     if isinstance(value, model):
         return value
     table = {shorthand: value} if shorthand and isinstance(value, str) else {} if value is None else value

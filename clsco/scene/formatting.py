@@ -1,4 +1,4 @@
-"""Formatting of amounts for people; it has no imports, because `--help` loads it."""
+"""Formatting of amounts for people; the module has no imports, because `--help` loads it."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ Shift = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 
 
 def _vignetting(value: Any) -> Any:
-    """Reject any value but a name, or coefficients of a function that is nowhere negative."""
+    """Reject any value but a name, or three coefficients of a function that is at least 0 in the whole frame."""
     value = as_python(value)
     if type(value) is str and value in ("none", "natural"):
         return value
@@ -104,7 +104,7 @@ class Lens(Strict):
 
     @property
     def blurs_unevenly(self) -> bool:
-        """True if the blur of a depth depends on its position in the frame."""
+        """True if points at the same depth are blurred differently in different parts of the frame."""
         return self.field_curvature != 0.0 or self.focus_surface == "sphere" or self.distorts
 
     @property
@@ -124,7 +124,7 @@ class Lens(Strict):
 
     @property
     def separates_colors(self) -> bool:
-        """True if the blur differs between colors."""
+        """True if blur or magnification differs between colors."""
         return any(self.axial) or self.shifts_colors
 
     @property
@@ -137,7 +137,7 @@ class LensOfWavefront(Lens):
     """A lens with distortion from the wavefront; created by `with_distortion_of_wavefront`."""
 
     of_wavefront: float = Field(exclude=True)
-    """Part of k1 that psf.seidel.W311 is."""
+    """Part of k1 that psf.seidel.W311 causes."""
 
     @property
     def radial(self) -> tuple[float, float, float]:
@@ -146,9 +146,7 @@ class LensOfWavefront(Lens):
 
 
 def check_opening(lens: Lens | None, psf: Psf) -> None:
-    """Raise the fault of a lens whose aperture changes over time, which psf.model = "wave" and aberrations do not
-    support.
-    """
+    """Reject a lens whose aperture changes over time if psf.model = "wave" or aberrations need a constant one."""
     rule = fault('cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening')
     if lens is None or not (psf.model == "wave" or psf.aberrated or psf.seidel.W311):
         return

@@ -176,7 +176,7 @@ class Scene(Strict):
             f, u, number = key.focal_length, key.focus_distance, key.f_number
             name = "camera.focal_length" if f is None else "its focal_length"
             if f is None and value.zooms:
-                continue  # known between keyframes alone
+                continue  # the focal length is interpolated from other keyframes
             f = camera.focal_length if f is None else f
             if u is not None and not (u > f and image_distance(f, u) <= MAX_LENGTH_MM):
                 rule = fault(f"must be greater than {name} = {f:g} mm")
@@ -225,7 +225,7 @@ class Scene(Strict):
     @field_validator("objects")
     @classmethod
     def _in_known_groups(cls, value: tuple[AnyShape, ...], info: ValidationInfo) -> tuple[AnyShape, ...]:
-        if "groups" in info.data:  # missing where they were refused
+        if "groups" in info.data:  # missing if they were rejected
             names = (group.name for group in info.data["groups"])
             unknown = unknown_groups((item.group for item in value), names)
             if unknown:
@@ -319,13 +319,13 @@ class Scene(Strict):
 
     @property
     def inputs(self) -> tuple[tuple[Place, HasInputs], ...]:
-        """Sections and objects that name files or arrays, each with its position in a scene file."""
+        """Tables that may name files or arrays, each with its place in a scene file: the aperture and all objects."""
         objects = ((("object", index), item) for index, item in enumerate(self.objects))
         return (("aperture",), self.aperture), *objects
 
     @property
     def moves(self) -> bool:
-        """True if an object, its group or the camera moves, or its lens changes."""
+        """True if an object, its group or the camera moves, or the lens changes over time."""
         return self.lens_moves or self.is_displaced
 
     @property
@@ -335,7 +335,7 @@ class Scene(Strict):
 
     @property
     def blurs_unevenly(self) -> bool:
-        """True if the blur of a depth depends on its position in the frame."""
+        """True if points at the same depth are blurred differently in different parts of the frame."""
         return self.lens is not None and self.lens.blurs_unevenly
 
     @property
@@ -350,7 +350,7 @@ class Scene(Strict):
 
     @property
     def separates_colors(self) -> bool:
-        """True if the blur differs between colors."""
+        """True if blur or magnification differs between colors."""
         return self.lens is not None and self.lens.separates_colors
 
     @property
@@ -361,16 +361,14 @@ class Scene(Strict):
 
     @property
     def zooms(self) -> bool:
-        """True if the magnification changes over time, because the focal length changes, or the sensor distance that
-        sets it.
-        """
+        """True if keyframes change the magnification: focal lengths, or the focus if it sets normalization_distance."""
         keys = () if self.lens is None else self.lens.keyframe or ()
         follows = isinstance(self.camera.normalization_distance, FollowedDistance)
         return any(key.focal_length is not None or (follows and key.focus_distance is not None) for key in keys)
 
     @property
     def moves_evenly(self) -> bool:
-        """True if all velocities are constant: nothing accelerates, has keyframes or shakes."""
+        """True if all velocities are constant: nothing has accelerations, keyframes (of poses or lens) or shake."""
         motions = (self.camera.motion, *(motion for item in self.objects for motion in self.motions(item)))
         return self.camera.shake is None and not self.lens_moves and all(motion.is_uniform for motion in motions)
 
@@ -385,7 +383,7 @@ class Scene(Strict):
 
     @property
     def is_ray_castable(self) -> bool:
-        """True if every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
+        """True if rays can be cast at all surfaces at any time: no depth map, and no pixel moved by a forward warp."""
         return self.is_analytic and not (self.motion.warp == "forward" and self.is_displaced)
 
     @property

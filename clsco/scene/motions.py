@@ -56,12 +56,15 @@ def in_order(value: Any) -> Any:
 
 
 def default_of_keyframes(data: dict[str, Any], key: str, value: Any) -> Any:
-    """The default of a key that only keyframes have."""
+    """Default of a key that belongs to the keyframes in `data[key]`: `value`, or None if there are none."""
     return None if data[key] is None else value
 
 
 def check_interpolation(value: Any, keyframes: Any) -> Any:
-    """Reject an interpolation without keyframes, or that their times do not allow; keyframes "refused": invalid."""
+    """Reject a key of keyframes if there are none, and "bspline" if they are at unequal intervals of time.
+
+    value: of `interpolation` or `outside`. keyframes: None if not given, "refused" if invalid.
+    """
     if value is None or keyframes == "refused":
         return value
     if keyframes is None:

@@ -79,9 +79,7 @@ def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 
 def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
-    """Objects with distinct names: an unnamed object gets the name of its shape, from the second of a shape on with a
-    number, as "sphere 2".
-    """
+    """Objects with distinct names: an unnamed object is named after its shape, with a number if needed, "sphere 2"."""
     names = [item.name if "name" in item.model_fields_set else None for item in objects]
     if faults := repeated_names(names):
         raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
@@ -94,7 +92,7 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
             used.add(chosen)
             if chosen != item.name:
                 item = item.model_copy(update={"name": chosen})
-                item.model_fields_set.discard("name")  # so that another scene numbers it again
+                item.model_fields_set.discard("name")  # so that another scene names it again
         placed.append(item)
     return tuple(placed)
 
@@ -128,7 +126,7 @@ class _OfItsShape:
         """The validated object; raises the same faults as validation by the union of all shapes."""
         model = SHAPES[value["shape"]] if isinstance(value, dict) else type(value)
         if model in SHAPES.values():
-            model.model_rebuild()  # completely, so that no other thread validates by a half-built model
+            model.model_rebuild()  # or another thread could validate by a half-built model
             with suppress(ValidationError):
                 return model.model_validate(value)
         return cast(AnyShape, _any_shape().validate_python(value, strict=True))

@@ -31,7 +31,7 @@ Vector = tuple[float, float, float]
 
 
 def as_python(value: Any) -> Any:
-    """NumPy numbers and small arrays converted to Python numbers and lists; other values, as images, unchanged."""
+    """NumPy numbers and small arrays converted to Python numbers and lists; other values, such as images, unchanged."""
     if isinstance(value, np.longdouble):
         return float(value)
     return value.tolist() if isinstance(value, np.generic | np.ndarray) and value.size <= MAX_LISTED else value
@@ -118,8 +118,9 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
 
 
 def array_of_tables(header: str, what: str, most: int, least: int = 0) -> BeforeValidator:
-    """Constraint on the number of tables in an array of tables, which becomes a tuple. header: as in a file; what: word
-    for the tables in messages.
+    """Constraint on the number of tables in an array of tables, which becomes a tuple.
+
+    header: name of the array in a file; what: word for the tables in messages.
     """
 
     def convert(value: Any) -> Any:
@@ -230,13 +231,13 @@ class Deferred:
         def check(value: Any) -> Any:
             if value is None:
                 return None
-            model.model_rebuild()  # completely, so that no other thread validates by a half-built model
+            model.model_rebuild()  # or another thread could validate by a half-built model
             return model.model_validate(value)
 
         return core_schema.no_info_plain_validator_function(check, metadata={"source": source})
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        while schema["type"] != "function-plain":  # within a validator of the field
+        while schema["type"] != "function-plain":  # inside the validators of the field
             schema = schema["schema"]
         return handler(TypeAdapter(schema["metadata"]["source"]).core_schema)
 
@@ -249,7 +250,7 @@ class Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     refusal: ClassVar[Callable[[type[BaseModel], ValidationError], Exception]]
-    """The error that a constructor raises; given by `clsco.scene.model`, as messages need to know all models."""
+    """Makes the SceneError of a constructor; set by `clsco.scene.model`, because messages depend on all models."""
 
     if not TYPE_CHECKING:  # type checkers derive the arguments from the fields
 
@@ -263,11 +264,11 @@ class Strict(BaseModel):
                 return
             raise Strict.refusal(type(self), refused)
 
-        # This attribute marks pydantic's own constructor, which pydantic does not call for the parts of a model.
+        # For the parts of a model, pydantic does not call a constructor with this attribute, as its own has.
         __init__.__pydantic_base_init__ = True
 
     @classmethod
     def model_rebuild(cls, **options: Any) -> bool | None:
-        """As pydantic's, but locked: before 2.14, concurrent calls in threads interfere."""
+        """pydantic's method with a lock: before pydantic 2.14, concurrent calls in threads interfere."""
         with _BUILDING:
             return super().model_rebuild(**options)

@@ -45,7 +45,7 @@ def _euler_angles() -> TypeAdapter[Any]:
 
 
 def _one_form(value: Any) -> Any:
-    """Validate only the form in which a rotation is given, so that its fault is reported alone."""
+    """Validate a rotation only in the form in which it is given, so that faults in other forms are not reported."""
     value = as_python(value)
     if isinstance(value, AxisAngle | UnitQuaternion):
         return value
@@ -65,9 +65,10 @@ Rotation = Annotated[EulerAngles | AxisAngle | UnitQuaternion, BeforeValidator(_
 def rotation_rows(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> Rows:
     """Rows of the matrix of a static rotation, in the frame x right, y up, z away from the camera; None: no rotation.
 
-    Exact for quarter turns about x, y and z. Order and sense are those of a motion (2.14 to 2.23): first about x, then
-    y, then z, which points to the camera; a positive angle about x turns the top away, about y it brings the right side
-    nearer, about z it turns clockwise. Validated against `clsco.optics.motion.rotation_matrix`.
+    Exact for quarter turns about x, y and z. Euler angles are applied in the order x, y, z, in the sense of a motion
+    (2.14 to 2.23), whose z axis points to the camera: seen from the camera, a positive angle about x turns the top
+    away, about y it brings the right side nearer, about z it turns clockwise. Validated against
+    `clsco.optics.motion.rotation_matrix`.
     """
     if rotation is None:
         return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -84,16 +85,17 @@ def rotation_rows(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> 
 
 
 def depth_row(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> Vector:
-    """Last row of `rotation_rows`, whose product with a point is the rotated point's z, away from the camera."""
+    """Last row of `rotation_rows`: its scalar product with a point is z of the rotated point, away from the camera."""
     return rotation_rows(rotation)[2]
 
 
 def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion | None) -> Any:
-    """Rotation by Euler angles `first` in deg, followed by `then`; None without either."""
+    """Rotation by Euler angles `first`, deg, followed by the rotation `then`; None if both are None."""
     if first is None or then is None:
         return then if first is None else first
     (a, b, c), (d, e, f), (g, h, i) = _product(rotation_rows(then), rotation_rows(first))
-    # Each line is 4 (w, x, y, z) times one of w, x, y, z; the line of the largest is used. z is away from the camera.
+    # The lines are 4 (w, x, y, z), multiplied by w, x, y and z; the line with the largest factor is used, as it has the
+    # least rounding errors. Here z points away from the camera.
     lines = (
         (1.0 + a + e + i, h - f, c - g, d - b),
         (h - f, 1.0 + a - e - i, d + b, c + g),
@@ -106,8 +108,9 @@ def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion |
 
 
 def _about(axis: Vector, degrees: float) -> Rows:
-    """Rotation matrix by Rodrigues' formula; axis: right, up, towards the camera, of any length. Exact along x, y and
-    z.
+    """Rotation matrix by Rodrigues' formula, exact for quarter turns about x, y and z.
+
+    axis: right, up, towards the camera; of any length.
     """
     size = math.hypot(*axis)
     x, y, z = axis[0] / size, axis[1] / size, -axis[2] / size

@@ -16,7 +16,7 @@ OF_MIDPOINTS = 'belongs to sequence.sampling = "midpoint", not "endpoint"'
 
 
 def _curve(value: Any) -> Any:
-    """Reject any value but the name of a shutter curve, or a list of weights of which one is above 0."""
+    """Reject any value but the name of a shutter curve, or a list of weights with at least one above 0."""
     value = as_python(value)
     if type(value) is str and value in CURVES:
         return value
@@ -81,7 +81,7 @@ class Sequence(Strict):
 
     @property
     def rolls(self) -> bool:
-        """True if rows or columns are exposed one after another."""
+        """True if rows or columns are exposed one after another (rolling shutter)."""
         return self.readout > 0.0
 
     @property

@@ -52,7 +52,7 @@ class _Object(Textured):
 
     @staticmethod
     def _reach(keys: Mapping[str, Any]) -> float | None:
-        """Extent of a body with these keys from its center along z, mm; None if unlimited."""
+        """Distance in mm that a body with these keys extends from its center away from the camera; None if infinite."""
         del keys
         return None
 
@@ -111,7 +111,7 @@ class Rectangle(_Object):
 
     @property
     def bounds(self) -> Bounds:
-        """Box that cuts the card's plane to size; its depth equals its width, so that its sides along z do not cut."""
+        """Box that cuts the card's plane to size; as deep as its longer side, so that front and back cut nothing."""
         width, height = (0.5 * side for side in self.size)
         deep = max(width, height)
         return (-width, width), (-height, height), (self.offset - deep, self.offset + deep)
@@ -175,10 +175,10 @@ class Box(SixSided, _Object):
     def faces(self) -> tuple[Rectangle, ...]:
         """Rectangles named "box front" and so on, which rotate about the center of the box and move with it.
 
-        Faces that are completely behind the lens are omitted, as a scene rejects objects there.
+        Faces that are completely behind the lens are omitted, because a scene rejects objects there.
         """
         x, y, z = self.size
-        # Each face is the front, rotated to its place, so that an image on the face is seen from outside.
+        # Each face is a front face, rotated to its place, so that no image is mirrored as seen from outside.
         placed: tuple[tuple[str, tuple[float, float], float, Vector | None], ...] = (
             ("front", (x, y), z, None), ("back", (x, y), z, (0.0, 180.0, 0.0)),
             ("left", (z, y), x, (0.0, 90.0, 0.0)), ("right", (z, y), x, (0.0, -90.0, 0.0)),
@@ -249,7 +249,7 @@ class Cone(_Bounded):
     def _reach(keys: Mapping[str, Any]) -> float | None:
         opening = depth_row(keys["rotation"])[2] * (1.0 if keys["nappe"] == "away" else -1.0)
         half = math.radians(keys["half_angle"])
-        # The line of the cone that runs most away from the camera.
+        # z of the unit vector along the line of the cone that points most directly away from the camera.
         away = opening * math.cos(half) + math.sqrt(max(0.0, 1.0 - opening * opening)) * math.sin(half)
         return 0.0 if away <= 0.0 else None
 

@@ -24,7 +24,7 @@ APERTURE_KEYS: dict[str, tuple[ApertureShape, ...]] = {
     "obstruction": ("ring",),
     "image": ("image",),
 }
-"""Keys of [aperture] that belong to some shapes."""
+"""Keys of [aperture] that only some shapes have, with these shapes."""
 
 
 MOST_CONCAVE_TRIANGLE = -math.tan(math.radians(15.0)) / math.tan(math.radians(30.0))
@@ -80,8 +80,10 @@ class Aperture(HasInputs, Strict):
     @field_validator("blade_curvature")
     @classmethod
     def _blades_meet_at_corners(cls, value: float, info: ValidationInfo) -> float:
-        """Reject three blades so concave that they cross: at a corner an arc turns by 2 atan(c tan 30 deg) from its
-        chord, which is 30 deg from the line to the center.
+        """Reject three blades that are so concave that they cross.
+
+        At a corner, the arc of a blade of curvature c is at 2 atan(c tan 30 deg) to its chord, and the chord is at
+        30 deg to the line to the center.
         """
         if info.data.get("blades") == 3 and value < MOST_CONCAVE_TRIANGLE:
             raise fault(f"must be at least {MOST_CONCAVE_TRIANGLE:.3f} with 3 blades, which would cross one another")
@@ -105,7 +107,7 @@ MODEL_KEYS: dict[str, tuple[SpreadModel, ...]] = {
     "zernike": ("wave", "pillbox"), "wavelengths": ("wave", "pillbox"),
     **dict.fromkeys(("bandwidth", "tail", "rest"), ("wave",)),
 }  # fmt: skip
-"""Keys of [psf] that belong to some models."""
+"""Keys of [psf] that only some models have, with these models."""
 
 
 class Psf(Strict):
@@ -178,7 +180,7 @@ class Psf(Strict):
 
     @property
     def aberrated(self) -> bool:
-        """True if the wavefront has errors."""
+        """True if the wavefront has errors other than distortion (W311)."""
         return self.seidel.W040 != 0.0 or self.seidel.varies or bool(zernike_terms(self.zernike))
 
     @property
@@ -188,7 +190,7 @@ class Psf(Strict):
 
     @property
     def asks_for_rays(self) -> bool:
-        """True if the scene sets `occlusion = "visibility"`, which is also the default."""
+        """True if the scene sets `occlusion = "visibility"` explicitly; False if that is only the default."""
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
 
     def of_images(self) -> Self:
@@ -202,7 +204,7 @@ class Psf(Strict):
 
 
 def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
-    """Key of [aperture] that is incompatible with the PSF, the violated rule, and the key's value; None if all fit."""
+    """Key of [aperture] that is incompatible with the PSF, the rule, and the value that breaks it; None if all fit."""
     faults: list[tuple[str, str, Any]] = []
     if aperture.shape != "circle":
         faults.append(("shape", f'"{aperture.shape}"', aperture.shape))

@@ -57,5 +57,5 @@ def shown(value: Any) -> str:
 
 
 def brief(text: str) -> str:
-    """The first 60 characters of a text."""
+    """A text, shortened to 60 characters."""
     return text if len(text) <= 60 else text[:57] + "..."

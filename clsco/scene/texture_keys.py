@@ -52,8 +52,10 @@ def _one_or_two(value: Any) -> Any:
 
 
 class _Rule(NamedTuple):
-    """Keys that a mapping accepts: texture_size ("": no, "may": optional, "must": required), number of texture_repeats,
-    and whether the image can be rotated and shifted.
+    """Keys that a texture mapping accepts.
+
+    size: texture_size is not accepted (""), optional ("may") or required ("must"). repeats: largest number of
+    texture_repeats. angle, offset: True if texture_angle and texture_offset are accepted.
     """
 
     size: Literal["", "may", "must"]
@@ -85,7 +87,7 @@ class Textured(HasInputs, Strict):
     """Keys of the texture of an object."""
 
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR
-    """Mappings of textures onto the shape: `texture_mapping` -> kind."""
+    """Kinds of mappings of textures onto the shape, by the value of `texture_mapping`."""
 
     texture: TextureInput = "bricks"
     """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
@@ -126,11 +128,11 @@ class Textured(HasInputs, Strict):
         return {key: path for key, path in super().files().items() if key == "depth" or not is_drawn(path)}
 
     def textures(self) -> tuple[Input, ...]:
-        """The single texture of the object, or the six textures of a cube map."""
+        """The single texture of the object, or the six of a cube map: right, left, top, bottom, back, front."""
         return (self.inputs()["texture"],)
 
     def texture_keys(self) -> dict[str, Any]:
-        """Explicitly given values of the keys of the texture's mapping."""
+        """Values of the keys of `Textured` that were set explicitly, by key."""
         names = [name for name in Textured.model_fields if name in self.model_fields_set]
         return {name: getattr(self, name) for name in names}
 
