@@ -31,11 +31,11 @@ CHAPTERS = (
 
 HEAD = """# Gallery
 
-![Glazed balls on a table before the lights of an evening, one of them in focus](evening.jpg)
+![Glazed balls on a table in the evening](evening.jpg)
 
-All examples. `clsco examples NAME -o .` copies one with its images; `clsco render NAME.toml -o frames` renders it, or
-`clsco dataset make NAME.toml -o DATA --count 100` makes samples of a data set. [The thesis](thesis.md) has more.
-`python -m benchmarks.gallery` makes this page, `python -m benchmarks.evening_picture` the picture above.
+All examples but those of [the thesis](thesis.md). `clsco examples NAME -o .` copies one with its images;
+`clsco render NAME.toml -o frames` renders it, or `clsco dataset make NAME.toml -o DATA --count 100` makes samples of a
+data set.
 """
 
 

@@ -256,12 +256,12 @@ FIGURES = (
 # Figures that nothing renders, and why.
 OTHERS = (
     ("2.1 to 2.3, 3.1, 3.2, 3.6, 3.7, 3.10, 3.11, 3.14, 3.16, 4.1, 5.2", "drawings"),
-    ("5.1, 5.3 to 5.21", "photographs that are not available; `clsco inpaint --method mean-median` fills others so"),
+    ("5.1, 5.3 to 5.21", "photographs that are not available; `clsco inpaint --method mean-median` is their method"),
     ("6.1", "the window of SCO-3D"),
 )
 
 AWAY = "the caption's 10 mm away from the lens are 10 mm towards it: away from it nothing is missing"
-WIDE = "the caption's own slopes go beyond"
+WIDE = "the caption's slopes exceed it"
 FILLED = (
     ("4.8", "4.13", "68804"), ("4.9", "4.14", "19680"), ("4.10", "4.15", "36993"), ("4.11", "4.16", "36784"),
     ("4.12", "4.17", "26122"),

@@ -42,15 +42,15 @@ INTRODUCTION = """\
 # The thesis, figure by figure
 
 The figures and numbers of K. Sathyanarayana's thesis *Generating Video Frames with Depth Of Field and Motion Blur
-Effects for 3D Animation*, rendered by its own method. In a checkout `python -m benchmarks thesis -o DIR` renders the
-scenes of `examples/thesis` into folders of DIR, and writes this page and DIR/thesis.html, with the figures in full
-size. `--only 4.9` renders some of them, and writes thesis_only.
+Effects for 3D Animation*, rendered by the thesis' method. In a checkout `python -m benchmarks thesis -o DIR` renders
+the scenes of `examples/thesis` into folders of DIR, and writes this page and DIR/thesis.html, with the figures in full
+size. `--only 4.9` renders this figure alone, and names the pages thesis_only.
 """
 NUMBERS_HEAD = """\
 ## Numbers
 
 A number agrees if it equals the stated one in all its digits, or is within a stated bound; "(around) 6 pixels" counts
-as at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the thesis does not state.
+as at most 6.5. Some numbers depend on sizes that the thesis does not state.
 
 """
 COLUMNS = ("figure", "what", "stated", "got", "verdict", "note")
