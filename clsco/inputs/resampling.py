@@ -16,11 +16,12 @@ def resample(
 
     linear: (rows, columns[, channels]), linear. size: (rows, columns) of the result. first, end: range of result rows
     to compute, by default all. part: if `linear` holds only the rows from `rows_for`, the number of its first row and
-    the number of rows of the whole image. Returns an array size[, channels], >= 0.
+    the number of rows of the whole image. Returns an array size[, channels].
 
     The filter is the Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981); if the image shrinks, it is
     widened to the output pixels. The weights of each output pixel sum to 1; beyond the border the nearest pixel
-    repeats; undershoot below 0 becomes 0. Validated on constants, cosines, mirrored images, and by the mean.
+    repeats; values below 0 become 0. An image that has the size already stays as it is. Validated on constants,
+    cosines, mirrored images, and by the mean.
     """
     if linear.shape[:2] == size:
         return linear[first:end]

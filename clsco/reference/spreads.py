@@ -88,8 +88,8 @@ def psf(
         Positions of sources in the frame, px. By default the middle; if the blur depends on the position, four from
         there to the corner.
     depths : sequence of float, optional
-        Depths Z of sources, mm; may be infinite. By default nine on each side of the focus, from near to far at equal
-        steps of 1/Z, up to the largest |R| of the scene.
+        Depths Z of sources, mm; may be infinite. By default nine about the focus, from near to far at equal steps of
+        1/Z, up to the largest |R| of the scene.
     index : int
         Number of the frame; its lens at the middle of the shutter is used.
     wavelengths : sequence of float, optional

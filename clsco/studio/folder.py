@@ -45,11 +45,11 @@ def _found(root: Path, endings: tuple[str, ...]) -> Iterator[str]:
     for place, folders, names in os.walk(root):
         here = Path(place)
         depth = len(here.relative_to(root).parts)
-        is_made = (here / "frame_0000.json").exists() or (here / "manifest.json").exists()  # frames, a data set
+        is_made = (here / "frame_0000.json").exists() or (here / "dataset.json").exists()  # frames, a data set
         folders[:] = [] if depth >= DEEPEST or is_made else sorted(name for name in folders if not name.startswith("."))
         for name in sorted(names):
             path = here / name
-            if name.startswith((".", "frame_")) or path.suffix.lower() not in endings:
+            if name.startswith((".", "frame_", "dataset.json")) or path.suffix.lower() not in endings:
                 continue
             if path.is_symlink() and not path.resolve().is_relative_to(root):
                 continue

@@ -342,8 +342,9 @@ def _row(name: str, of: NDArray[np.bool_], pixels: Pixels, right: Array, got: Ar
     off = got[of] - right[of]
     far = np.abs(off)
     errors = far / np.maximum(error[of], 1e-9)
-    count = int(((far > ALLOWED) & (far > COUNTED_ERRORS * error[of])).any(axis=1).sum())
-    k, channel = np.unravel_index(int(np.where(far > ALLOWED, 1e3 + far, far).argmax()), far.shape)
+    beyond = (far > ALLOWED) & (far > COUNTED_ERRORS * error[of])
+    count = int(beyond.any(axis=1).sum())
+    k, channel = np.unravel_index(int(np.where(beyond, 1e3 + far, far).argmax()), far.shape)
     at = np.nonzero(of)[0][k]
     return Row(
         name, int(of.sum()), math.sqrt(float(np.mean(off**2))), math.sqrt(float(np.mean(error[of] ** 2))),

@@ -54,6 +54,16 @@ def test_a_lens_that_varies_has_places_on_the_frame() -> None:
     assert blending == pytest.approx([6e-3, 6e-3, 6e-3 * 1.5**2])
 
 
+def test_the_steepest_wavefront_has_all_terms_at_one_position() -> None:
+    axis = Wavefront(((3, 1, -0.3),))  # a coma that Seidel's adds to on one side of the frame only
+    field = SeidelField(0.5, 0.0, 0.0, 1.0, (65, 49))
+    angle = np.linspace(0.0, 2.0 * np.pi, 721)
+    steepest = max(
+        np.hypot(*field.wavefront(axis, *node).gradient(np.cos(angle), np.sin(angle))).max() for node in field.nodes
+    )
+    assert field.slope(axis) >= 0.999 * steepest
+
+
 def test_parts_of_places_add_up_between_them_and_end_at_the_border() -> None:
     field = SeidelField(0.1, 0.0, 0.0, 0.1, (65, 49))
     numbers, shares = field.blend([0.0, 8.0, 64.0, -5.0, 70.0], [0.0, 9.0, 48.0, 30.0, 6.0])

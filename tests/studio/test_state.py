@@ -19,7 +19,7 @@ from starlette.applications import Starlette
 
 from clsco import SceneError
 from clsco.files.images import write_png
-from clsco.studio.folder import keep_image
+from clsco.studio.folder import keep_image, listed
 from clsco.studio.generate import distributions
 from clsco.studio.presets import load_preset
 from clsco.studio.routes import Addresses
@@ -184,3 +184,10 @@ def test_pipes_and_growth_among_the_files_of_the_folder(tmp_path: Path) -> None:
         file.truncate(2**40)
     assert not any(name.endswith(("set.toml", "zero.toml")) for name in distributions(tmp_path) if "/" not in name)
     assert [digest_of(tmp_path / name) for name in ("set.toml", "zero.toml", "large.png", "x" * 5000, "\0")] == [""] * 5
+
+
+def test_data_sets_and_folders_of_frames_are_not_searched(tmp_path: Path) -> None:
+    for name in ("scene.toml", "set/dataset.json", "set/train/one.json", "frames/frame_0000.json", "frames/deep/a.toml"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    assert listed(tmp_path, (".toml", ".json")) == ["scene.toml"]

@@ -159,9 +159,7 @@ class FourierDiffracted(Diffracted):
         """The pupil with its wavefront mirrored to a canonical orientation, which several positions of the frame
         share.
         """
-        if not is_round(self.opening) or self.wavefront.zernike:
-            return self
-        return replace(self, wavefront=self.wavefront.upright)
+        return replace(self, wavefront=self.wavefront.upright) if is_round(self.opening) else self
 
     def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
         """`_squares`, mirrored from those of the upright wavefront."""

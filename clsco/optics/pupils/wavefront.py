@@ -64,7 +64,9 @@ class Wavefront:
 
     @property
     def upright(self) -> Wavefront:
-        """The wavefront in an orientation that all its mirror images share; Zernike polynomials are not mirrored."""
+        """The wavefront in an orientation that all its mirror images share; itself with Zernike polynomials."""
+        if self.zernike:
+            return self
         (right, down), (xx, xy, yy), (coma, *others) = self.coma, self.bend, self.change
         x, y = (-1.0 if turned else 1.0 for turned in self.mirrored)
         change = coma, x * others[0], y * others[1], x * others[2], y * others[3]
