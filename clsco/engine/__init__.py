@@ -1,1 +1,1 @@
-"""Runs plans on a device: frames of scenes, blur and filling of images, batches."""
+"""Runs plans on a device: renders frames and batches, and blurs and fills images."""

@@ -31,13 +31,14 @@ from clsco.resources import remove_left
 from clsco.scene.model import Scene
 
 Span = tuple[int | None, int | None]
-TOGETHER, PIXELS_TOGETHER = 16, 2**24  # scenes of a sweep that are on the device at a time, and pixels of all of them
+TOGETHER, PIXELS_TOGETHER = 16, 2**24  # most scenes of a sweep on the device at a time, and most pixels of their frames
 
 
 @dataclass(frozen=True)
 class Job:
-    """One scene to render: its entries for JSON files (`record`), its folder, and the frames still to render.
+    """One scene to render.
 
+    record: entries for its JSON files; folder: where to write; frames: numbers of the frames that are still to render;
     files: files to write besides PNG and JSON.
     """
 
@@ -47,11 +48,11 @@ class Job:
     frames: tuple[int, ...]
     files: tuple[TruthFile, ...]
     before: Mapping[int, int | None] = field(default_factory=dict)
-    """Times at which the frames in the folder were written, ns; None for none."""
+    """Time in ns at which each frame in the folder was written; None if there is no such frame."""
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
-    """Folder of each scene's frames: `out`, or if there are several scenes, one folder in `out` for each.
+    """Folder of each scene's frames: `out` for a single scene, else a folder in `out` named after the scene file.
 
     Raises SceneError if two scenes would share a folder, or a folder is outside of `out`.
     """
@@ -69,15 +70,15 @@ def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
 
 
 def _require_inside(folder: Path, out: Path, where: Path) -> None:
-    """Raise SceneError if a folder of frames is outside of `out`, by its name or by a symbolic link."""
+    """Raise SceneError if a folder of frames is not directly inside `out`, because of its name or a symbolic link."""
     if not is_same_place(Path(os.path.realpath(folder)).parent, out):
         raise SceneError(f"{where}: frames must stay inside {out}; got {folder}")
 
 
 def frame_range(scene: Scene, span: Span, where: str) -> range:
-    """Numbers of the frames from span[0] up to but not including span[1], by default all.
+    """Numbers of the frames from span[0] up to but not including span[1]; None stands for the first or last frame.
 
-    Raises SceneError if the scene has no such frames.
+    Raises SceneError if the scene does not have these frames.
     """
     count = scene.sequence.frames
     first, end = span[0] or 0, count if span[1] is None else span[1]
@@ -96,10 +97,10 @@ def prepare(
 ) -> Job:
     """Make the folder; with `resume`, skip frames that are in it, complete and of this scene.
 
-    digests: of the scene's input files, as `provenance.file_digests` gives them, if known. A frame is complete if its
-    JSON file, written last, names the scene's hash, this version, the same tolerance, all files asked for with their
-    arrays, and each file's SHA-256. Raises FileError if a texture or depth map cannot be read or the folder is not
-    writable.
+    digests: SHA-256 of the scene's input files (`provenance.file_digests`), if known. A frame is complete if its JSON
+    file, which is written last, has the scene's hash, this version, the requested tolerance and precision, all
+    requested files and arrays, and the SHA-256 that each file has now. Raises FileError if a texture or depth map
+    cannot be read or the folder is not writable.
     """
     scene, request = prepared.scene, prepared.request
     entries = record(scene, digests)
@@ -158,7 +159,7 @@ def prepare_all(
 
 
 def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile]) -> None:
-    """Raise SceneError for arrays that were asked for by name and that a scene does not have."""
+    """Raise SceneError if a scene does not have the arrays that the requested files need."""
     faults = dict[str, None]()
     files_by_name = {ATTRIBUTES[name]: file for file in files for name in _required(file)}
     for path, _, prepared in planned:
@@ -170,14 +171,16 @@ def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile])
 
 
 def _required(file: TruthFile) -> list[str]:
-    """Arrays that a scene must have for a file: those asked for by name, or its format's first."""
+    """Arrays that a scene must have for a file: those requested by name, else the first one that its format can hold if
+    the format has a file per array.
+    """
     truth_format = TRUTH_FORMATS[file.format]
     names = file.names or (truth_format.arrays[:1] if truth_format.per == "array" else ())
     return [name for name in names if name not in ("color", *IMAGE_NAMES)]
 
 
 def _write_time(folder: Path, index: int) -> int | None:
-    """Time in ns at which a frame was written; None if it does not exist."""
+    """Time in ns at which a frame's JSON file was written; None if there is none."""
     try:
         return frame_json(folder, index).stat().st_mtime_ns
     except OSError:
@@ -185,11 +188,11 @@ def _write_time(folder: Path, index: int) -> int | None:
 
 
 def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
-    """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
+    """Render the frames of jobs, write each one, and then yield its job and the frame, or both views of a stereo pair.
 
     jobs: in rendering order; jobs of one sweep follow each other, and up to `TOGETHER` of them share their rays if
-    possible; check: compare frames with rays, and add the figures to their metadata. Files that a scene has only once
-    are written after all of its frames. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
+    possible; check: True to compare frames with rays, and add the result to their metadata. Files that a scene has only
+    once are written after all frames of all jobs. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
     """
     session = session_for(device)
     for _, group in groupby(

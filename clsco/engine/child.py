@@ -1,4 +1,4 @@
-"""Child processes: started, connected by a pipe, and ended in one way."""
+"""Child processes, connected to this process by a pipe, which end at the latest when this process ends."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 ORPHAN_S = 10.0  # s after which a process whose parent was killed is ended by force
-_LARGEST = 31 << 20  # B, of the blocks that glibc learns from
+_LARGEST = 31 << 20  # bytes, about the largest block size to which glibc adapts
 _end_actions: list[Callable[[], object]] = []
 
 
 class Child:
     """A child process that calls a function, connected to this process by a pipe.
 
-    Ctrl-C reaches only this process, which decides about its children. A child ends with its parent, even if that is
-    killed: first as if by SIGTERM, after ORPHAN_S seconds by force.
+    Ctrl-C reaches only this process, which decides about its children. A child ends with its parent, even if the parent
+    is killed: the child then sends itself SIGTERM, and after ORPHAN_S seconds it exits by force.
 
     Parameters
     ----------
     work : callable
-        Function of a module; called with the child's end of the pipe and `arguments`.
+        Module-level function; called with the child's end of the pipe and `arguments`.
     *arguments : object
         Arguments that can be pickled.
     environ : mapping, optional
@@ -35,7 +35,7 @@ class Child:
     Attributes
     ----------
     pipe : Connection
-        Receives messages of the child, and raises EOFError after the child has ended.
+        Receives messages from the child; receiving raises EOFError after the child has ended.
     """
 
     def __init__(self, work: Callable[..., None], *arguments: Any, environ: Mapping[str, str] | None = None) -> None:
@@ -65,21 +65,21 @@ class Child:
         return self._process.is_alive()
 
     def send(self, message: Any) -> None:
-        """Send a message; if the process has ended, the next receive raises an error instead."""
+        """Send a message to the child; if it has ended, only the next receive raises an error."""
         with suppress(OSError):
             self.pipe.send(message)
 
     def terminate(self) -> None:
-        """Ask the process to end."""
+        """Ask the process to end, by SIGTERM."""
         self._process.terminate()
 
     def kill(self) -> None:
-        """End the process at once, even a stopped one."""
+        """End the process at once, by SIGKILL, even if it is stopped."""
         self._process.kill()
 
     def end(self, patience: float = 1.0) -> int:
-        """Wait for the end of the process, and kill it after `patience` seconds; returns its exit status, negative for
-        a signal.
+        """Wait for the process to end, and kill it after `patience` seconds; returns its exit status, or minus the
+        number of the signal that ended it.
         """
         self._process.join(patience)
         if self._process.is_alive():
@@ -96,15 +96,15 @@ def how_ended(status: int) -> str:
 
 
 def at_forced_end(action: Callable[[], object]) -> None:
-    """Register an action that this child process runs before it ends by force because its parent was killed."""
+    """Register an action for this child process to run before it exits by force after the end of its parent."""
     _end_actions.append(action)
 
 
 def _run(work: Callable[..., None], pipe: Connection, arguments: tuple[Any, ...]) -> None:
-    """Entry point of the process."""
+    """Entry point of the child process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    bytearray(_LARGEST)  # once it was freed, glibc keeps the pages of each picture for the next
+    bytearray(_LARGEST)  # freed at once: from then on glibc keeps the pages of a picture for the next
     with suppress(EOFError, BrokenPipeError):  # the parent has closed the pipe
         work(pipe, *arguments)
 

@@ -107,9 +107,9 @@ def defocus(
     Parameters
     ----------
     image : array (rows, columns) or (rows, columns, 1 to 16)
-        Floats are linear radiance. uint8 and uint16 are sRGB codes, which are decoded, blurred and encoded again; of 2
-        and 4 channels the last is alpha, which is linear, and colors should be premultiplied. NumPy arrays, or pyopencl
-        arrays of one queue, which are copied through the host.
+        Linear radiance as floats, or sRGB codes as uint8 or uint16, which are decoded, blurred and encoded again. The
+        last of 2 or 4 channels of codes is alpha: it is linear, and colors should be premultiplied by it. The arrays
+        are NumPy arrays, or pyopencl arrays of one queue, which are copied through the host.
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
     psf : Psf, mapping or str, optional
@@ -118,28 +118,30 @@ def defocus(
     aperture : Aperture, mapping or str, optional
         Keys of the scene file's [aperture] with their values, or its `shape` alone; by default a circle.
     camera : Camera or mapping, optional
-        Keys of the scene file's [camera] with their values: diffraction, of psf.model = "wave", depends on the f-number
-        and the pixels.
+        Keys of the scene file's [camera] with their values. Required only for psf.model = "wave" and aberrations, which
+        depend on the f-number and the pixel pitch.
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or a pyopencl object to work with. By default the queue of pyopencl
         arrays.
     method : str
-        "auto", the default, "gather", "scatter", "tiles", or "convolve" (one radius for all pixels).
+        "auto", the default; "gather", "scatter" or "tiles"; or "convolve" if all pixels have one radius.
     memory : int or str, optional
-        Limit of the buffers on the device, in bytes or like "1.5GiB"; by default half of what is free.
+        Limit of the buffers on the device, in bytes or like "1.5GiB"; by default half of the processor's free memory,
+        or of a GPU's memory.
     outside : {"mirror", "black"}
-        Light from beyond the image's border: by default the mirror image, so that uniform radiance stays uniform;
-        "black" darkens the border. With psf.border = "renormalize" no light comes from there.
+        Light from beyond the image's border: by default that of the mirror image, so that uniform radiance stays
+        uniform; "black" darkens the border. With psf.border = "renormalize" no light comes from there.
     soft_edges : {"assign", "keep"}
-        Radii between those of two surfaces at their edge, as from averaged or blurred depth: by default each is
-        assigned to one of the surfaces; "keep" leaves them as they are.
+        Treatment of pixels at the edge between two surfaces whose radius lies between those of the surfaces, as in
+        averaged or blurred depth maps: by default each is assigned to one of the surfaces; "keep" leaves them as they
+        are.
     return_report : bool
         Also return a `DefocusReport`.
 
     Returns
     -------
     array of the image's shape
-        float32, or codes of the image's dtype; NumPy or pyopencl as given.
+        float32, or codes of the image's dtype; a NumPy or pyopencl array, like `image`.
     DefocusReport
         Only with `return_report`.
 
@@ -154,10 +156,10 @@ def defocus(
 
     Notes
     -----
-    The result is that of a scene of one static depth map with unit = "coc", and of `clsco defocus`. Sources are at
-    pixel centers, and the gradient for `tilt` comes from differences of `blur_radius`. With occlusion = "layered"
-    smaller signed radii, which are nearer, hide larger ones at depth discontinuities. An image that needs more than
-    `memory` is blurred in horizontal strips, with the same bits.
+    The result equals the frame of a scene with one static depth map with unit = "coc", and the output of `clsco
+    defocus`. Sources are at pixel centers, and the gradient for `tilt` comes from differences of `blur_radius`. With
+    occlusion = "layered", pixels with smaller signed radii are nearer, and hide others at depth discontinuities. An
+    image that needs more than `memory` is blurred in horizontal strips, with the same bits.
     Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5.
 
     Examples
@@ -208,7 +210,7 @@ class DefocusReport:
     Attributes
     ----------
     soft_edges : int
-        Pixels whose radius lay between those of two surfaces at their edge, and was assigned to one of them.
+        Number of pixels at the edge between two surfaces whose radius was assigned to one of them.
     """
 
     soft_edges: int
@@ -218,7 +220,8 @@ class DefocusReport:
 class _Inputs:
     """An image (rows, columns[, channels]), its map of signed radii, and properties of both.
 
-    mirrored: both continue as mirror images beyond the border.
+    smallest, largest: range of |R|, px; brightest: largest |radiance|; mirrored: True if image and radii continue as
+    mirror images beyond the border.
     """
 
     image: NDArray[Any]
@@ -242,7 +245,7 @@ def _check_inputs(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) ->
     for name, array in (("image", picture), ("blur_radius", radii)):
         if array.dtype.kind not in "fiu":
             raise ArgumentError(f"{name}: must hold real numbers; got {array.dtype}")
-        ends.append((float(array.min()), float(array.max())))  # as NaN and infinity are, and without a plane of its own
+        ends.append((float(array.min()), float(array.max())))  # not finite if any value is not; needs no mask array
         if not np.isfinite(ends[-1]).all():
             raise ArgumentError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
     if picture.dtype.kind != "f":
@@ -251,12 +254,12 @@ def _check_inputs(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) ->
     if largest > LARGEST_BLUR:
         raise ArgumentError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     low, high = ends[1]
-    smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # or less than that, without reading all again
+    smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # 0: a lower bound that is quickly found
     return _Inputs(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)
 
 
 def _assign_edges(inputs: _Inputs) -> tuple[_Inputs, int]:
-    """Assign radii between those of two surfaces to one of them; also returns the number of such pixels."""
+    """Assign pixels with a radius between those of two surfaces to one of them; also returns their number."""
     coc_floats = inputs.coc if inputs.coc.dtype in (np.float32, np.float64) else inputs.coc.astype(np.float64)
     pixels, radii = assign_soft_edges(coc_floats, None, lambda: inputs.image)
     if not len(pixels):
@@ -310,7 +313,7 @@ def _blur_strips(session: Session, inputs: _Inputs, plan: ImagePlan) -> NDArray[
     """Blur the image in the strips of a plan."""
     spec, shape = plan.spec, inputs.image.shape if plan.channels > 1 else inputs.coc.shape
     real: Real = "double" if session.device.has_fp64 else "float"
-    # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
+    # If the image is blurred in one strip, kernels that do not write to its arrays read the caller's arrays.
     lends = len(plan.strips) == 1 and not plan.guard_px and spec.border == "lose"
     floats = lends and not spec.layered and np.can_cast(inputs.coc.dtype, np.float32)
     buffers = shared_buffers(session, plan, ("value", "coc", "valid") if floats else ("value", "coc") if lends else ())
@@ -320,13 +323,13 @@ def _blur_strips(session: Session, inputs: _Inputs, plan: ImagePlan) -> NDArray[
     bounds = space.find_layers(plan.passes, jobs) if len(jobs) > 1 else ()
     out = np.empty(shape, np.float32)
     for job in jobs:
-        outputs = space.run(plan.passes, replace(job, bounds=bounds or None))  # with arrays that are lent until the end
+        outputs = space.run(plan.passes, replace(job, bounds=bounds or None))  # keeps lent arrays alive
         outputs["plane"].read(session, out[job.strip.inside])
     return out.reshape(inputs.image.shape)
 
 
 class _Source(HostImage):
-    """Supplies the image and its radii, in the precision of the geometry or as floats."""
+    """Supplies strips of the image and its radii; dtype: type of the radii on the device."""
 
     def __init__(self, session: Session, inputs: _Inputs, plan: ImagePlan, dtype: Any) -> None:
         super().__init__(session, inputs.image, plan.guard_px, "symmetric" if inputs.mirrored else "constant")
@@ -339,7 +342,7 @@ class _Source(HostImage):
 
 
 class _ImageWorkspace(BlurWorkspace):
-    """All passes of an image with its radii."""
+    """Runs all passes of an image with its map of radii."""
 
     def __init__(
         self, session: Session, inputs: _Inputs, plan: ImagePlan, grid: Struct, buffers: Mapping[str, cl.Buffer],

@@ -1,4 +1,4 @@
-"""State of a frame to which strips and time samples are added."""
+"""The state of a frame while its strips and time samples are rendered."""
 
 from __future__ import annotations
 
@@ -32,12 +32,11 @@ class Step:
     Attributes
     ----------
     number : int
-        Number of the time sample; objects are at its time.
+        Number of the time sample at whose time objects are.
     weights : ndarray of float64, (lines,)
-        Weights of the blurred plane in the frame's rows, or columns.
+        Weight of the blurred plane in each row of the frame, or in each column if columns are exposed in turn.
     still : bool, optional
-        With sources split into still and other ones: True for the still ones, False for the others; None for all
-        sources.
+        True for a run with only the still sources, False for one with only the moving sources, None for all sources.
     """
 
     number: int
@@ -46,7 +45,7 @@ class Step:
 
 
 def _strip_parts(plan: Plan, strip: Strip, steps: Sequence[Step]) -> dict[int, Strip]:
-    """Steps that a strip needs, by number, with the part of the strip for each; still sources need all of it."""
+    """Part of a strip that each step renders, by the step's number; steps that do not affect the strip are absent."""
     parts = {}
     for number, step in enumerate(steps):
         part = strip if step.still else plan.part(strip, step.weights)
@@ -67,25 +66,26 @@ class Film:
     Attributes
     ----------
     times : list of float
-        Times of its samples, s.
+        Times of the time samples, s.
     steps : tuple of Step
-        Runs of the passes, whose sum is the frame.
+        Runs of the passes; the frame is the weighted sum of their planes.
     color : ndarray of float32 (rows, columns[, channels])
     code, saturated : ndarray of uint16, of bool (rows, columns, planes)
-        Codes of a sensor; 0 planes without one.
+        Codes of a sensor, and True where it is saturated; 0 planes without a sensor.
     subframes : ndarray of float32 (samples or 0, rows, columns[, channels])
+        Blurred planes of the time samples, if they are requested.
     missing : ndarray of bool (rows, columns)
         Pixels that were missing at any time sample, filled or not.
     bounds : dict
-        Bounds of the depth layers by number of the time sample, if they were found over all strips.
+        Bounds of the depth layers by number of the time sample, if they were computed from all strips.
     strip_parts : dict
-        For each strip the steps that it needs by number, with the part of the strip that each runs on.
+        For each strip, the part of it that each step renders, by the number of the step.
     source_parts : dict
-        Still and other parts of the sources by `Step.still`.
+        Still and moving sources, by `Step.still`.
     events : list
         Events of kernel launches.
     reports : dict
-        Reports on time samples by number.
+        Reports on time samples, by their number.
     """
 
     def __init__(self, plan: Plan, index: int) -> None:
@@ -116,7 +116,7 @@ class Film:
         self._needs_light = plan.needs_light
 
     def add(self, session: Session, strip: Strip, count: int, outputs: Mapping[str, Any]) -> None:
-        """Add the outputs of one step's passes for a strip; count: number of the step."""
+        """Add the outputs of a step's passes for a strip; count: number of the step; outputs: named as in `Pass`."""
         number = self.steps[count].number
         report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING
         self.reports[number] = (
@@ -134,7 +134,7 @@ class Film:
             self._planes.append((outputs.get("frame", outputs["plane"]), self.color[strip.inside]))
 
     def read(self, session: Session) -> None:
-        """Read back strips whose time samples are all added; waits for the device."""
+        """Read back the strips of which all time samples have been added; waits for the device."""
         for plane, out in self._planes:
             plane.read(session, out)
         for codes, rows in self._codes:
@@ -143,7 +143,7 @@ class Film:
         self._planes.clear()
 
     def seconds(self) -> dict[str, float]:
-        """Seconds on the device by kernel name, and the remaining seconds on the host."""
+        """Seconds on the device by kernel name, and as "host" the other seconds since the frame was begun."""
         seconds: dict[str, float] = {}
         for name, event in self.events:
             seconds[name] = seconds.get(name, 0.0) + event_seconds(event)

@@ -1,4 +1,4 @@
-"""Inpainting: missing pixels of an image, filled from those around them."""
+"""Inpainting: fills the missing pixels of an image from those around them."""
 
 from __future__ import annotations
 
@@ -59,30 +59,31 @@ def inpaint(
     Parameters
     ----------
     image : array (rows, columns) or (rows, columns, 1 to 16)
-        Floats are linear radiance; uint8 and uint16 are sRGB codes, and are filled as codes. Values of missing pixels
-        are ignored. In a masked array, pixels with a masked channel are missing too. NumPy arrays, or pyopencl arrays
-        of one queue, which are copied through the host.
+        Linear radiance as floats, or sRGB codes as uint8 or uint16, which are filled as codes. Values of missing pixels
+        are ignored. In a masked array, pixels with a masked channel are missing too. The arrays are NumPy arrays, or
+        pyopencl arrays of one queue, which are copied through the host.
     mask : array (rows, columns)
-        True = missing; or uint8 of 0 and 255 = missing.
+        bool, True for missing pixels; or uint8, 255 for missing and 0 for known pixels.
     method : str
-        "biharmonic", "texture", or "auto", the better of these two; or "mean-median", that of the thesis (chapter 5).
+        "biharmonic", "texture", "auto" for the better of these two, or "mean-median", the method of the thesis (chapter
+        5).
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or a pyopencl object to work with. By default the queue of pyopencl
         arrays.
     progress : callable, optional
-        Called with the share of the work that is done, from 0 to 1.
+        Called with the fraction of the work that is done, from 0 to 1.
     options : clsco.inpainting.rules.MeanMedian, optional
-        Constants of "mean-median", such as `MeanMedian(smoothing_rounds=0)`.
+        Constants of the method "mean-median", such as `MeanMedian(smoothing_rounds=0)`.
     return_report : bool
         Also return a `clsco.inpainting.report.Report`.
 
     Returns
     -------
     array of the image's shape and dtype
-        NumPy or pyopencl, as `image`. Known pixels are unchanged, except those that stage 3 of mean-median blends;
-        without missing pixels the result is a copy.
+        NumPy or pyopencl array, like `image`. Known pixels are unchanged, except those that stage 3 of "mean-median"
+        blends; without missing pixels the result is a copy.
     Report
-        Only with `return_report`: the method that was used, and figures of its stages.
+        Only with `return_report`: the method that was used, and measurements of its stages.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def _check_arrays(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[A
         raise ArgumentError("mask: some pixel must be known; got none that is")
     if picture.dtype.kind == "f":
         most = min(LARGEST, float(np.finfo(picture.dtype).max))
-        usable = np.abs(picture) <= most  # false for what is not a number
+        usable = np.abs(picture) <= most  # False for NaN
         wrong = int((~usable & ~(holes if picture.ndim == 2 else holes[..., None])).sum())
         if wrong:
             raise ArgumentError(f"image: known pixels must be finite, and at most 2^60 in size; got {wrong} others")

@@ -1,4 +1,4 @@
-"""Renderer for a series of similar scenes that reuses unchanged intermediate results."""
+"""Renderer for a series of similar scenes, which reuses intermediate results that do not change."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from clsco.scene.file import SceneLike, scene_of
 
 
 class Live:
-    """Renders scenes that follow each other, as when a user drags a slider.
+    """Renders a series of similar scenes, as when a user drags a slider.
 
     Ray hits, textures, depth maps and tables of weights are cached by their inputs, so a render computes only what
-    changed. Frames have the bits of `clsco.render_frame`.
+    changed. Frames are bit-identical to those of `clsco.render_frame`.
 
     Parameters
     ----------
     device : str, pyopencl.Device, Context or CommandQueue, optional
         As for `clsco.render`.
     keep : int or str
-        Size of the cache on the device, and of that on the host, in bytes or like "1.5GiB"; the least recently used
+        Limit of the cache on the device, and of the one on the host, in bytes or like "1.5GiB"; the least recently used
         entries are evicted.
 
     Raises
@@ -44,8 +44,9 @@ class Live:
 
     Notes
     -----
-    A `Live` renders one scene at a time. Threads that render at the same time need one each; they share compiled
-    kernels. Validated: the bits of a fresh process (tests/engine/test_live.py); `benchmarks/speed/live.py` has times.
+    A `Live` renders one scene at a time. Threads that render at the same time need a `Live` each; these share compiled
+    kernels. Validated: the same bits as in a new process (tests/engine/test_live.py); benchmarks/speed/live.py measures
+    times.
 
     Examples
     --------
@@ -79,7 +80,7 @@ class Live:
         Raises
         ------
         CanceledError
-            `cancel` was called meanwhile.
+            `cancel` was called during the render.
         SceneError, FileError, DeviceError, KernelError
             As `clsco.render_frame`.
         """
@@ -111,7 +112,7 @@ class Live:
         Raises
         ------
         CanceledError
-            `cancel` was called meanwhile.
+            `cancel` was called during the render.
         SceneError, FileError, DeviceError, KernelError
             As `clsco.response`.
         """
@@ -119,7 +120,7 @@ class Live:
         return isolated.inside(self.render(isolated.scene, index, truth=()))
 
     def cancel(self) -> None:
-        """Cancel the render of another thread, within a fraction of a second; does nothing if there is none."""
+        """Cancel the render that another thread runs, within a fraction of a second; does nothing if none runs."""
         if self._lock.locked():
             self.session.canceled.set()
 
@@ -133,7 +134,7 @@ class Live:
         Returns
         -------
         threading.Thread
-            Ends when all is compiled; you need not wait for it.
+            Ends when all kernels are compiled; you need not wait for it.
         """
         scene = scene_of(scene)
         thread = threading.Thread(target=warm, args=(self.session.unwatched(), scene, self.files), daemon=True)

@@ -1,4 +1,4 @@
-"""Measures the time of a frame on part of it: as many strips and time samples as take half a second."""
+"""Predicts the time of a frame from a part of it: as many strips and time samples as take half a second."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ from clsco.plan.prepare import Prepared
 
 SECONDS = 0.5  # s, after which no further step is run
 BY_HEIGHT: frozenset[Kind] = frozenset({"trace", "silhouettes"})
-"""Passes whose time is proportional to the rows of a strip's source grid; that of others, to the strip's rows."""
+"""Passes whose time is proportional to the rows of a strip's source grid; for other passes, to the strip's rows."""
 
-GOLDEN = 0.618034  # whose multiples, modulo 1, are spread evenly
-_Part = tuple[Kind, bool | None]  # a kind of pass, for still sources, for the others, or for all
+GOLDEN = 0.618034  # multiples of this number modulo 1 are spread evenly
+_Part = tuple[Kind, bool | None]  # a kind of pass, and `Step.still` of its step
 
 
 @dataclass(frozen=True)
 class _FramePart:
-    """A step, by number, on a part of a strip; still: as in `clsco.engine.film.Step`; last: True for the last step of
-    its strip, which alone runs the passes of `ONCE_A_FRAME`.
+    """A step on a strip: its number, and the part of the strip that it renders.
+
+    still: as in `clsco.engine.film.Step`; last: True for the last step of the strip, whose result also goes through the
+    passes in `ONCE_A_FRAME`.
     """
 
     strip: Strip
@@ -39,14 +41,14 @@ class _FramePart:
 
 @dataclass(frozen=True)
 class FrameTime:
-    """Predicted seconds of a frame without compiling kernels and writing files.
+    """Predicted seconds that a frame takes, without compiling kernels and writing files.
 
     Attributes
     ----------
     views : tuple of dict
-        For each view: seconds of all passes by kind.
+        For each view, the seconds of its passes by kind.
     share : float
-        Fraction of the frame's steps that was measured, 0 to 1.
+        Fraction of the frame's work that was measured, 0 to 1.
     """
 
     views: tuple[dict[Kind, float], ...]
@@ -59,7 +61,7 @@ class FrameTime:
 
     @property
     def longest(self) -> tuple[Kind, float]:
-        """The slowest kind of pass, with its fraction of the frame, 0 to 1."""
+        """The kind of pass that takes the most time, with its fraction of the frame's time, 0 to 1."""
         kinds = dict.fromkeys(kind for passes in self.views for kind in passes)
         sums = {kind: sum(passes.get(kind, 0.0) for passes in self.views) for kind in kinds}
         kind = max(sums, key=sums.__getitem__)
@@ -73,9 +75,9 @@ def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS
     ----------
     session : Session
     prepared : Prepared
-        Its plans are for the session's device.
+        The scene, with plans for the session's device.
     seconds : float
-        Seconds for the steps of each view, without compiling; ground truth is always made as a whole.
+        Seconds after which no further step of a view is run, without compiling; ground truth is always computed whole.
 
     Returns
     -------
@@ -112,7 +114,7 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
         seconds_by_kind[kind] = seconds_by_kind.get(kind, 0.0) + scale * time
     if renderer.plan.truth:
         clock.lap()
-        for _ in range(2):  # again where the kernels, compiled at their first run, may have taken much of the time
+        for _ in range(2):  # again if compiling the kernels may have taken much of the first run
             renderer.truth.compute(index, film.events)
             seconds_by_kind["ground truth"] = clock.lap()
             if seconds_by_kind["ground truth"] > SECONDS:
@@ -122,14 +124,14 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
 
 
 def _in_bands(plan: Plan) -> Plan:
-    """The plan in the shortest strips, of which each core makes one at a time; unchanged if it cannot be split so."""
+    """The plan in the shortest strips, each rendered by one core; unchanged if it cannot be rendered in such strips."""
     indivisible = plan.forward or plan.spec.layered or plan.rows <= BAND
     return plan if indivisible else replace(plan, strip_rows=BAND)
 
 
 class _Clock:
-    """Time between passes; on processors, the time of all cores divided by their number, as other processes may use
-    them.
+    """Measures the time between passes; on a processor as its CPU time divided by the number of cores, which other
+    processes do not affect.
 
     Parameters
     ----------
@@ -145,15 +147,17 @@ class _Clock:
         self._last = self._now()
 
     def lap(self) -> float:
-        """Seconds since the last lap, including enqueued work."""
+        """Seconds since the previous call; waits until all enqueued work is done."""
         self.queue.finish()
         last, self._last = self._last, self._now()
         return (self._last - last) / self._cores
 
 
 def _steps(film: Film) -> list[_FramePart]:
-    """Steps of a frame, most informative first: of each strip the last step, which has all passes, then the first,
-    which may be of still sources, then some in between; any number of leading strips is spread evenly over the frame.
+    """All steps of a frame on all strips, in the order in which they are measured.
+
+    First comes the last step of each strip, which runs all passes, then the first step of each strip, which may be that
+    of still sources, then the others. In each round, the first few strips are spread evenly over the frame.
     """
     strips = sorted(film.strip_parts.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
     rounds = list[list[_FramePart]]()
@@ -177,8 +181,9 @@ def _spread(number: int) -> float:
 def _run_steps(
     renderer: Renderer, index: int, seconds: float, clock: _Clock
 ) -> tuple[Film, dict[_Part, float], list[_FramePart]]:
-    """Run steps for `seconds`; returns the film, the seconds of each pass, and the steps. Each kind runs once before it
-    is measured, because its kernels are compiled at their first run.
+    """Run steps for `seconds`; returns the film, the seconds of each kind of pass, and the steps that were measured.
+
+    Each kind of step runs once before it is measured, because its kernels are compiled at their first run.
     """
     film, done, warm = renderer.begin(index), list[_FramePart](), set[bool | None]()
     spent: dict[_Part, float] = {}
@@ -200,6 +205,6 @@ def _run_steps(
 
 
 def _rows(steps: list[_FramePart], kind: Kind, still: bool | None) -> int:
-    """Total rows that the passes of a kind process in the steps with this `still`."""
+    """Number of rows that passes of a kind process in all steps with this value of `still`."""
     parts = [step.part for step in steps if step.still == still and (step.last or kind not in ONCE_A_FRAME)]
     return sum(part.height if kind in BY_HEIGHT else part.rows for part in parts)

@@ -1,6 +1,4 @@
-"""Renderer of a plan's frames: runs its passes for every time sample, and again with a larger plan if buffers
-overflow.
-"""
+"""Renderer of a plan's frames: runs the passes for each time sample, and again if a frame needs a larger plan."""
 
 from __future__ import annotations
 
@@ -55,7 +53,7 @@ class Renderer:
     prepared : Prepared
         The scene, its files and its plan.
     limit : Limit
-        Limit for a larger plan, if this one turns out too small.
+        Memory limit for a larger plan, if this plan is too small.
     hits : Hits, optional
         Ray hits shared with the renderers of other lenses, whose plans have the same guard band.
 
@@ -93,7 +91,7 @@ class Renderer:
         return ForwardWarp(plan, scene, maps) if plan.forward else None
 
     def _channels(self) -> tuple[ColorChannel, ...]:
-        """Textures and pixels of all colors together, or of each color if colors are blurred separately."""
+        """One channel with all colors, or a channel for each color if colors are blurred separately."""
         plan, color_channels = self.plan, list[ColorChannel]()
         for color_plan in plan.color_plans:
             channels = (color_plan.only or 0, plan.colors)[: color_plan.channels]
@@ -109,7 +107,7 @@ class Renderer:
         return SceneWorkspace(self.plan, self.channels, self.hits, self._grid(self.plan.strips[0]))
 
     def begin(self, index: int) -> Film:
-        """Begin the frame with this number, all black."""
+        """Begin frame `index`: reset its statistics and, if it has several strips, determine its depth layers."""
         film, statistics = Film(self.plan, index), self.space.buffers.get("statistics")
         if isinstance(self.pixels, StaticMap):
             film.missing |= self.pixels.missing
@@ -144,15 +142,15 @@ class Renderer:
         return self.grids[strip]
 
     def add(self, film: Film, strip: Strip, count: int, after: Callable[[Kind], None] | None = None) -> None:
-        """Run the passes of a step on a strip; count: number of the step; after: called with the kind of each finished
-        pass.
+        """Run the passes of a step on a strip, and add the result to the film; count: number of the step; after: called
+        with the kind of each pass after the pass.
         """
         job = self._job(film, strip, count)
         passes = (step for step in self.plan.passes if step.kind != "ground truth")
         film.add(self.session, strip, count, self.space.run(passes, job, after))
 
     def finish(self, film: Film) -> Frame:
-        """Complete the frame from its strips; if the plan was too small, render it again with larger buffers."""
+        """The frame of a completed film; if the plan was too small, it is rendered again with a larger one."""
         while self.enlarge():
             (film,) = expose([self], film.index)
         truth = self._truth(film)
@@ -188,7 +186,7 @@ class Renderer:
         return truth
 
     def enlarge(self) -> bool:
-        """Switch to a larger plan, with a warning, if the frame needed more than predicted; True if it did."""
+        """Switch to a larger plan if the latest frame needed more than predicted; returns True if it did."""
         if self.plan.static_map or not self.plan.color:
             return False
         statistics = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
@@ -199,7 +197,7 @@ class Renderer:
 
     def _change(self, plan: Plan) -> None:
         """Switch to another plan of the scene."""
-        del self.space  # before the larger one takes memory
+        del self.space  # releases its memory for the larger one
         before, self.plan = self.plan, plan
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
             self.hits = None  # the guard band may differ from those of the other lenses
@@ -236,7 +234,7 @@ class Renderer:
         )
 
     def _exposure(self) -> dict[str, Any]:
-        """Metadata: irradiance relative to an open circular aperture, if it depends on the aperture's area."""
+        """Metadata: irradiance relative to that of an open circular aperture, if it depends on the aperture's area."""
         aperture = self.plan.scene.aperture
         factor = exposure_factor(aperture, self.plan.psf)
         return {} if aperture.exposure == "normalized" else {"exposure": factor}
@@ -251,20 +249,18 @@ class Renderer:
         return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)}
 
     def _line_times(self, index: int) -> dict[str, Any]:
-        """Metadata with a rolling shutter: times of the ground truth of the first and the last line."""
+        """Metadata: times of the ground truth in the first and the last line; empty without a rolling shutter."""
         times = line_times(self.plan.scene, index).tolist() if self.plan.scene.rolls else []
         return {"row_time": [times[0], times[-1]]} if times else {}
 
 
 def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Color (..., rows, columns[, 3]) of images whose last channel is coverage."""
+    """Color (..., rows, columns[, 3]) of images (..., rows, columns, channels) whose last channel is coverage."""
     return np.ascontiguousarray(image[..., 0] if image.shape[-1] == 2 else image[..., :-1])
 
 
 def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
-    """Expose frame `index` strip by strip and time sample by time sample, for renderers with the same strips and
-    samples.
-    """
+    """Expose frame `index` with several renderers, which have the same strips and time samples; returns their films."""
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
     strip_parts, ends = films[0].strip_parts, list[float]()
@@ -284,9 +280,10 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
 
 
 def _keep_pace(before: Sequence[Events], progress: Progress, still: Sequence[bool], ends: list[float]) -> None:
-    """Wait for all steps except the latest, so that cancellation is quick and progress is known.
+    """Wait for all steps except the latest, so that cancellation is quick, and update `progress`.
 
-    still: True for each step of still sources; ends: completion times of earlier steps, s; the new one is appended.
+    before: latest event of each film before the latest step; still: for each step of the frame, True if it is of still
+    sources; ends: completion times of earlier steps, s, to which the new one is appended.
     """
     for _, event in (latest for events in before for latest in events):
         event.wait()
@@ -297,8 +294,8 @@ def _keep_pace(before: Sequence[Events], progress: Progress, still: Sequence[boo
 
 
 def _finished_share(done: Sequence[bool], still: Sequence[bool], ends: Sequence[float]) -> float:
-    """Fraction of a frame's time that has passed, assuming that each step takes the average of its kind; 0 until a step
-    of each kind is done.
+    """Fraction of a frame's rendering time that has passed, if each remaining step takes the mean time of its kind,
+    still or not; 0 until steps of all kinds have been measured. done: `still` of the finished steps.
     """
     if not set(done) >= set(still):
         return 0.0

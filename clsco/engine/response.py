@@ -30,7 +30,7 @@ from clsco.scene.text import shown
 from clsco.scene.texture_keys import SixSided, Textured
 
 BLACK = "#000000"
-GRID = 33  # points per axis at which motions are evaluated
+GRID = 33  # points of an object per axis of the frame at which its motion is evaluated
 TIMES = 9  # times of an exposure at which motions are evaluated
 FILTER_REACH = 2  # texels of a bicubic filter
 
@@ -44,9 +44,9 @@ class IsolatedSource:
     scene : Scene
         The scene; its frame includes a margin.
     margin : int
-        Width on each side, px.
+        Width of the margin on each side of the frame, px.
     share : ndarray of float32, (rows, columns), optional
-        Response of each pixel relative to that of the middle, without the margin; by default 1 everywhere.
+        Vignetting by which the frame without its margin is multiplied; by default none.
     """
 
     scene: Scene
@@ -54,7 +54,7 @@ class IsolatedSource:
     share: NDArray[np.float32] | None = None
 
     def inside(self, frame: Frame) -> NDArray[np.float32]:
-        """Crop the margin from the frame: (rows, columns)."""
+        """Response (rows, columns) from a frame of the scene, without its margin; green light of a color frame."""
         image = frame.color if frame.color.ndim == 2 else frame.color[..., GREEN]
         rows, columns = image.shape
         inside = image[self.margin : rows - self.margin, self.margin : columns - self.margin]
@@ -78,12 +78,12 @@ def response(
     scene : Scene, mapping or path
         As for `render_frame`.
     x, y : int
-        Column and row of the source in the image at t = 0, px. They may be outside the frame, as far as the blur
-        reaches, except with `border = "renormalize"` and depth maps.
+        Column and row of the source in the image at t = 0, px. The source may be outside the frame, as far as the blur
+        reaches, except with `border = "renormalize"` and for scenes with depth maps.
     index : int
         Number of the frame, from 0.
     item : int, optional
-        Number of the object that has the source, from 0. By default the visible one at t = 0.
+        Number of the object with the source, from 0; by default the object visible there at t = 0.
     device, precision
         As for `render_frame`.
 
@@ -96,14 +96,14 @@ def response(
     Raises
     ------
     SceneError, FileError, DeviceError, KernelError
-        As `render_frame`; the source does not exist, or without `item` no object is visible there.
+        As `render_frame`; SceneError also if x, y or `item` is out of range, or no object is visible at x, y.
 
     Notes
     -----
     A frame is the sum of radiance times response over all its sources, unless missing pixels are filled. The response
-    does not include a sensor, which comes after the blur. The source is a pixel of the projected texture, and moves
-    with its surface; how textures are mapped and lit does not matter.
-    Validated: that sum, and the response of `clsco.reference` (tests/engine/test_response.py).
+    does not include a sensor, which comes after the blur. The source is a pixel of a texture projected from the camera
+    at t = 0, and moves with its surface; the scene's own texture mapping and light are ignored. Validated against that
+    sum and the response of `clsco.reference` (tests/engine/test_response.py).
 
     Examples
     --------
@@ -126,7 +126,7 @@ def isolate_source(
     item: int | None = None,
     files: InputFiles | None = None,
 ) -> IsolatedSource:
-    """The scene with only the source of `response` lit. Raises as `response` for invalid arguments.
+    """The scene in which only one source is lit; arguments and errors as for `response`.
 
     files: as for `clsco.plan.prepare.prepare`.
     """
@@ -139,7 +139,7 @@ def isolate_source(
     column = _within("x", x, -guard, plan.columns - 1 + guard)
     row = _within("y", y, -guard, plan.rows - 1 + guard)
     number = _visible_object(prepared, column, row) if number is None else number
-    # Textures go on mirrored beyond the frame. With a margin, the source's mirror images are too far off to be seen.
+    # Beyond the frame, textures continue as mirror images. A margin moves those of the source too far away to be seen.
     inward = min(column, row, plan.columns - 1 - column, plan.rows - 1 - row)
     far = plan.guard_px + FILTER_REACH + (_longest_displacement(plan.scene, number, index) if scene.moves else 0)
     margin = far - min(inward, 0) if widens and inward < far else 0
@@ -150,7 +150,7 @@ def isolate_source(
     objects[number] = _project_texture(scene.objects[number], ArrayInput(texture, "texture"))
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     share, update = None, dict[str, Any](camera=camera, objects=tuple(objects), light=None, sensor=None)
-    if scene.lens is not None and scene.darkens:  # as of the frame without its margin, and once a frame
+    if scene.lens is not None and scene.darkens:  # for the frame without its margin, in mid-exposure
         middle = middle_time(scene.sequence, index) if scene.moves else 0.0
         share = throughput(camera_at(prepared.scene, middle), scene.lens.vignetting).astype(np.float32)
         update["lens"] = scene.lens.model_copy(update={"vignetting": "none"})
@@ -166,7 +166,7 @@ def _visible_object(prepared: Prepared, column: int, row: int) -> int:
 
 
 def _within(name: str, value: SupportsIndex, least: int, most: int) -> int:
-    """A whole number within limits. Raises SceneError."""
+    """Convert a value to an int; raises SceneError unless it is a whole number from `least` to `most`."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -177,15 +177,16 @@ def _within(name: str, value: SupportsIndex, least: int, most: int) -> int:
 
 
 def _project_texture(item: Object, texture: str | ArrayInput) -> Object:
-    """The object with a texture, projected from the camera at t = 0."""
+    """The object with `texture` in place of its own, projected from the camera at t = 0."""
     keys = {*Textured.model_fields, *SixSided.model_fields} & type(item).model_fields.keys()
     plain = {key: type(item).model_fields[key].default for key in keys}
     return item.model_copy(update=plain | {"texture": texture})
 
 
 def _longest_displacement(scene: Scene, number: int, index: int) -> int:
-    """Largest displacement, in px and rounded up, of a point of an object from its reference pose during the
-    exposure.
+    """Largest displacement in the image of a point of an object from its place in the reference pose, px, rounded up.
+
+    number: of the object; index: of the frame during whose exposure it moves.
     """
     item, camera = scene.objects[number], reference_camera(scene)
     x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side for side in camera.frame_size)))

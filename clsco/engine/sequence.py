@@ -1,4 +1,4 @@
-"""Rendering of scenes to frames on a device."""
+"""Renders the frames of scenes on a device."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Options(TypedDict, total=False):
     memory: str | int | None
 
 
-GUARD_STEP = 32  # px, least step of the guard bands of cached rays
+GUARD_STEP = 32  # px: guard bands of cached rays are rounded up to multiples of at least this
 
 
 def render(
@@ -56,8 +56,8 @@ def render(
     scene : Scene, mapping or path
         A scene, the content of a scene file, or the file.
     truth : str or iterable of str
-        Names of the outputs besides color, which are attributes of `Frame`; by default, and by "all", all of them.
-        Outputs that you omit cost nothing.
+        Names of the outputs besides color, which are attributes of `Frame`; by default "all" of them. Outputs that you
+        omit cost nothing.
     color : bool
         True by default. False renders ground truth only: `Frame.color` is None, and the blur, most of the work, is
         skipped.
@@ -69,29 +69,30 @@ def render(
         Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" if it can blur the
         scene.
     tolerance : float, optional
-        Largest estimated RMS error, 1 = white: fewer time samples and silhouette samples are taken, and hidden sources
-        of wide blur merged. By default all samples of the scene. `Frame.metadata["approximation"]` has the numbers and
-        the estimated error.
+        Largest estimated RMS error, 1 = white. Within it, rendering takes fewer time samples and silhouette samples,
+        and merges partly hidden sources with wide blur; `Frame.metadata["approximation"]` has the numbers and the
+        estimated error. By default rendering takes all samples of the scene.
     frames : iterable of int, optional
         Numbers of the frames to render, from 0; by default all.
     memory : int or str, optional
-        Limit of the buffers on the device, in bytes or like "1.5GiB"; by default half of what is free.
+        Limit of the buffers on the device, in bytes or like "1.5GiB"; by default half of the processor's free memory,
+        or of a GPU's memory.
 
     Returns
     -------
     iterator of Frame
-        Frames in order, of a stereo pair the left and then the right one; each is rendered when it is requested.
+        Frames in order, with the left view of a stereo pair before the right one; each is rendered when requested.
 
     Raises
     ------
     SceneError, DeviceError
         At the call, for invalid arguments.
     FileError, SceneError, DeviceError, KernelError
-        From the iterator, for unreadable files, and for work that a device or a method cannot do.
+        From the iterator, for unreadable files, and for scenes that the device or the method cannot render.
 
     Notes
     -----
-    A frame that needs more than `memory` is made in horizontal strips, with the same bits.
+    A frame that needs more than `memory` is rendered in horizontal strips, with the same bits.
     Validated against `clsco.reference.render` on every scene in examples/, and a ray tracer
     (benchmarks/truth/accuracy.py).
 
@@ -120,7 +121,7 @@ def render_frame(
     Parameters
     ----------
     scene : Scene, mapping or path
-        As for `render`, but no stereo pair, whose frames are two views.
+        As for `render`, but not with a stereo pair, which has two views per frame.
     index : int
         Number of the frame, from 0.
     truth, color, device, precision, method, tolerance, memory
@@ -163,14 +164,15 @@ def render_sweep(
     Parameters
     ----------
     scenes : Sweep or iterable of Scene, mapping or path
-        Each scene has the noise of its `noise_seed`; in a Sweep this increases by 1 from scene to scene.
+        Each scene has the sensor noise of its `noise_seed`; in a Sweep, the seed increases by 1 from scene to scene.
     truth, color, device, precision, method, tolerance, frames, memory
         As for `render`, for each scene.
 
     Returns
     -------
     iterator of (int, Frame)
-        Number of a scene and one of its frames: scene by scene, but frame by frame if scenes share rays.
+        Number of a scene, and one of its frames. Frames come scene by scene; scenes that share rays take turns frame by
+        frame.
 
     Raises
     ------
@@ -179,8 +181,8 @@ def render_sweep(
 
     Notes
     -----
-    If consecutive scenes differ only in the lens, rays are cast at their surfaces once for all of them (at sub-pixels
-    near silhouettes once for each). Validated: the same bits as from `render` for each scene
+    If consecutive scenes differ only in the lens, rays through pixels are cast once for all of them; rays of sub-pixel
+    sources near silhouettes are cast for each. Validated: the same bits as from `render` for each scene
     (tests/cli/test_sweep.py).
 
     Examples
@@ -201,7 +203,7 @@ def checked_request(
     truth: str | Iterable[str] = ALL_TRUTH, color: bool = True, precision: str | None = None, method: str = "auto",
     tolerance: float | None = None, memory: str | int | None = None,
 ) -> Request:  # fmt: skip
-    """Check a user's request for a rendering: `Options` by name. Raises SceneError for invalid values."""
+    """The request for a rendering with these `Options`. Raises SceneError for invalid values."""
     if precision not in (None, "single", "double"):
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
@@ -221,10 +223,10 @@ def checked_request(
 def render_prepared(
     session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None = None, keeps_rays: bool = False
 ) -> Iterator[tuple[int, Frame]]:
-    """`render_sweep` for prepared scenes in a session, all with one request.
+    """`render_sweep` for prepared scenes in a session; all of them have one request.
 
-    keeps_rays: keep ray hits in the session, for later renderings of the same objects. Plans made for a processor
-    before a device was opened are made again if the device is no processor.
+    keeps_rays: True to cache ray hits in the session, for later renderings of the same objects. If plans were made for
+    another kind of device, because none was open yet, they are made again.
     """
     if any(entry.plan.device.kind != session.device.kind for entry in prepared):
         sweep = Sweep(("",) * len(prepared), tuple(entry.scene for entry in prepared))
@@ -238,7 +240,7 @@ def render_prepared(
 def _render_scenes(
     session: Session, scenes: Sequence[Scene], request: Request, frames: Sequence[int] | None
 ) -> Iterator[tuple[int, Frame]]:
-    """Render as `render_prepared` does; scenes that share rays are prepared together, just before they are rendered."""
+    """Prepare and render scenes; those that share rays are prepared together, just before they are rendered."""
     for group in lens_groups(scenes):
         sweep = Sweep(("",) * len(group), tuple(scenes[k] for k in group))
         for k, frame in render_prepared(session, prepare_sweep(sweep, request, session.device), frames):
@@ -246,7 +248,7 @@ def _render_scenes(
 
 
 def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> list[int]:
-    """The numbers of frames, all of which every scene must have. Raises SceneError."""
+    """The numbers of frames as ints. Raises SceneError unless every scene has all of these frames."""
     count = min((scene.sequence.frames for scene in scenes), default=0)
     try:
         numbers = [operator.index(number) for number in frames]
@@ -261,7 +263,7 @@ def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> l
 def _render_group(
     session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None, keeps_rays: bool
 ) -> Iterator[tuple[int, Frame]]:
-    """Frames of scenes that differ in the lens or the sensor only."""
+    """Render scenes that differ only in the lens or the sensor; yields the number of a scene, and a frame of it."""
     limit = replace(limit_of(prepared[0].request.memory, session.device), views=len(prepared[0].plans))
     if limit.set_by_user:
         forget_others(session)
@@ -283,7 +285,9 @@ def _render_group(
 def _render_lenses(
     session: Session, prepared: Sequence[Prepared], limit: Limit, numbers: Sequence[int]
 ) -> Iterator[list[tuple[int, Frame]]]:
-    """Frames with each number, of all scenes that share their rays; yields nothing if they cannot share them."""
+    """Render scenes that share their rays; yields for each frame number the frames of all scenes, with the scenes'
+    numbers. Yields nothing if they cannot share rays.
+    """
     lockstep = []
     for lens_plans in _lockstep_plans([entry.plans for entry in prepared], limit):
         hits = LatestHits(session)
@@ -297,7 +301,7 @@ def _render_lenses(
 def _render_views(
     session: Session, prepared: Prepared, limit: Limit, numbers: Sequence[int], keeps_rays: bool
 ) -> Iterator[list[Frame]]:
-    """The views of each frame of one scene; strips shrink if the device has less memory than it reports."""
+    """Render one scene; yields the views of each frame. Strips shrink if the device has less memory than it reports."""
     renderers: list[Renderer] = []
 
     def renderer(plan: Plan) -> Renderer:
@@ -311,7 +315,7 @@ def _render_views(
             renderers[:] = renderers or [renderer(plan) for plan in plans]
             return [_render_lockstep([renderer], index)[0] for renderer in renderers]
         except DeviceError:
-            renderers.clear()  # before those for smaller strips take memory
+            renderers.clear()  # releases memory for those with smaller strips
             raise
 
     def fit(limit: Limit) -> list[Plan]:
@@ -323,14 +327,14 @@ def _render_views(
 
 
 def _round_guard(guard: int) -> int:
-    """A guard band for cached rays: rounded to one of few widths, so that lenses with similar blur share it."""
+    """Round up a guard band for cached rays to one of few widths, so that lenses with similar blur share the rays."""
     step = max(1 << guard.bit_length() >> 2, GUARD_STEP)
     return -(-guard // step) * step
 
 
 def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
-    """Plans per eye and lens that share their rays, with one guard band; empty if they cannot share them or do not
-    fit.
+    """Plans of lenses that share their rays, for each eye, widened to one guard band; empty if they cannot share rays
+    or do not fit. plans: for each lens, the plans of its views.
     """
     if len(plans) == 1 or not all(_shares_rays(first, second) for first, second in pairwise(plans)):
         return []
@@ -347,7 +351,7 @@ def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[lis
 
 
 def _shares_rays(first: tuple[Plan, ...], second: tuple[Plan, ...]) -> bool:
-    """True if two lenses can share ray hits."""
+    """True if two lenses can share ray hits; first, second: plans of their views."""
     return all(
         casts_for_lenses(a)
         and casts_for_lenses(b)
@@ -358,11 +362,11 @@ def _shares_rays(first: tuple[Plan, ...], second: tuple[Plan, ...]) -> bool:
 
 
 def casts_for_lenses(plan: Plan) -> bool:
-    """True if the plan casts rays and uses their hits only for sources."""
+    """True if the plan casts rays whose hits only become sources, so that lenses can share them."""
     return not plan.color_plans and plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
 
 
 def _render_lockstep(renderers: Sequence[Renderer], index: int) -> list[Frame]:
-    """One frame of each renderer, rendered in lockstep, time sample by time sample."""
+    """Render frame `index` with all renderers in lockstep, time sample by time sample; returns a frame of each."""
     films = expose(renderers, index)
     return [renderer.finish(film) for renderer, film in zip(renderers, films, strict=True)]

@@ -10,21 +10,21 @@ from clsco.errors import DeviceError
 from clsco.opencl.session import Session
 from clsco.plan.memory import Limit
 
-F = TypeVar("F")  # work that fits a limit: plans, or the height of strips
+F = TypeVar("F")  # describes work that fits a limit: plans, or the height of strips
 T = TypeVar("T")
 
 
 class Shrinking(Generic[F]):
-    """Runs work that fits a memory limit; when the device runs short of memory, retries with half the memory.
+    """Runs work that fits a memory limit; if the device runs short of memory, retries with half of the memory.
 
     Parameters
     ----------
     session : Session
     limit : Limit
     fit : callable
-        Returns the work that fits a limit.
+        Returns the description of the work that fits a limit, such as a plan.
     size : callable
-        Bytes of the work's buffers on the device.
+        Returns the size in bytes of its buffers on the device.
     """
 
     def __init__(
@@ -34,8 +34,8 @@ class Shrinking(Generic[F]):
         self.fitting = fit(limit)
 
     def run(self, work: Callable[[F], T]) -> T:
-        """Return the result of `work`. Raises DeviceError if nothing smaller fits, or for any other error of the
-        device.
+        """Call `work` with the description that fits, and return its result. Raises DeviceError if even the smallest
+        work does not fit, or for any other error of the device.
         """
         while True:
             try:

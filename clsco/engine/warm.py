@@ -28,8 +28,8 @@ SIDE = 16  # px, side of the frames for which kernels are run
 def warm(session: Session, scene: Scene, files: InputFiles) -> None:
     """Compile the kernels that a scene and similar ones need.
 
-    They are compiled into the cache on disk first, in a separate context, then in the session. Faults of the scene are
-    ignored here; rendering raises them.
+    They are first compiled in a separate context, which fills the cache on disk, then in the session. Faults of the
+    scene are ignored here; rendering raises them.
     """
     with suppress(ClscoError):
         prepared = prepare(scene, Request(ALL_TRUTH), session.device, files)
@@ -59,7 +59,7 @@ def run_plausible_plans(session: Session, prepared: Prepared) -> int:
 
 
 def plausible_next_plans(plan: Plan) -> Iterator[Plan]:
-    """The plan, and plans of similar scenes: with and without silhouettes and occluders."""
+    """The plan itself, and plans of similar scenes: with silhouettes or occluders added or removed."""
     yield plan
     if not casts_for_lenses(plan):
         return
@@ -75,12 +75,12 @@ def plausible_next_plans(plan: Plan) -> Iterator[Plan]:
 
 
 def _occluded(plan: Plan, occlusion: Occlusion, group: OcclusionGroup) -> Plan:
-    """The plan with another method of occlusion, for one group."""
+    """The plan with another method of occlusion, and `group` as its only occlusion group."""
     return replace(plan, choices=replace(plan.choices, occlusion=Choice(occlusion)), groups=(group,))
 
 
 def _small(prepared: Prepared) -> Prepared:
-    """The scene in a frame of SIDE px, with the same blur; unchanged with depth maps, whose size fixes the frame's."""
+    """The scene in a frame of SIDE x SIDE px, with the same blur; unchanged with depth maps, which fix the size."""
     if not prepared.scene.is_analytic:
         return prepared
     camera = prepared.scene.camera.model_copy(update={"resolution": (SIDE, SIDE)})

@@ -45,7 +45,7 @@ from clsco.plan.passes import Kind, Pass, run_passes
 from clsco.plan.plan import Plan
 from clsco.records import Real, Struct
 
-if TYPE_CHECKING:  # imported where a plan has them
+if TYPE_CHECKING:  # imported at run time only for plans that need them
     from clsco.passes.clusters import Clusters, Layers
     from clsco.passes.colors import JoinedColors
     from clsco.passes.layered import DepthLayers
@@ -53,22 +53,22 @@ if TYPE_CHECKING:  # imported where a plan has them
     from clsco.passes.vignetting import Vignetting
 
 Pixels = ForwardWarp | StaticMap | None
-"""Source of pixels in the reference pose: moved by a forward warp, or static; None if rays are cast."""
+"""Origin of pixels in the reference pose: a forward warp or a static map; None if rays are cast."""
 Outputs = tuple[Any, ...]
 """Outputs of a pass, in the order of `Pass.gives`."""
 
 
 def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> dict[str, cl.Buffer]:
-    """Buffers of `SHARED` that a plan has, except the `absent` ones. Raises DeviceError."""
+    """Allocate the buffers of `SHARED` that a plan needs, except the `absent` ones. Raises DeviceError."""
     sizes = {name: size for step in plan.passes for name, size in step.buffers.items()}
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
 
 
 class Workspace:
-    """Buffers of a plan, and a method for each kind of pass: base of all workspaces.
+    """Buffers of a plan, and a method for each kind of pass; base class of all workspaces.
 
-    The method with the name of a pass's kind runs the pass: it takes a job, the pass and its inputs, and returns the
-    outputs.
+    A pass is run by the method with the name of its kind, which takes a job, the pass and the pass's inputs, and
+    returns its outputs.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ class Workspace:
         self.session, self.buffers = session, buffers
 
     def run(self, passes: Iterable[Pass], job: Any, after: Callable[[Kind], None] | None = None) -> Mapping[str, Any]:
-        """Run passes on a part of an image; returns their outputs, named as in `Pass`. Raises CanceledError.
+        """Run passes on the part of an image that `job` describes; returns their outputs, named as in `Pass`.
 
-        after: called after each pass with its kind.
+        after: called after each pass with its kind. Raises CanceledError.
         """
 
         def run_pass(step: Pass, *inputs: Any) -> Outputs:
@@ -97,19 +97,19 @@ class Workspace:
         return run_passes(passes, run_pass)
 
     def run_pass(self, job: Any, step: Pass, *inputs: Any) -> Outputs:
-        """Run a pass by the method of its kind."""
+        """Run a pass by the method that is named after its kind."""
         outputs: Outputs = getattr(self, step.kind.replace(" ", "_"))(job, step, *inputs)
         return outputs
 
 
 class BlurWorkspace(Workspace):
-    """Passes from an image or sources to the blurred plane.
+    """Runs the passes from an image or sources to the blurred plane.
 
     Parameters
     ----------
     session : Session
     buffers : mapping
-        Buffers of `SHARED` that the plan has; with "source", if images become sources.
+        Buffers of `SHARED` that the plan has; they include "source" if images become sources.
     spec : BlurSpec
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
@@ -117,9 +117,9 @@ class BlurWorkspace(Workspace):
         grid_t of the first strip.
     real : {"double", "float"}
     maps : Maps
-        Blur radii of images.
+        Kind of map that has the blur radii of images.
     behind_rims : callable, optional
-        For images with aperture rims.
+        Returns the lens for a job; needed for images if aperture rims cut their light.
 
     Raises
     ------
@@ -157,7 +157,10 @@ class BlurWorkspace(Workspace):
             self._composite = DepthLayers(self._blurred, kernels, tallest, behind_rims)
 
     def find_layers(self, passes: Iterable[Pass], jobs: Iterable[Any]) -> tuple[LayerBounds, ...]:
-        """Bounds of depth layers, from the discontinuities in all strips together; empty without layers."""
+        """Bounds of depth layers, from the discontinuities in all strips together; empty without layered occlusion.
+
+        jobs: one for each strip.
+        """
         if not self.spec.layered:
             return ()
         before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
@@ -193,14 +196,14 @@ class BlurWorkspace(Workspace):
 
 @dataclass(frozen=True)
 class ColorChannel:
-    """Textures and pixels of all colors, or of one.
+    """Textures and pixels of all colors together, or of one color.
 
     Attributes
     ----------
     scene : PlacedScene
-        The scene with its textures in these colors.
+        The scene with textures that have only these colors.
     pixels : ForwardWarp or StaticMap, optional
-        Source of pixels in the reference pose: moved by a forward warp, or static.
+        Origin of pixels in the reference pose; None if rays are cast.
     """
 
     scene: PlacedScene
@@ -208,7 +211,7 @@ class ColorChannel:
 
 
 class PlaneWorkspace(BlurWorkspace):
-    """Passes up to the blurred plane of a time sample, of all colors or of one.
+    """Runs the passes up to the blurred plane of a time sample, for all colors together or for one color.
 
     Parameters
     ----------
@@ -216,7 +219,7 @@ class PlaneWorkspace(BlurWorkspace):
         Plan for these colors.
     channel : ColorChannel
     buffers : dict
-        Shared by all colors.
+        Buffers of `SHARED` that the plan has, shared by all colors.
     hits : Hits, optional
         Ray hits shared with other lenses.
     grid : numpy.void
@@ -241,7 +244,7 @@ class PlaneWorkspace(BlurWorkspace):
         super().__init__(scene.session, buffers, spec, plan.grid, grid, scene.real, maps, behind_rims)
 
     def run_pass(self, job: SceneJob, step: Pass, *inputs: Any) -> Outputs:
-        if step.color is not None and self.plan.scene.shifts_colors:  # a color has rays of its own
+        if step.color is not None and self.plan.scene.shifts_colors:  # each color has its own rays
             camera = colored(job.sample.camera, self.plan.scene.lens, step.color)
             job = replace(job, grid=towards(job.grid, camera), sample=replace(job.sample, camera=camera))
         return super().run_pass(job, step, *inputs)
@@ -274,7 +277,7 @@ class PlaneWorkspace(BlurWorkspace):
     count_missing = fill
 
     def _for_blur(self, job: SceneJob, light: Image | Sources | None) -> Image | Sources | Plane | None:
-        """Convert the light of a pass to the kind that `clsco.plan.image.light_of` names."""
+        """Convert the output of a pass to the kind that `clsco.plan.image.light_of` names."""
         if light is None or self.plan.blur not in ("none", "convolve"):
             return light
         if self.plan.blur == "none":
@@ -285,7 +288,7 @@ class PlaneWorkspace(BlurWorkspace):
 
 
 class SceneWorkspace(Workspace):
-    """All passes of a scene.
+    """Runs all passes of a scene.
 
     Parameters
     ----------
@@ -334,7 +337,9 @@ class SceneWorkspace(Workspace):
         return self.planes[step.color or 0].run_pass(job, step, *inputs)
 
     def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[LayerBounds, ...] | None:
-        """Bounds by `BlurWorkspace.find_layers`, for all colors or for each of three; None without layers."""
+        """Bounds of depth layers by `BlurWorkspace.find_layers`: one entry for all colors, or one for each of three;
+        None without layered occlusion.
+        """
         strips, bounds = tuple(jobs), list[LayerBounds]()
         for plane in self.planes:
             bounds += plane.find_layers([step for step in passes if step.color == plane.plan.only], strips)

@@ -1,1 +1,1 @@
-"""Devices, sessions, programs and buffers of OpenCL; independent of scenes."""
+"""OpenCL: devices, sessions, programs and buffers; independent of scenes."""

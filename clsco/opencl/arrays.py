@@ -1,4 +1,4 @@
-"""Arrays passed by users to `clsco.defocus` and `clsco.inpaint`: NumPy arrays, or pyopencl arrays in one queue."""
+"""Conversion of arrays that users pass to `clsco.defocus` and `clsco.inpaint`, which may be arrays of pyopencl."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ MOST_CHANNELS = 16
 
 
 def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[Any]], Callable[[NDArray[Any]], Any]]:
-    """Session for arrays of any shape, the arrays as NumPy arrays, and a function that converts a result to the kind of
-    the arrays.
+    """The session for a user's arrays, the arrays as NumPy arrays, and a function that converts a result to their kind.
 
-    arrays: each under its name in messages. If one is a pyopencl array, the session works in that array's queue, and
-    the result is a pyopencl array; else the session is on `device`. NumPy arrays, masked or not, stay as they are.
-    Raises DeviceError for an array without a queue or an unknown device, ArgumentError for pyopencl arrays with gaps.
+    arrays: by their names in messages, of any shape. If any is a pyopencl array, the session works in the queue of the
+    first such array, and results become pyopencl arrays; else the session is on `device`, and results stay NumPy
+    arrays. Masked arrays stay masked. Raises DeviceError if the first pyopencl array has no queue or `device` is
+    unknown, and ArgumentError for pyopencl arrays that are not contiguous.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:
@@ -38,7 +38,7 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
 
 
 def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """The array itself, or the values of a masked array. Raises ArgumentError if any value is masked."""
+    """The array, without the mask of a masked array. Raises ArgumentError if any value is masked."""
     masked = int(np.count_nonzero(np.ma.getmaskarray(array))) if isinstance(array, np.ma.MaskedArray) else 0
     if masked:
         raise ArgumentError(
@@ -48,7 +48,7 @@ def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_image(image: NDArray[Any]) -> None:
-    """Raise ArgumentError unless the shape is (rows, columns) or (rows, columns, channels) with at least one pixel."""
+    """Raise ArgumentError unless the shape is (rows, columns) or (rows, columns, 1 to MOST_CHANNELS), not empty."""
     if image.ndim not in (2, 3) or 0 in image.shape or (image.ndim == 3 and image.shape[2] > MOST_CHANNELS):
         raise ArgumentError(
             f"image: must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS}); got {image.shape}"

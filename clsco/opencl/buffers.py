@@ -1,4 +1,4 @@
-"""Transfer of arrays to the device and back."""
+"""Buffers on the device, and transfer of arrays to the device and back."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from clsco.opencl.session import Session
 def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
     """A read-only buffer with the contents of `array`, in C order.
 
-    If the device uses host memory, an aligned C-ordered array is used in place: the buffer keeps it alive, and the
-    caller must neither write to it nor drop the buffer before the last kernel that reads it has ended. Otherwise it is
-    copied. Raises DeviceError if the array is larger than the device allows for one buffer.
+    If the device uses host memory and the array is aligned and C-ordered, the buffer uses the array's memory. The
+    buffer keeps the array alive; until the last kernel that reads it has ended, the caller must neither write to the
+    array nor drop the buffer. Otherwise the array is copied. Raises DeviceError if the array is larger than the device
+    allows for one buffer, or memory is short.
     """
     packed = np.ascontiguousarray(array)
     _check_size(session, packed.nbytes)
@@ -37,8 +38,10 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """A read-only buffer of an array in C order. If the device uses host memory, the buffer is the array itself, at any
-    alignment, which must not change while kernels run; else it is a copy. Raises DeviceError as `upload`.
+    """A read-only buffer with the contents of a C-ordered array, for a short time.
+
+    If the device uses host memory, the buffer uses the memory of the array, however aligned, so the array must not
+    change while kernels run; otherwise the array is copied. Raises DeviceError as `upload`.
     """
     if not session.device.unified_memory or array.nbytes == 0:
         return upload(session, array)
@@ -50,17 +53,17 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
-    """`upload` of an array that never changes, cached in the session; place: cache key, which has only one array at a
-    time.
+    """`upload` of an array that never changes, cached in the session; place: cache key. A new array with the same key
+    replaces the previous one.
     """
     key = ("array", place)
     for _ in range(2):
         buffer, owner = session.cache.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
         if owner is array:
             return buffer
-        session.queue.finish()  # kernels that were launched with the other array may still read it in place
+        session.queue.finish()  # kernels may still read the previous array in place
         session.cache.forget(key)
-    return upload(session, array)  # another thread works with another array of the same place
+    return upload(session, array)  # another thread uses another array with the same key
 
 
 def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
@@ -91,14 +94,16 @@ def empty(session: Session, size: int) -> cl.Buffer:
 
 
 class Refilled:
-    """A buffer that the host refills while queued launches read it: each copy is enqueued after these launches."""
+    """A buffer that the host refills; each copy is enqueued after the launches that read the previous one."""
 
     def __init__(self, session: Session, size: int) -> None:
         self.session, self.buffer = session, empty(session, size)
         self._copy: cl.Event | None = None
 
     def fill(self, array: NDArray[Any]) -> cl.Buffer:
-        """Enqueue a copy of an array, which the caller must not change; waits for the previous copy."""
+        """Enqueue a copy of an array to the buffer, and return the buffer; waits for the previous copy. The caller must
+        not change the array before the copy has ended.
+        """
         queue, packed = self.session.queue, np.ascontiguousarray(array)
         # pyopencl waits for a copy before it frees the event of the copy.
         self._copy = cl.enqueue_copy(queue, self.buffer, packed, is_blocking=False) if packed.nbytes else None
@@ -106,7 +111,7 @@ class Refilled:
 
 
 def allocate(session: Session, sizes: Mapping[str, int]) -> dict[str, cl.Buffer]:
-    """A buffer for each name; sizes: size of each buffer in bytes. Raises DeviceError as `upload`."""
+    """Uninitialized buffers by name; sizes: sizes in bytes by name. Raises DeviceError as `upload`."""
     return {name: empty(session, size) for name, size in sizes.items()}
 
 
@@ -118,9 +123,9 @@ def filled_with(session: Session, size: int, value: float = 0.0) -> cl.Buffer:
 
 
 def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
-    """Wait for all enqueued commands, and return a copy of the buffer's beginning, which the caller owns.
+    """Wait for all enqueued commands, and copy the buffer's beginning to a new array.
 
-    shape, dtype: of the returned array. Raises DeviceError if the device fails.
+    shape, dtype: those of the returned array. Raises DeviceError if the device fails.
     """
     array = np.empty(tuple(shape), dtype)
     download_into(session, buffer, array)
@@ -138,9 +143,9 @@ def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> N
 
 @contextmanager
 def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
-    """Wait for all enqueued commands, and map the buffer's beginning as an array; on a processor without a copy.
+    """Wait for all enqueued commands, and map the buffer's beginning as an array; a processor does not copy it.
 
-    shape: of the mapped array, which is valid only in the `with` block. Raises as `download`.
+    shape: shape of the array, which is valid only in the `with` block. Raises as `download`.
     """
     try:
         flags = cl.map_flags.READ

@@ -1,4 +1,4 @@
-"""OpenCL devices: lists them, chooses one with a reason, and describes its features."""
+"""OpenCL devices: lists them, describes their properties, and chooses one, with the reason for the choice."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pyopencl as cl
 from clsco.errors import DeviceError
 from clsco.opencl import pocl_cache as poclcache
 
-cl._PYOPENCL_NO_CACHE = True  # if the user imported pyopencl before clsco, it did not read the environment variable
+cl._PYOPENCL_NO_CACHE = True  # the environment variable has no effect if the user imported pyopencl before clsco
 
 NO_DEVICE = (
     "device: OpenCL needs a driver, and none with a device was found; "
@@ -30,7 +30,7 @@ _REASONS = (
 
 @dataclass(frozen=True)
 class Device:
-    """An OpenCL device, with the properties that clsco uses; memory sizes and alignment in bytes."""
+    """An OpenCL device and the properties that clsco uses; memory sizes and alignment are in bytes."""
 
     name: str
     platform: str
@@ -40,15 +40,15 @@ class Device:
     has_fp64: bool
     has_int64_atomics: bool
     correctly_rounded: bool
-    """float32 division and square root can be had correctly rounded, as in NumPy."""
+    """True if an option of the compiler makes float32 division and square root correctly rounded, as in NumPy."""
     unified_memory: bool
-    """The device works in the host's memory, so that an aligned array needs no copy."""
+    """True if the device uses the host's memory, so that an aligned array needs no copy."""
     alignment: int
     max_alloc: int
     global_mem: int
     compute_units: int
     vector_width: int
-    """Floats in the widest vector that it computes at once."""
+    """Number of floats in the widest vector that the device computes at once."""
     max_work_group: int
     handle: cl.Device = field(repr=False)
 
@@ -69,25 +69,25 @@ class Choice:
 
 
 def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple[Device, ...], Choice]:
-    """List the OpenCL devices, and say which one would be used and why.
+    """List the OpenCL devices, and choose the one that clsco would use.
 
     Parameters
     ----------
     name : str, optional
         As `device` of `clsco.render`: a part of a name, "cpu" or "gpu".
     source : str
-        Name for the origin of `name` in the reason.
+        Source of `name`, for the reason.
 
     Returns
     -------
     devices : tuple of Device
-        In the platforms' order.
+        All devices, in the order of their platforms.
     choice : Choice
-        `device` (None if no device can be chosen), and the `reason` in words.
+        The device to use, and the reason in words.
 
     Notes
     -----
-    If no device can be chosen, the reason says so; no error is raised.
+    If no device can be chosen, the device of `choice` is None, and the reason says why; no error is raised.
 
     Examples
     --------
@@ -104,11 +104,12 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
 
 
 def choose(name: str | None = None, source: str = "device") -> Device:
-    """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor.
+    """The device to use, by the first of: `name`, CLSCO_DEVICE, PYOPENCL_CTX, a GPU, PoCL, another processor, any
+    device.
 
-    Never prompts. `name`, in any case, is "gpu", "cpu" or the device's name, else a part of the platform's name or
-    version, else a part of the device's name; source: origin of `name` for messages. Raises DeviceError if there is no
-    device or none matches.
+    Never prompts. `name` is compared without regard to case, first with the kind ("gpu" or "cpu") and the whole name of
+    a device, then with parts of its platform's name or version, then with parts of its name; source: where `name` comes
+    from, for messages. Raises DeviceError if there is no device or none matches.
     """
     chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
@@ -123,9 +124,10 @@ def pick(
     by_pyopencl: Callable[[str], cl.Device],
     origin: str = "device",
 ) -> Choice:
-    """The rule of `choose` for a list of devices and an environment; `by_pyopencl` resolves PYOPENCL_CTX.
+    """Choose from a list of devices by the rule of `choose`.
 
-    origin: source of `name` for messages.
+    environ: environment variables; by_pyopencl: returns the device for a value of PYOPENCL_CTX; origin: where `name`
+    comes from, for messages.
     """
     if not devices:
         return Choice(None, NO_DEVICE)
@@ -140,7 +142,7 @@ def pick(
 
 
 def failure(device: Device, task: str, error: cl.Error | OSError) -> DeviceError:
-    """The error to raise if a device fails; task: the failed operation; error: the error of OpenCL."""
+    """The error to raise if a device fails; task: what the device must do, for the message; error: the cause."""
     short = isinstance(error, cl.MemoryError | OSError) or any(word in str(error) for word in _SHORT_OF_MEMORY)
     return DeviceError(f"device {device}: must {task}; got {error}", short_of_memory=short)
 
@@ -169,8 +171,8 @@ def _match_device(devices: Sequence[Device], source: str, text: str) -> Device:
     part = text.lower()
 
     def likeness(device: Device) -> int:
-        """Rank of a match: 0 the device's kind or whole name, 1 a part of the platform's name, 2 a part of the device's
-        name, which may be the same with other vendors' drivers, 3 no match.
+        """Rank of a match: 0 for the device's kind or whole name, 1 for a part of the platform's name or version, 2 for
+        a part of the device's name, which drivers of other vendors may share, 3 for no match.
         """
         name, platform = device.name.lower(), (device.platform.lower(), device.platform_version.lower())
         if part in (device.kind, name):

@@ -1,4 +1,4 @@
-"""Features: compile-time options of programs, 0 by default."""
+"""Features, the compile-time options of programs, with their meanings; each is 0 by default."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Pacing of launches: measures their times, and limits the host's lead over the device to a fraction of a second.
+"""Pacing of launches: measures their times, and keeps the host at most a fraction of a second ahead of the device.
 
-Python handles a signal only when a call of OpenCL returns, and enqueued commands cannot be revoked. So long launches
-are cut into pieces, sized by the times of earlier pieces, and the host is at most a fraction of a second ahead of the
-device. Short launches are enqueued at once, without waiting.
+Python handles a signal such as Ctrl-C only when a call of OpenCL returns, and enqueued commands cannot be revoked. So
+long launches are cut into pieces, whose size follows from the times of earlier pieces, and the host waits if it is too
+far ahead. Short launches are enqueued at once, without waiting.
 """
 
 from __future__ import annotations
@@ -12,27 +12,27 @@ from typing import Any
 
 import pyopencl as cl
 
-PIECE = 0.1  # time in s of a piece, and lead of the host over the device at which the host waits
-AT_ONCE = 16  # number of short launches in that lead; few, as they may take longer than expected
+PIECE = 0.1  # time in s that a piece should take; also the lead of the host over the device at which the host waits
+AT_ONCE = 16  # most short launches within that lead; few, as they may take longer than expected
 TIMED = 8  # one of this many launches of a short kernel is timed
-GROWTH = 4  # largest ratio of the size of a piece to that of the previous piece
-UNIT = 25e-9  # time in s of a unit of work until one is measured, about that of a kernel for a pixel
+GROWTH = 4  # largest ratio of a piece's size to the size of the previous piece
+UNIT = 25e-9  # assumed time in s of a unit of work until it is measured, about the work of a kernel per pixel
 
 _END, _START = cl.profiling_info.END, cl.profiling_info.START
 
 
 class Pace:
-    """Times of the kernels of a queue, and the host's lead over the device."""
+    """Records the times of the kernels of a queue, and how far the host is ahead of the device."""
 
     def __init__(self) -> None:
         self._rates: dict[Hashable, float] = {}  # s per unit of work
         self._pending: dict[Hashable, tuple[list[cl.Event], float]] = {}
-        self._untimed: dict[Hashable, int] = {}  # launches until one is timed
+        self._untimed: dict[Hashable, int] = {}  # number of launches until the next timed one
         self._ahead = 0.0
         self._mark: cl.Event | None = None
 
     def expected(self, key: Hashable, work: float) -> float:
-        """Expected seconds for `work` units of work of a kernel, from the kernel's latest measured time."""
+        """Expected seconds for `work` units of work, from the latest measured time of launches with this `key`."""
         if (pending := self._pending.get(key)) is not None:
             events, done = pending
             if (status := events[-1].command_execution_status) <= 0:  # done, or failed
@@ -42,7 +42,10 @@ class Pace:
         return self._rates.get(key, UNIT) * work
 
     def record_launch(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
-        """Record a launch; wait if the host is too far ahead of the device. seconds: expected time of the launch."""
+        """Record a launch of `work` units, and wait if the host is too far ahead of the device.
+
+        events: of the launch's pieces; seconds: expected time of the launch.
+        """
         if untimed := self._untimed.get(key, 0):
             self._untimed[key] = untimed - 1
         elif key not in self._pending:
@@ -54,7 +57,7 @@ class Pace:
             self._mark, self._ahead = events[-1], 0.0
 
     def record_time(self, key: Hashable, work: float, seconds: float) -> None:
-        """Record the seconds that an amount of work took."""
+        """Record the seconds that `work` units of work took."""
         self._rates[key] = seconds / work
         self._untimed[key] = TIMED - 1 if seconds < PIECE / AT_ONCE else 0
 
@@ -73,5 +76,5 @@ def event_seconds(event: cl.Event) -> float:
 
 
 def next_size(size: int, seconds: float) -> int:
-    """Size of the next piece, after a piece of `size` that took `seconds`."""
+    """Size of the next piece, after a piece of size `size` that took `seconds`."""
     return max(1, int(size * min(PIECE / max(seconds, 1e-9), GROWTH)))

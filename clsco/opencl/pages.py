@@ -1,6 +1,4 @@
-"""Pool of host memory for buffers on a processor: renderings reuse pages, as the system clears new pages, which is
-slow.
-"""
+"""Pool of host memory for buffers on a processor: renderings reuse pages, because the system clears new ones slowly."""
 
 from __future__ import annotations
 
@@ -19,19 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST = 2**16  # least size in bytes of an array with its own pages
-LARGE = 2**22  # size in bytes from which on a block contains a whole page of 2 MiB
+LARGE = 2**22  # size in bytes from which a block certainly contains a whole page of 2 MiB
 SPARE_BYTES = 2**27  # memory limit of unused blocks
-SLACK = 4  # a block is reused for requests that are at most 1 / SLACK smaller
+SLACK = 4  # a block is reused for a request if it is larger by at most 1 / SLACK of the request
 CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than the request
 
 
 class Pages:
-    """Pool of memory blocks, which return to it when their arrays are freed. Threads may share it.
+    """Pool of memory blocks; a block returns to the pool when its array is freed. Threads may share a pool.
 
     Parameters
     ----------
     limit : int
-        Memory limit of unused blocks, bytes; the longest unused blocks are returned to the system.
+        Memory limit of unused blocks, bytes; beyond it, those unused for the longest time are returned to the system.
     """
 
     def __init__(self, limit: int = SPARE_BYTES) -> None:
@@ -42,10 +40,9 @@ class Pages:
         self._bytes = 0
 
     def take(self, size: int) -> NDArray[np.uint8]:
-        """An uninitialized array of `size` bytes, in pages of 2 MiB if the system has them; its memory returns to the
-        pool when the array is freed.
+        """An uninitialized array of `size` bytes, whose memory returns to the pool when the array is freed.
 
-        Raises OSError if there is no memory.
+        From LARGE on, it is in pages of 2 MiB if the system has these. Raises OSError if there is not enough memory.
         """
         bytes_ = block_size(size)
         with self._lock:
@@ -90,8 +87,8 @@ class Pages:
 
 
 def in_pages(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy of an array, in C order, in separate pages: devices that use host memory read the copy in place, and its
-    pages are returned when it is freed.
+    """A copy of an array, in C order, in pages of its own: devices that use host memory read it in place, and its pages
+    return to the system when it is freed.
     """
     copy = np.frombuffer(_cleared(array.nbytes), array.dtype).reshape(array.shape)
     copy[...] = array
@@ -114,7 +111,7 @@ def is_in_pages(array: NDArray[Any]) -> bool:
 
 
 def trim() -> None:
-    """Let the C library return its free memory to the system, if it supports this."""
+    """Make the C library return its free memory to the system, if it can."""
     with suppress(AttributeError, OSError, TypeError):  # not the GNU C library, or Windows
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -131,7 +128,7 @@ def _cleared(size: int) -> mmap.mmap:
 
 
 def block_size(size: int) -> int:
-    """Size of the block for a request of `size` bytes: whole pages, one of CLASSES sizes per octave."""
+    """Size of the block for a request of `size` bytes: whole pages, and one of CLASSES sizes per octave."""
     step = max(1 << max(size.bit_length() - 1, 0), mmap.PAGESIZE * CLASSES) // CLASSES
     return -(-size // step) * step
 

@@ -1,4 +1,4 @@
-"""Splits launches into pieces of a fraction of a second, so that Ctrl-C, cancellation and progress are quick."""
+"""Splits launches into pieces of a fraction of a second, so that Ctrl-C and cancellation act quickly."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pyopencl as cl
 from clsco.opencl import pace
 from clsco.opencl.session import Session
 
-FIRST = 8  # the first piece of a launch is at most 1 / FIRST of it, as times of pieces may differ
+FIRST = 8  # the first piece is at most 1 / FIRST of a launch, as units may take different times
 
 
 def in_pieces(
@@ -20,7 +20,7 @@ def in_pieces(
     expected: float,
     enqueue: Callable[[int, int], cl.Event],
 ) -> list[cl.Event]:
-    """Enqueue units 0 to `units` - 1 of a launch, piece by piece.
+    """Enqueue a launch piece by piece.
 
     Parameters
     ----------
@@ -28,12 +28,13 @@ def in_pieces(
     key : hashable
         Key shared by all launches that take the same time per unit of work.
     units : int
+        Number of parts into which the launch can be cut.
     work : float
-        Work of all units; one unit of work is assumed to take UNIT seconds until measured.
+        Total work of all parts, in units of `clsco.opencl.pace`.
     expected : float
-        Expected seconds for all units.
+        Expected seconds of the whole launch.
     enqueue : callable
-        enqueue(first, end) enqueues the units from `first` to before `end`, and returns the event.
+        enqueue(first, end) enqueues the parts from `first` up to but not including `end`, and returns the event.
 
     Returns
     -------
@@ -43,7 +44,7 @@ def in_pieces(
     Raises
     ------
     CanceledError
-        The work was canceled between two pieces.
+        The work was canceled before a piece.
     """
     progress = session.progress
     events: list[cl.Event] = []

@@ -1,9 +1,9 @@
-"""PoCL's cache of compiled kernels: a separate folder with a lock between processes and checksums of its files.
+"""PoCL's cache of compiled kernels: a separate folder, with a lock between processes and checksums of its files.
 
-PoCL compiles a kernel into a folder that all processes share, at the build and at the first launch. It loads files from
-there without a check: a damaged file crashes the process (SIGABRT or SIGBUS), and two processes that compile the same
-kernel at once sometimes damage it. So clsco uses its own folder, holds a lock whenever PoCL may write to it, and
-compares the files with checksums recorded under the lock.
+PoCL compiles a kernel at the build of its program and at its first launch, into a folder that all processes share. It
+loads files from there unchecked: a damaged file crashes the process (SIGABRT or SIGBUS), and two processes that compile
+the same kernel at once sometimes damage its file. So clsco uses a folder of its own, holds a lock whenever PoCL may
+write to it, and compares the files with checksums that were recorded under the lock.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ LIST = "clsco.json"
 MOST_LIST = 2**26  # largest size of the list of checksums, bytes
 ROOM = 16 * 2**20  # free disk space required for compilation, bytes; the largest program takes some 2 MB
 _LARGEST = 64 * 2**20
-"""Bytes; a larger cache is emptied, since PoCL never removes what older versions of the kernels left."""
+"""Bytes; a larger cache is emptied, because PoCL never removes files of older versions of the kernels."""
 
 _SETTLED = 2 * 10**9
-"""ns after which a folder that changes again gets another time of change, on any file system."""
+"""Time in ns between two changes of a folder after which they have different times of change on any file system."""
 
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-"""To open a pipe would block for ever."""
+"""Flags with which opening a pipe does not block."""
 
 _Sums = dict[str, list[int]]
 _Listing = tuple[int, list[str], list[str]]  # time of a folder's last change, names of files, names of subfolders
 _listings: dict[str, _Listing] = {}
-"""Listings of folders by path: to ask whether one has changed takes a tenth of the time to read it."""
+"""Listings of folders by path: checking whether a folder has changed takes a tenth of the time of reading it."""
 
 
 def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
-    """Set PoCL's own, versioned cache folder; call this before the first query of the platforms.
+    """Set the environment variable of PoCL's cache folder; call this before the first query of the platforms.
 
-    A POCL_CACHE_DIR set by the user is left unchanged. PoCL compiles each kernel once; variants for small grids and for
-    an offset, which are not faster, are off unless the user sets POCL_WORK_GROUP_SPECIALIZATION. The folder is
-    `clsco/pocl-<versions>` in the user's cache folder. If that cannot be written to, or others can write to it, PoCL
-    gets a temporary folder, which is removed at exit.
+    The folder is `clsco/pocl-<versions>` in the user's cache folder. If clsco cannot write to that, or others can, PoCL
+    gets a temporary folder, which is removed at exit. A POCL_CACHE_DIR set by the user stays unchanged. Unless the user
+    sets POCL_WORK_GROUP_SPECIALIZATION, PoCL compiles each kernel only once: its variants for small grids and for an
+    offset are not faster.
     """
     environ.setdefault(SPECIALIZATION, "0")
     if environ.get(VARIABLE):
@@ -76,24 +76,22 @@ def is_on_disk() -> bool:
     """True if PoCL's folder is in a file system that stores files, unlike /proc."""
     try:
         return shutil.disk_usage(_folder()).total > 0
-    except OSError:  # a folder of the user's that is not there yet
+    except OSError:  # the user has set a folder that does not exist yet
         return True
 
 
 def has_room(folder: Path | None = None) -> bool:
-    """True if there is disk space to compile programs into a folder, by default PoCL's; on a full disk PoCL aborts the
-    process.
-    """
+    """True if a folder, by default PoCL's, has disk space for compilation; without it PoCL aborts the process."""
     try:
         return shutil.disk_usage(folder or _folder()).free >= ROOM
-    except OSError:  # a folder of the user's that is not there yet
+    except OSError:  # the user has set a folder that does not exist yet
         return True
 
 
 def check() -> int:
-    """Remove each compiled program with a file that differs from its record; returns the number of programs removed.
+    """Remove each compiled program with a file that differs from its recorded checksum, and return their number.
 
-    A cache above its size limit is removed as a whole. Does nothing in a folder that the user has set.
+    A cache above its size limit is emptied. Does nothing in a folder that the user has set.
     """
     folder = _folder()
     if not _is_ours(folder):
@@ -102,7 +100,7 @@ def check() -> int:
         recorded = _read_record(folder)
         states = {}
         for name, _ in _names(folder):
-            with suppress(OSError):  # PoCL moves its temporary files without our lock; what cannot be read is removed
+            with suppress(OSError):  # PoCL moves temporary files without our lock; unreadable ones are removed
                 states[name] = _state(f"{folder}/{name}")
         programs = {_program(name) for name in states}
         bad = {
@@ -121,7 +119,7 @@ def check() -> int:
 
 @contextmanager
 def exclusive() -> Iterator[None]:
-    """Lock the cache folder against other processes while PoCL may write to it, and record the new files."""
+    """Lock the cache folder against other processes in the block, where PoCL may write to it, and record new files."""
     folder = _folder()
     with _lock(folder):
         try:
@@ -132,9 +130,9 @@ def exclusive() -> Iterator[None]:
 
 
 def wipe_cache() -> Path | None:
-    """Remove every compiled kernel from PoCL's cache folder; returns the folder, None if there is none.
+    """Remove all compiled kernels from PoCL's cache folder; returns the folder, None if it does not exist.
 
-    In a folder that the user has set, only PoCL's own files are removed.
+    Other files in the folder stay.
     """
     prepare()
     folder = _folder()
@@ -173,9 +171,9 @@ def _versions() -> str:
 @contextmanager
 def _lock(folder: Path) -> Iterator[None]:
     with ExitStack() as stack:
-        # A folder of the user's that is read-only needs no lock: PoCL cannot write to it either.
+        # A read-only folder that the user has set needs no lock: PoCL cannot write to it either.
         with suppress(OSError):
-            handle = stack.enter_context(open(_make_folder(folder) / LOCK, "ab"))  # the lock goes when it is closed
+            handle = stack.enter_context(open(_make_folder(folder) / LOCK, "ab"))  # closing it unlocks
             if fcntl is not None:
                 fcntl.flock(handle, fcntl.LOCK_EX)
         yield
@@ -189,9 +187,9 @@ def _names(folder: Path) -> Iterator[tuple[str, bool]]:
     waiting = [""]
     while waiting:
         inside = waiting.pop()
-        with suppress(OSError):  # another process removes a cache that grew too large
+        with suppress(OSError):  # another process may remove a cache that is too large
             (_, files, folders), unchanged = _list_folder(f"{folder}/{inside}")
-            # PoCL rewrites `last_accessed` at every use, leaves files `tempfile_` behind, and loads neither.
+            # PoCL loads neither `last_accessed`, which it rewrites at every use, nor left-over files `tempfile_`.
             if inside:
                 yield from ((inside + name, unchanged) for name in files if name != "last_accessed")
             waiting += [f"{inside}{name}/" for name in folders]
@@ -237,7 +235,7 @@ def _state(path: str, recorded: list[int] | None = None) -> list[int]:
 def _read_record(folder: Path) -> _Sums:
     try:
         text, _, checksum = read_regular(folder / LIST, MOST_LIST).decode().rpartition("\n")
-        if int(checksum) != zlib.crc32(text.encode()):  # a damaged list may lack the damaged file
+        if int(checksum) != zlib.crc32(text.encode()):  # a damaged list is not used
             return {}
         entries = json.loads(text).items()
         return {name: [int(size), int(modified), int(crc)] for name, (size, modified, crc) in entries}
@@ -250,7 +248,7 @@ def _write_record(folder: Path) -> None:
     sums: _Sums = {}
     for name, same in _names(folder):
         entry = recorded.get(name)
-        if same and entry is not None:  # a new file changes its folder, as PoCL moves it there
+        if same and entry is not None:  # PoCL moves new files to the folder, which changes it
             sums[name] = entry
             continue
         with suppress(OSError):

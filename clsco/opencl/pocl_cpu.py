@@ -1,15 +1,15 @@
-"""Replacement name for processors newer than PoCL's LLVM, for which no kernel would build.
+"""Replaces the name of a processor that is newer than PoCL's LLVM, for which no kernel would build.
 
-PoCL takes the processor's name from the LLVM that it was built with. For a processor that this LLVM does not know, as a
-Zen 5 in PoCL 3.0, the name is "generic", and Clang ends every build with "unknown target CPU 'generic'" (issues 512 and
-1049 of pocl/pocl). No option and no variable sets the name: options come before it on Clang's command line. So it is
-replaced in the device's structure in memory, before the first build, if a trial build of an empty kernel fails, with
-one line on stderr, or without a trial if CLSCO_POCL_CPU=1 is set.
+PoCL takes the processor's name from the LLVM that it was built with. For a processor that this LLVM does not know, such
+as a Zen 5 in PoCL 3.0, the name is "generic", and Clang ends every build with "unknown target CPU 'generic'" (issues
+512 and 1049 of pocl/pocl). No option or variable can set the name, because options precede it on Clang's command line.
+So before the first build, the name is replaced in the device's structure in memory: with a line on stderr if a trial
+build of an empty kernel fails, or without trial and line if CLSCO_POCL_CPU=1 is set.
 
-The name must have the CPU features of the library of built-in functions, which PoCL chooses by the real processor:
-otherwise caller and callee pass vectors of 64 bytes differently, and the process crashes.
+The new name must stand for the CPU features of PoCL's library of built-in functions, which PoCL chooses by the real
+processor: otherwise caller and callee would pass vectors of 64 bytes differently, and the process would crash.
 
-To be deleted with the next wheel of PoCL.
+To be deleted when PoCL's wheel has a newer LLVM.
 """
 
 from __future__ import annotations
@@ -27,21 +27,20 @@ import pyopencl as cl
 from clsco.opencl import pocl_cache
 
 VARIABLE = "CLSCO_POCL_CPU"
-_UNKNOWN, _BEFORE = b"generic\0", b"x86_64-"  # the name, and the start of the text to which the previous word points
+_UNKNOWN, _BEFORE = b"generic\0", b"x86_64-"  # the name, and the start of the text to which the preceding word points
 _WORDS = 128  # number of words searched in a device's structure; in PoCL 3.0 the name is word 80
 _BY_FLAGS = (
     ({"avx512f", "avx512cd", "avx512dq", "avx512bw", "avx512vl"}, b"skylake-avx512"),
     ({"avx2", "fma", "bmi2"}, b"haswell"),
 )
-"""Features that a processor must have, and the name in LLVM that PoCL's library for it was compiled for."""
+"""Flags of /proc/cpuinfo, and LLVM's name of the processor that PoCL's library for these flags was compiled for."""
 
 
 def ensure_known(device: cl.Device) -> None:
-    """Replace the processor name of a PoCL device by a known one if LLVM does not know it; skip other devices.
+    """Replace the processor's name of a PoCL device by one that LLVM knows if it is "generic".
 
     Changes nothing if PoCL builds anyway and CLSCO_POCL_CPU is not 1. If no name fits, or PoCL's structure is not as
-    expected, nothing changes either, and the first build raises the error. Needed and tested on a Zen 5 with the wheel
-    of PoCL 3.0, where all tests use it.
+    expected, nothing changes either, and the first build raises an error. Tested on a Zen 5 with the wheel of PoCL 3.0.
     """
     if not _is_nameless(device):
         return
@@ -63,7 +62,7 @@ def _is_nameless(device: cl.Device) -> bool:
 
 @lru_cache
 def _builds_nothing(device: cl.Device) -> bool:
-    """True if a build of an empty kernel fails: 3 ms if it fails, 30 ms if it succeeds."""
+    """True if a trial build of an empty kernel fails; takes 3 ms if it fails, 30 ms if it succeeds."""
     if not pocl_cache.has_room():  # PoCL writes a successful build to the cache, and aborts on a full disk
         return False
     with pocl_cache.exclusive(), warnings.catch_warnings():
@@ -77,20 +76,20 @@ def _builds_nothing(device: cl.Device) -> bool:
 
 @lru_cache
 def _report(name: str) -> None:
-    """Print one line on stderr, once per process."""
+    """Log a warning of the replaced name, once per process."""
     rule = f"builds nothing for this processor, which is newer; its name was set to {name} in PoCL's memory"
     logging.getLogger("clsco").warning("PoCL %s (%s=1 agrees to it without this line)", rule, VARIABLE)
 
 
 def known_name(flags: set[str]) -> bytes | None:
-    """LLVM's name of the best processor that PoCL has a library for, given the flags of /proc/cpuinfo."""
+    """LLVM's name of the best processor that PoCL has a library for; None if the flags of /proc/cpuinfo fit none."""
     return next((name for needed, name in _BY_FLAGS if needed <= flags), None)
 
 
 def name_in(address: int) -> int | None:
-    """Address of the pointer to "generic" in the device's structure at `address`, None if there is none.
+    """Address of the pointer to the name "generic" in the device's structure at `address`; None if there is none.
 
-    This pointer follows the one to the kind of machine; matches behind the structure must not be overwritten.
+    Only a pointer that follows the one to the kind of machine counts, as memory behind the structure must not change.
     """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))
@@ -102,7 +101,7 @@ def name_in(address: int) -> int | None:
 
 
 def _read(address: int, count: int) -> bytes:
-    """Up to `count` bytes of this process's memory; fewer, or none, beyond mapped memory."""
+    """Up to `count` bytes of this process's memory at `address`; fewer or none where no memory is mapped."""
     try:
         # Through a file, since reading at an invalid address must not crash the process.
         with open("/proc/self/mem", "rb", buffering=0) as memory:

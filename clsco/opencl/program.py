@@ -27,8 +27,8 @@ from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
-# Files before all others: functions and unaligned vectors, in a form for processors or for other devices; and the
-# declarations that replace the header of PoCL's compiler, which the option leaves out.
+# Files that precede all others: common functions, in a form for processors or for other devices, and declarations that
+# replace the header of PoCL's compiler; option that leaves out this header.
 BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu/pocl.clh", "-D_OPENCL_H_"
 
 
@@ -42,15 +42,15 @@ def build(
     """Build kernel files, with the files that they include, into a program; equal requests share a program, even if
     files have changed since.
 
-    sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, names from
+    sources: names of files in kernels/, such as "trace/trace.cl". features: small integers or bools by names from
     `clsco.opencl.features.FEATURES`, by default 0; not for values that often change, as each text is compiled anew.
-    structs: C name -> NumPy dtype, as for `struct_text`, nested structs after their parts. real: element type of `real`
-    and `real2` to `real16`.
+    structs: NumPy dtypes by C names, as for `struct_text`; a struct follows the structs that it contains. real: element
+    type of `real` and `real2` to `real16`.
 
-    Kernels get these definitions: the numbers of `clsco.constants`, real, real2, real3, real4, real8, real16,
+    Kernels get these definitions: the numbers of `clsco.constants`, features, real, real2, real3, real4, real8, real16,
     REAL_IS_DOUBLE, HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats in the device's widest vector; affects only time).
-    Raises KernelError with the compiler's log, DeviceError if `real` is double and the device lacks it, or if a driver
-    other than PoCL fails `require_right_arguments` at the first program.
+    Raises KernelError with the compiler's log. Raises DeviceError if `real` is "double" and the device lacks it, or if
+    a driver other than PoCL fails `require_right_arguments` at the first program of a session.
     """
     request = folder("kernels"), tuple(sources), tuple(features.items()), tuple(structs.items()), real
     with session.lock:
@@ -68,7 +68,7 @@ def _program(
     structs: Mapping[str, np.dtype[Any]],
     real: Literal["double", "float"],
 ) -> Program:
-    """Uncached implementation of `build`."""
+    """`build` without the cache of requests; equal texts still share a program."""
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
@@ -80,7 +80,7 @@ def _program(
     values = definitions() | {name: macros[name] for name in sorted(macros.keys() & words)}
     options = [f"-D{name}={value}" for name, value in values.items()]
     options.append("-cl-std=CL1.2")
-    if real == "float":  # otherwise 0.5 would be a double, and make the expression double
+    if real == "float":  # otherwise constants such as 0.5 would make expressions double
         options.append("-cl-single-precision-constant")
     options.append(f"-DVECTOR_WIDTH={device.vector_width}")
     if device.correctly_rounded:
@@ -109,14 +109,14 @@ def launch(
     work: float = 1.0,
     origin: tuple[int, ...] = (),
 ) -> list[cl.Event]:
-    """Enqueue a kernel over at least `global_size` work-items, in order, and return its events.
+    """Enqueue a kernel over at least `global_size` work-items; returns the events of its pieces, in order.
 
     Long launches are cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on the number
-    of groups. global_size is rounded up to whole groups of local_size, so the kernel must begin with a guard.
-    local_size is fixed per kernel, since each new size is compiled anew. args: buffers or None, NumPy scalars, scalars
-    of a structured dtype, in the kernel's order. work: units of work of a work-item, 1 for about the usual work per
-    pixel. origin: number of the first work-item along each axis, by default 0. Raises DeviceError if the device cannot
-    run the kernel, CanceledError between two pieces.
+    of groups. global_size is rounded up to whole groups of local_size, so the kernel must ignore work-items beyond it.
+    Use one local_size per kernel, as the driver compiles the kernel again for each. args: buffers or None, NumPy
+    scalars or scalars of a structured dtype, in the kernel's order. work: units of work per work-item, 1 for about the
+    usual work of a pixel. origin: number of the first work-item along each axis, by default 0. Raises DeviceError if
+    the device cannot run the kernel, and CanceledError before a piece if the work is canceled.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
@@ -141,14 +141,15 @@ def launch_whole(
     session: Session, kernel: cl.Kernel, size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
     offset: tuple[int, ...] | None = None,
 ) -> cl.Event:  # fmt: skip
-    """Enqueue a kernel in one piece over `size` work-items, a multiple of the group size; offset: number of the first
-    work-item. Other arguments and errors as for `launch`.
+    """Enqueue a kernel in one piece over `size` work-items, a multiple of local_size; returns its event.
+
+    offset: number of the first work-item along each axis, by default 0. Other arguments and errors as for `launch`.
     """
     # PoCL compiles a kernel at its first launch with a local size, and again for small grids and for an offset if the
-    # user enables that (clsco.opencl.pocl_cache).
+    # user has enabled these variants (clsco.opencl.pocl_cache).
     shape = (kernel, local_size, max(size) < 2**16, offset is None)
     try:
-        with session.lock:  # a kernel's arguments and its launch belong together
+        with session.lock:  # no other thread may set arguments before the launch
             if shape in session.compiled:
                 return kernel(session.queue, size, local_size, *args, global_offset=offset)
             session.doing(f"compiling {kernel.function_name}")
@@ -163,7 +164,7 @@ def launch_whole(
 
 def _compile_for_device(session: Session, where: str, text: str, options: list[str]) -> Program:
     if session.device.is_pocl and session.device.kind == "cpu":
-        with suppress(KernelError):  # the header is of another version, or lacks a function that the kernel calls
+        with suppress(KernelError):  # with another version of PoCL, or an undeclared function
             return _compile(session, where, text, [*options, WITHOUT_HEADER])
     return _compile(session, where, text, options)
 
@@ -184,6 +185,6 @@ def _compile(session: Session, where: str, text: str, options: list[str]) -> Pro
 
 
 def _fault_of(error: cl.Error) -> str:
-    """The compiler's log in an OpenCL error, without the compiler's options and the lines before the log."""
+    """The compiler's log in an OpenCL error, without the compiler's options and the text before the log."""
     head, _, log = str(error).partition("(options:")[0].partition(">:\n\n")
     return (log or head).strip()

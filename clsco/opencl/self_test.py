@@ -1,4 +1,4 @@
-"""Self-test: small kernels that check the operations that clsco relies on."""
+"""Self-test: small kernels that check whether a device computes as clsco expects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clsco.resources import ExposedFolderError, private_folder
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check of `self_test`; detail: the wrong value if the check failed."""
+    """Result of one check of `self_test`; detail: the expected and the wrong value, or the error, if it failed."""
 
     name: str
     passed: bool
@@ -31,7 +31,7 @@ class Check:
 class _Probe:
     name: str
     body: str
-    """Statements of work-item i of 64, from `in` (float, in[i] = i) to `out` (long, zeros)."""
+    """Statements of work-item i of 64, which read `in` (floats, in[i] = i) and write to `out` (longs, zeros before)."""
     expected: Callable[[NDArray[np.int64]], NDArray[np.int64]]
     needs: str | None = None
     functions: str = ""
@@ -69,11 +69,11 @@ _PROBES = (
 
 
 def self_test(device: Device) -> list[Check]:
-    """Build and run small kernels that check the operations clsco relies on. Raises no OpenCL errors."""
+    """Build and run the kernels of the self-test on a device. An error of OpenCL is reported as a failed check."""
     checks = []
     for probe in _PROBES:
         if probe.needs is not None and not getattr(device, probe.needs):
-            continue  # not claimed, so not used
+            continue  # clsco does not use what a device does not claim to have
         try:
             with Session(device) as session:
                 checks.append(_run_check(session, probe))
@@ -83,12 +83,13 @@ def self_test(device: Device) -> list[Check]:
 
 
 def require_right_arguments(session: Session) -> None:
-    """Raise DeviceError if functions in kernels receive wrong arguments, which would make frames of noise without an
-    error. A driver that passes is recorded in the user's cache and not tested again.
+    """Raise DeviceError if functions in kernels get wrong arguments, as with some drivers; frames would then be noise.
+
+    A driver that passes is recorded in the user's cache folder, and not tested again.
     """
     device, passed = session.device, None
     driver_key = device.name, device.platform, device.platform_version, device.driver, _text(device, _ARGUMENTS)
-    with suppress(ExposedFolderError, OSError, RuntimeError):  # no such folder: each process runs the test
+    with suppress(ExposedFolderError, OSError, RuntimeError):  # without such a folder, each process runs the test
         passed = private_folder("clsco", "drivers") / hashlib.sha256(repr(driver_key).encode()).hexdigest()
     if passed is not None and passed.exists():
         return
@@ -110,7 +111,7 @@ def _run_check(session: Session, probe: _Probe) -> Check:
 
 
 def _text(device: Device, probe: _Probe) -> str:
-    """Text of a program for the check, which begins as that of all other programs."""
+    """Text of the program of a probe; it begins like the texts of all programs."""
     begin = source_text.program_text([], {}, "float", device.has_fp64, device.has_int64_atomics)
     kernel = "__kernel void probe(__global const float *in, __global long *out)"
     return f"{begin}\n{probe.functions}\n{kernel}\n{{ int i = get_global_id(0); {probe.body} }}"

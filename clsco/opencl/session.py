@@ -1,4 +1,4 @@
-"""A context and a queue on a device, with the programs built for it."""
+"""Sessions: a context and a queue on a device, with the programs built in the context."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ CACHE_BYTES = 2**28
 _TIMED = cl.command_queue_properties.PROFILING_ENABLE
 
 DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None
-"""Argument `device` of users: a part of a name, "cpu", "gpu", an object of pyopencl, or None for the default."""
+"""A user's argument `device`: a part of a name, "cpu", "gpu", an object of pyopencl, or None for the default."""
 
 Program: TypeAlias = dict[str, cl.Kernel]
-"""A built program: its kernels by name. Looking a kernel up in OpenCL costs 0.2 ms, so they are kept."""
+"""A built program: its kernels by name, kept because looking up a kernel in OpenCL takes 0.2 ms."""
 
 
 @dataclass
@@ -39,11 +39,11 @@ class Progress:
     Attributes
     ----------
     doing : str
-        The current step: the kind of a pass, or a compilation.
+        Current step: the kind of a pass, or "compiling" and names of files or of a kernel.
     share : float
-        Fraction of the last launch that is done, 0 to 1.
+        Fraction of the latest launch that is done, 0 to 1.
     done, total : int
-        Time samples, over all strips.
+        Numbers of time samples, added up over all strips: finished, and of the whole frame.
     finished : float
         Fraction of the frame's rendering time that has passed, 0 while unknown.
     """
@@ -59,9 +59,9 @@ class Session:
     """A context and an in-order queue with profiling on one device, and the programs built in the context; released by
     `close` or `with`.
 
-    A session does not survive a fork: PoCL would hang, even with a new session, so DeviceError is raised. Start
-    processes by spawning. Threads may share a session. queue: queue to use; if it is out of order or has no profiling,
-    a new queue in the same context is used. context: context to use. Raises DeviceError if the device refuses a
+    queue: queue to use; if it is out of order or has no profiling, the session opens another one in its context;
+    context: context to use; by default a new one. Threads may share a session, but no session works after a fork: PoCL
+    would hang, so it raises DeviceError. Start processes by spawning. Raises DeviceError if the device refuses a
     context.
     """
 
@@ -70,17 +70,17 @@ class Session:
         self.device = device
         self.lock = threading.RLock()
         self.cache = Cache(CACHE_BYTES)
-        """Buffers that are filled once: textures, tables, what rays hit, by what they contain."""
+        """Buffers that are filled once, such as textures, tables and ray hits, by keys that describe their content."""
         self.canceled = threading.Event()
-        """Set to cancel the work of this session at its next step; see `go_on`."""
+        """Set this to cancel the work of the session at the next call of `go_on`."""
         self.progress: Progress | None = None
-        """Progress, read by another thread. The host then runs ahead of the device by one time sample at most."""
+        """Progress for another thread to read; if set, the host is at most one time sample ahead of the device."""
         self.programs: dict[Hashable, Program] = {}
-        """Programs that were built here, by their texts and the compiler's options."""
+        """Programs built in this session, by their texts and the compiler's options."""
         self.requests: dict[Hashable, Program] = {}
-        """The same by the arguments of `program.build`; several may ask for one text."""
+        """The same programs by the arguments of `program.build`; several arguments may lead to one text."""
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
-        """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
+        """Kernels and launch shapes that the driver has compiled, recorded by `program.launch_whole`."""
         self.pace = Pace()
         if device.is_pocl:
             poclcache.prepare()  # the user may have opened a queue before clsco listed devices
@@ -97,37 +97,37 @@ class Session:
             raise failure(device, "open a context and a queue", error) from error
 
     def with_cache(self, limit: int) -> Session:
-        """A session in the same queue, with the same programs, and a buffer cache of at most `limit` bytes."""
+        """A session with the same queue and programs, but with its own progress and its own cache of `limit` bytes."""
         session = copy(self)
         session.cache, session.canceled, session.progress = Cache(limit), threading.Event(), Progress()
         return session
 
     def unwatched(self) -> Session:
-        """This session without progress, for background work."""
+        """A copy of this session that records no progress, for background work."""
         session = copy(self)
         session.progress = None
         return session
 
     def doing(self, step: str) -> None:
-        """Record `step` as the current step, if progress is watched."""
+        """Record in `progress`, if it is set, that `step` is being done."""
         if self.progress is not None:
             self.progress.doing, self.progress.share = step, 0.0
 
     def go_on(self) -> None:
-        """Raise CanceledError if the work is canceled."""
+        """Raise CanceledError if `canceled` is set."""
         if self.canceled.is_set():
             raise CanceledError("render: must go on to be done; got a call of cancel")
 
     @property
     def queue(self) -> cl.CommandQueue:
-        """The queue; raises DeviceError in a fork of the process that opened it."""
+        """The queue. Raises DeviceError in a fork of the process that opened it."""
         check_not_forked()
         return self._queue
 
     def compiling(self) -> AbstractContextManager[None]:
-        """Lock to hold while the driver may compile, so that no other process writes to its cache.
+        """Context manager to enter while the driver may compile, so that no other process writes to PoCL's cache.
 
-        Raises DeviceError if PoCL would abort: on a full disk, or without a linker.
+        Raises DeviceError if PoCL would abort, as on a full disk or without a linker.
         """
         if not self.device.is_pocl:
             return nullcontext()
@@ -169,9 +169,9 @@ class Session:
 
     @contextmanager
     def reporting(self) -> Iterator[None]:
-        """Raise errors of OpenCL in the block as DeviceError, after all running commands that read arrays have ended.
+        """Convert errors of OpenCL in the block to DeviceError; any error is raised only after all commands have ended.
 
-        After an error other than a lack of memory the context may be lost, so `session_on` then opens another one.
+        After an error other than a lack of memory the context may be lost, so `session_on` will open another one.
         """
         try:
             yield
@@ -185,7 +185,7 @@ class Session:
             raise
 
     def settle(self) -> None:
-        """Wait for the queue and ignore its errors; arrays and buffers may be released afterwards."""
+        """Wait until all enqueued commands have ended, and ignore their errors."""
         with suppress(cl.Error, DeviceError):
             self.queue.finish()
 
@@ -211,7 +211,7 @@ def session_in(context: cl.Context) -> Session:
 
 
 def session_for(device: DeviceLike) -> Session:
-    """The session for a user's `device` argument. Raises DeviceError if no device matches."""
+    """The session for a user's argument `device`. Raises DeviceError if no device matches."""
     if device is None or isinstance(device, str):
         return session_on(choose(device))
     if isinstance(device, cl.CommandQueue):

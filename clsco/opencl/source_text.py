@@ -1,8 +1,8 @@
 """Preprocessing of program texts, and filtering of compiler messages.
 
-A kernel file includes other files by `#include "common/sources.clh"` with the path below kernels/. For processors, a
-file of the same name in a subfolder `cpu`, if there is one, replaces the included file. Text excluded by the features
-does not reach the compiler, so that requests for the same text share one program.
+A kernel file includes another by its path below kernels/, as in `#include "common/sources.clh"`. For processors, a file
+of the same name in a subfolder `cpu`, if there is one, replaces the included file. Text that the features exclude does
+not reach the compiler, so requests that lead to the same text share one program.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ def program_text(
     macros: Mapping[str, float] | None = None,
     on_cpu: bool = False,
 ) -> str:
-    """The whole text for the compiler, with #line before each file, so that errors name the file.
+    """The whole text of a program for the compiler, with #line directives so that the compiler's errors name files.
 
-    macros: values for the preprocessor's conditions, such as those of features. Raises KernelError for a missing file.
+    sources, structs, real: as for `clsco.opencl.program.build`; macros: values of names in the preprocessor's
+    conditions, such as features; on_cpu: True to use the files for processors. Raises KernelError for a missing file.
     """
     lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c is rounded twice, as in NumPy; only fma() is fused
-    # A warning on the passing of wide vectors, irrelevant as every function is inlined, but PoCL prints the number of
-    # warnings. Compilers for GPUs do not know the warning, and would warn of that.
+    # PoCL prints the number of warnings. This one, on passing wide vectors, is irrelevant because every function is
+    # inlined. Compilers for GPUs do not know it, and would warn of the unknown name.
     lines += ["#ifdef __x86_64__", '#pragma clang diagnostic ignored "-Wpsabi"', "#endif"]
     # When Intel's compiler for processors vectorizes over work-items, it passes vectors of 3 wrongly to and from
     # functions that are not inlined; the hint disables this vectorization.
@@ -65,8 +66,10 @@ def program_text(
 
 @dataclass
 class _Condition:
-    """A conditional in a text. active: True while the current branch is included; done: True once the included branch
-    was read; deferred: True if the compiler decides, as a name in the condition is unknown.
+    """State of an #if that is not closed yet.
+
+    active: True while the current branch is included; done: True once a branch has been included; deferred: True if the
+    condition is left to the compiler, because it has an unknown name.
     """
 
     active: bool
@@ -78,7 +81,7 @@ class _Condition:
 class _Preprocessor:
     """Preprocessor of kernel files: evaluates conditions on known macros, and includes each file once.
 
-    macros: values by name; on_cpu: True to prefer files in folders `cpu`; files_read: names of the files read so far.
+    macros: values of macros by name; on_cpu: True to prefer files in folders `cpu`; files_read: files read so far.
     """
 
     macros: dict[str, float]
@@ -86,8 +89,8 @@ class _Preprocessor:
     files_read: set[str] = field(default_factory=set)
 
     def text(self, source: str) -> str:
-        """Text of a file and of the files that it includes, with blank lines where text is excluded; empty for a file
-        already read.
+        """Text of a file and of the files that it includes, with blank lines for excluded text; empty if the file has
+        been read before.
         """
         name = _cpu_form(source) if self.on_cpu else source
         if name in self.files_read:
@@ -112,7 +115,11 @@ class _Preprocessor:
         return "".join([*pieces, text[end:]])
 
     def _decide(self, word: str, condition: str, line: str, conditionals: list[_Condition], active: bool) -> str:
-        """Process a line with a conditional; returns its replacement for the compiler."""
+        """Process a directive such as #if or #endif; returns its line for the compiler, empty if it is evaluated here.
+
+        word: the directive's name; conditionals: open conditionals, updated; active: True if the line is in included
+        text.
+        """
         if word.startswith("if"):
             value = self._value(condition) if word == "if" and active else None
             deferred = active and value is None
@@ -132,12 +139,12 @@ class _Preprocessor:
         return ""
 
     def _value(self, condition: str) -> float | None:
-        """Value of a condition, None if a name in it is unknown."""
+        """Value of a condition; None if it has an unknown name."""
         names, python = _in_python(condition)
         return float(eval(python, {"__builtins__": {}}, self.macros)) if names <= self.macros.keys() else None
 
 
-# Regular expressions for conditionals, includes, and a name for several features.
+# Matches conditionals, includes, and definitions of a name by a condition on features.
 _DIRECTIVE = re.compile(
     r"^#(?:(ifdef|ifndef|if|elif|else|endif) *(.*)|include \"(.*)\"|define (\w+) (\([^?\n]*(?:&&|\|\|)[^?\n]*\)).*)$",
     re.MULTILINE,
@@ -146,14 +153,14 @@ _DIRECTIVE = re.compile(
 
 @cache
 def _in_python(condition: str) -> tuple[frozenset[str], str]:
-    """Names in a condition of a kernel file, and the condition in Python."""
+    """The names in a condition of a kernel file, and the condition as a Python expression."""
     text = re.sub(r"//.*", "", condition)
     python = re.sub(r"!(?!=)", " not ", text.replace("&&", " and ").replace("||", " or "))
     return frozenset(re.findall(r"[A-Za-z_]\w*", text)), python.strip()
 
 
 def _cpu_form(source: str) -> str:
-    """Name of a file's variant for processors."""
+    """Name of a file's variant for processors; the name itself if there is no variant."""
     variant = re.sub(r"[^/]+$", r"cpu/\g<0>", source)
     return variant if (folder("kernels") / variant).is_file() else source
 
@@ -168,9 +175,9 @@ def _read(source: str) -> str:
 def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:
     """The C typedef `name` of an aligned structured dtype, with a compile-time check of its size.
 
-    Fields are scalars, arrays of them, or dtypes in `structs`. `np.dtype(..., align=True)` gives the layout
-    that OpenCL C prescribes, so equal sizes mean equal offsets. (pyopencl's match_dtype_to_c_struct asks the
-    device with a kernel per struct: 35 ms each from a warm cache, 0.3 s from a cold one.)
+    Fields are scalars, arrays of scalars, or dtypes in `structs`. `np.dtype(..., align=True)` has the layout that
+    OpenCL C prescribes, so equal sizes mean equal offsets. pyopencl's match_dtype_to_c_struct would query the device by
+    a kernel for each struct, which takes 35 ms each from a warm cache, and 0.3 s from a cold one.
     """
     if dtype.fields is None or not dtype.isalignedstruct:
         raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")
@@ -188,9 +195,7 @@ def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[
 
 @contextmanager
 def without_output() -> Iterator[None]:
-    """Suppress pyopencl's warning of compiler output in the block, unless the user has set pyopencl's own variable for
-    it.
-    """
+    """Suppress pyopencl's warning of compiler output in the block, unless the user has set PYOPENCL_COMPILER_OUTPUT."""
     with warnings.catch_warnings():
         if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
             warnings.simplefilter("ignore", cl.CompilerWarning)

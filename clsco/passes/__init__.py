@@ -1,1 +1,1 @@
-"""Host side of the kernels: one module for each group of kernels."""
+"""Host side of the kernels, with a module for each group of kernels."""

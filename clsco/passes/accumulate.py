@@ -1,4 +1,4 @@
-"""Exposure of a frame: sums the blurred planes of its time samples."""
+"""Host side of a frame's exposure, which adds up the blurred planes of its time samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clsco.records import structs
 
 
 class FrameSum:
-    """Weighted sum of planes that makes up a frame or a strip, with one weight per row, or per column.
+    """Weighted sum of planes, which is a frame or a strip; each plane has one weight per row, or per column.
 
     Parameters
     ----------
@@ -24,30 +24,32 @@ class FrameSum:
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.sum_buffers`.
     by_columns : bool
-        True if weights are per column.
+        True if weights are per column, False if they are per row.
 
     Notes
     -----
-    Validated against sums of NumPy (tests/kernels/test_accumulate.py).
+    Validated against sums by NumPy (tests/kernels/test_accumulate.py).
     """
 
     def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:
         features = {"SCAN_COLUMNS": by_columns}
         program = build(session, ["blur/accumulate.cl"], features, structs("float"), "float")
         self.target = Target(session, program, "float")
-        self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # (1, 1) triples PoCL's speed of compilation
+        self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # PoCL compiles (1, 1) three times as fast
         self.sum, self.lost = (empty(session, sizes[name]) for name in ("sum", "lost"))
         self.begins = True
 
     def clear(self) -> None:
-        """Begin a frame or a strip with a sum of 0."""
+        """Begin a new frame or strip with a sum of 0."""
         self.begins = True
 
     def add(
         self, plane: Plane, weights: NDArray[np.floating], events: Events, top: int = 0, rows: int | None = None
     ) -> Plane:
-        """Add a plane to the sum's rows from `top` on, with weights (rows,) or (columns,); rows: number of rows of the
-        sum, by default that of the plane. Returns the sum so far.
+        """Add a plane to the sum, and return the sum so far.
+
+        weights: (rows,) or (columns,) of the plane; top: row of the sum to which the plane's first row is added; rows:
+        number of rows of the sum, by default that of the plane.
         """
         height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]
         if self.begins and plane.rows < height:

@@ -1,4 +1,4 @@
-"""Host side of a real lens's effect on the rays of all pixels, computed once for many time samples."""
+"""Host side of trace/bend.cl, which computes the effect of a lens on the rays of all pixels for many time samples."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from clsco.scene.model import Scene
 
 
 class Bends:
-    """Planes filled by trace/bend.cl. For a whole frame with a lens that never changes they are cached in the session,
-    otherwise only until the next time sample or strip.
+    """Planes that trace/bend.cl fills, cached while they do not change.
+
+    If the lens never changes and the frame has one strip, the session caches them; else only the latest planes are
+    kept.
 
     Parameters
     ----------
     target : Target
-        Program with the kernels that cast rays.
+        Target with the kernels that cast rays.
     scene : Scene
     """
 
@@ -31,7 +33,7 @@ class Bends:
         self.latest: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
 
     def planes(self, grid: Struct, lens: Struct, events: Events) -> dict[str, cl.Buffer]:
-        """Buffers "bends" and "slopes" for a grid and a lens: those that the lens needs; none for a thin lens."""
+        """Buffers "bends" and "slopes" for a grid and a lens, as far as the lens needs them; empty for a thin lens."""
         sizes = bend_buffers(self.scene, int(grid["width"]) * int(grid["height"]))
         if not sizes:
             return {}

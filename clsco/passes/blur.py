@@ -1,4 +1,4 @@
-"""Host side of the blur: one class per method computes the blurred plane of a time sample, for a frame or a strip."""
+"""Host side of the blur: a class for each method, which computes the blurred plane of a time sample."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GROUP = (GROUP_COLUMNS, GROUP_ROWS)  # local size of `tiles`
 # A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
-# Kernel files of each method, in the program of its caller; `convolve` builds its own.
+# Kernel files of each method in the program of `blur_target`; `convolve` builds its own program.
 FILES_OF: dict[Blur, tuple[str, ...]] = {
     "gather": ("blur/blur.cl", "blur/cpu/gather.cl"),
     "scatter": ("blur/blur.cl",),
@@ -40,16 +40,16 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "convolve": (),
 }
 
-UNITS_PER_TAP = 1 / 125  # units of work (`clsco.opencl.pace`) per tap, if all sources had the largest radius
+UNITS_PER_TAP = 1 / 125  # units of work (`clsco.opencl.pace`) per tap, counted as if all sources had the largest radius
 
 Events = list[tuple[str, cl.Event]]
 Maps = Literal["none", "wide", "float"]
-"""Input of `prepare_sources`: none; a map of real, which may have gaps; a map of float without gaps."""
+"""Kind of the radii that `prepare_sources` reads: "none"; "wide", a map of real and a mask; "float", a map of float."""
 MAPS: tuple[Maps, ...] = ("none", "wide", "float")
 
 
 def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict[str, int]:
-    """Features that the blur's kernels are compiled for; scenes that agree in them share a program.
+    """Features that the blur's kernels are compiled for; scenes with the same features share a program.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
     fp64 : bool
         True if the device has double precision.
     maps : Maps
-        Maps that sources are made from.
+        Kind of map from which sources are made.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
 
 @dataclass(frozen=True)
 class Target:
-    """Target of passes: a session, the kernels of a program, and the precision of its geometry."""
+    """Everything to run kernels on: a session, the kernels of a program, and the precision of their geometry."""
 
     session: Session
     program: Program
@@ -98,7 +98,7 @@ class Target:
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
         origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue a kernel by `clsco.opencl.program.launch`, and append the kernel's name and events to `events`."""
+        """Enqueue a kernel by `clsco.opencl.program.launch`, and append its name with each event to `events`."""
         for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
             events.append((name, event))
 
@@ -112,15 +112,15 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
 
 @dataclass(frozen=True)
 class Image:
-    """An image on the padded grid, with its radii.
+    """An image with guard band on the device, and its blur radii.
 
     Attributes
     ----------
     value : Buffer
         float (channels, height, width), radiance.
     maps : tuple of Buffer
-        Signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R,
-        float; or empty for an image with a single radius.
+        Signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R as
+        float; empty for an image with a single radius.
     """
 
     value: cl.Buffer
@@ -134,13 +134,14 @@ class Sources:
     Attributes
     ----------
     source : Buffer, optional
-        Planes of frame and guard band (sources.clh); None for "convolve" and "none".
+        Planes of sources in frame and guard band (sources.clh); None for "convolve" and "none".
     value : Buffer
-        Radiance.
+        Radiance of the sources.
     sub_source, sub_value : Buffer, optional
-        Sub-pixel sources of `capacity` pixels near silhouettes.
+        Sub-pixel sources in slots for `capacity` pixels, and their radiance.
     lens, surfaces, group, depth, sub_depth : optional
-        The lens, occluders in front of it, and the depth of sources; None without occluders.
+        lens_t, surface_t of all objects, group_t with the occluders, and inverse depths of sources and of sub-pixel
+        sources; None if no light is hidden.
     radius : float
         |R| of all sources in px, for "convolve" only.
     label : Buffer, optional
@@ -165,7 +166,7 @@ class Sources:
 
 
 BehindRims = Callable[[Any], dict[str, Any]]
-"""Lens, and an empty set of occluders, as in `Sources`: for images with aperture rims."""
+"""Returns for a job `lens`, `surfaces` and a `group` without occluders for `Sources`, so that only rims hide light."""
 
 
 def prepare_sources(
@@ -180,12 +181,12 @@ def prepare_sources(
     grid, psf : numpy.void
         grid_t of the map, and psf_t of the blur that will add the sources.
     maps : tuple of Buffer
-        Signed R in px, real (height, width), and a mask of sources, uchar (height, width); or only R, float.
+        As `Image.maps`.
     source : Buffer
-        Buffer for the records.
+        Buffer for the planes of sources.
     events : list
     rims : tuple, optional
-        lens_t and a buffer for inverse depths, if rims cut light.
+        lens_t and a buffer for inverse depths, if rims cut the light of sources.
     """
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source, *rims)
@@ -193,18 +194,18 @@ def prepare_sources(
 
 @dataclass(frozen=True)
 class Plane:
-    """An image on the device.
+    """An image on the device, as part of a larger array.
 
     Attributes
     ----------
     buffer : Buffer
-        Floats in this shape.
+        The array, of floats.
     shape : tuple of int
-        Channels, rows and columns in memory.
+        Channels, rows and columns of the array.
     rows, columns : int
         Size of the image.
     top, left : int
-        Row and column of its first pixel.
+        Row and column of the array with the first pixel of the image.
     """
 
     buffer: cl.Buffer
@@ -223,7 +224,7 @@ class Plane:
         return self.buffer, np.int32(height * pitch), np.int32(self.top * pitch + self.left), np.int32(pitch)
 
     def read(self, session: Session, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """The image, (rows, columns[, channels]), in `out` if given; waits for the device."""
+        """The image (rows, columns[, channels]) on the host, in `out` if given; waits for the device."""
         if out is None:
             size = (self.rows, self.columns)
             out = np.empty(size if self.shape[0] == 1 else (*size, self.shape[0]), np.float32)
@@ -234,14 +235,14 @@ class Plane:
 
 
 def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
-    """The part of an image on the padded grid that lies in the frame; the blurred plane of a scene without blur."""
+    """The frame's part of an image with guard band: the blurred plane of a scene without blur; buffer: of the image."""
     names = ("columns", "rows", "width", "height", "above", "guard")
     columns, rows, width, height, above, guard = (int(grid[name]) for name in names)
     return Plane(buffer, (channels, height, width), rows, columns, above, guard)
 
 
 class BlurredPlane(ABC):
-    """The blurred image of a time sample: base of all methods.
+    """The blurred image of a time sample; base class of all methods of blur.
 
     Parameters
     ----------
@@ -268,12 +269,12 @@ class BlurredPlane(ABC):
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """Kernel arguments of the plane: pitch, pad, buffer."""
+        """Kernel arguments of the plane: length of a row, scratch columns on its left, buffer."""
         return np.int32(self.pitch), np.int32(self.pad), self.total
 
     @property
     def sink(self) -> tuple[object, ...]:
-        """Kernel arguments of the buffer to which radiance is added."""
+        """Kernel arguments of the buffer to which `add` adds radiance."""
         return self.layout
 
     @property
@@ -282,7 +283,7 @@ class BlurredPlane(ABC):
         return int(self.grid["columns"]), int(self.grid["rows"])
 
     def begin(self, grid: Struct) -> None:
-        """Begin a time sample of a frame or a strip; grid: grid_t of the strip."""
+        """Begin a time sample with no radiance; grid: grid_t of the frame or strip."""
         self.grid = grid
         self.clear()
 
@@ -292,20 +293,20 @@ class BlurredPlane(ABC):
 
     @abstractmethod
     def add(self, sources: Sources, events: Events) -> None:
-        """Add the blurred radiance of sources."""
+        """Enqueue kernels that add the blurred radiance of sources."""
 
     def resolve(self, events: Events) -> None:  # noqa: B027  most methods add directly to that buffer
-        """Enqueue the kernels that leave the image in the buffer of `layout`."""
+        """Enqueue kernels that convert the sums in `sink` to the image in `layout`; most methods need none."""
 
     def plane(self, events: Events) -> Plane:
-        """Sum of all sources added, valid until the next time sample begins."""
+        """The image of all sources added so far; valid until the next time sample begins."""
         self.resolve(events)
         columns, rows = self.size
         return Plane(self.total, (self.channels, rows, self.pitch), rows, columns, left=self.pad)
 
 
 class TableBlur(BlurredPlane):
-    """A blur of sources with individual radii, with weights from tables; arguments as for `BlurredPlane`."""
+    """A blur of sources with different radii, by weights from tables; arguments as for `BlurredPlane`."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)
@@ -336,11 +337,11 @@ class TableBlur(BlurredPlane):
 
     @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
-        """Enqueue the kernels of the method; head, tail: first and last kernel arguments, the same in all methods."""
+        """Enqueue the kernels of the method; head, tail: first and last kernel arguments, which all methods share."""
 
 
 class Tiles(TableBlur):
-    """Each work-item gathers the sources that reach its pixel, from a list shared by its work-group."""
+    """Method "tiles": each work-item gathers the sources that reach its pixel, from a list of its work-group."""
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
         work = UNITS_PER_TAP * (2 * self.spec.reach + 1) ** 2
@@ -348,14 +349,14 @@ class Tiles(TableBlur):
 
 
 class Scatter(TableBlur):
-    """Each work-item adds a source to all pixels that it reaches, by integer atomics."""
+    """Method "scatter": each work-item adds a source to all pixels that the source reaches, by integer atomics."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)
         wide = target.session.device.has_int64_atomics
         gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(spec.largest, 1.0)))
         most = 2.0 ** (40 if wide else 31) / (max(spec.brightest, 1e-30) * (1.0 if wide else gain))
-        self.scale = min(most, 2.0**126)  # finite as a float32, even without radiance
+        self.scale = min(most, 2.0**126)  # a finite float32, even without radiance
         self.sums = empty(target.session, sizes["sums"])
 
     @property

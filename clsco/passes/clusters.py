@@ -1,4 +1,4 @@
-"""Host side of layered occlusion: splits an image into depth layers, each extended behind nearer ones."""
+"""Host side of the kernels that split an image into depth layers, each extended behind nearer layers."""
 
 from __future__ import annotations
 
@@ -28,18 +28,19 @@ ZERO = np.zeros(1, np.uint32)
 
 @dataclass(frozen=True)
 class Layers:
-    """Depth layers, as input of `clsco.passes.layered.DepthLayers`.
+    """Depth layers of an image, the input of `clsco.passes.layered.DepthLayers`.
 
     Attributes
     ----------
     count : int
+        Number of layers.
     images : iterator of Image
-        The layers from near to far, with coverage as the last channel; each layer is enqueued when requested and may
+        The layers from near to far, with coverage as the last channel. Each layer is computed when requested and may
         overwrite the previous layer. Empty if there is only one layer.
     image : Image
-        Radiance that is added without occlusion; overwritten with border = "renormalize".
+        The whole image, blurred without occlusion away from edges; overwritten with border = "renormalize".
     edge : Buffer
-        uchar (height, width): 1 where the layers are used, 0 where `image` is; not read for one layer.
+        uchar (height, width): 1 where `images` are used, 0 where `image` is used; not read if there is one layer.
     """
 
     count: int
@@ -49,8 +50,8 @@ class Layers:
 
 
 def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
-    """Target with layered.cl for images of `channels` channels; a separate program, as the eleven kernels depend on no
-    other feature.
+    """Target with the kernels of layered.cl for images of `channels` channels, in a program of their own, because they
+    depend on few features.
     """
     features = {"CHANNELS": channels + 1, "SCATTER": spec.method == "scatter", "RIMS": len(spec.psf.rims)}
     return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
@@ -73,9 +74,9 @@ class Clusters:
     Attributes
     ----------
     buffers : dict
-        By the names of `clsco.plan.buffers.cluster_buffers`. latest: positions of a time sample's discontinuities, by
-        class and bin; uchar (height, width): layer, the depth layer of each pixel; seed, hidden: layers that continue
-        behind the pixel; edge, a mask of pixels near an edge. offset: int (height, width).
+        Buffers named as in `clsco.plan.buffers.cluster_buffers`. "latest": discontinuities of a time sample, by size
+        class and bin of the radius; "layer": uchar (height, width), depth layer of each pixel; "hidden": uchar (height,
+        width), layer that continues behind each pixel, 0 for none; "edge": as in `Layers`. The others are temporary.
 
     Raises
     ------
@@ -83,10 +84,10 @@ class Clusters:
 
     Notes
     -----
-    Pixels are assigned to layers so that the two sides of every depth discontinuity beyond DISCONTINUITY px are in
-    different layers; there are at most MOST_LAYERS. At discontinuities each layer is extrapolated behind nearer layers
-    from the nearest pixels of the layer, as far as the blurs of both sides reach, by push-pull (Gortler et al. 1996). A
-    cut through a continuous surface has no hidden part. Validated against `clsco.reference.layered.layered`.
+    Pixels are assigned to at most MOST_LAYERS layers so that the two sides of each depth discontinuity of more than
+    DISCONTINUITY px are in different layers, if these suffice. At discontinuities, push-pull (Gortler et al. 1996)
+    extrapolates each layer behind nearer layers from its nearest pixels, as far as the blurs of both sides reach. A cut
+    through a continuous surface has no hidden part. Validated against `clsco.reference.layered.layered`.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid) -> None:
@@ -97,7 +98,7 @@ class Clusters:
         self._forget()
 
     def find(self, job: Job, image: Image) -> None:
-        """Record the depth discontinuities of a time sample, or of one of its strips."""
+        """Record the depth discontinuities in the image of a time sample, or of one of its strips."""
         far = np.int32(2 * self.reach + 1)
         head = (job.grid, _real(self.low, self.target.real), np.int32(self.bins), far)
         width, height = _size(job.grid)
@@ -105,7 +106,7 @@ class Clusters:
         self.target.run("find_discontinuities", (height + width,), LINES, job.events, *args)
 
     def read_bounds(self) -> LayerBounds:
-        """Bounds of depth layers from all strips passed to `find` since the last call. Waits for the device."""
+        """Bounds of depth layers, from all strips passed to `find` since the last call. Waits for the device."""
         size = DISCONTINUITY_CLASSES * self.bins + 1
         latest = download(self.target.session, self.buffers["latest"], (size,), np.int32)
         self._forget()
@@ -117,7 +118,7 @@ class Clusters:
         cl.enqueue_fill_buffer(self.target.session.queue, latest, ZERO, 0, latest.size)
 
     def divide(self, job: Job, image: Image, bounds: LayerBounds) -> Layers:
-        """The depth layers between these bounds, of an image or of one of its strips."""
+        """Split an image, or one of its strips, into the depth layers between `bounds`."""
         if not bounds.bounds:
             return Layers(1, iter(()), image, self.buffers["edge"])
         self._label(job, image, bounds)
@@ -126,7 +127,7 @@ class Clusters:
         return Layers(count, images, image, self.buffers["edge"])
 
     def _label(self, job: Job, image: Image, bounds: LayerBounds) -> None:
-        """Compute the depth layer of every pixel, and the layer behind it."""
+        """Compute the depth layer of each pixel, and the layer that continues behind the pixel."""
         run, (width, height), (coc, _) = self.target.run, _size(job.grid), image.maps
         layer, seed, offset, hidden, edge = (self.buffers[n] for n in ("layer", "seed", "offset", "hidden", "edge"))
         padded = (*bounds.bounds, *(0,) * (8 - len(bounds.bounds)))  # at most MOST_LAYERS - 1
@@ -140,7 +141,7 @@ class Clusters:
         run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, job.events, *args)
 
     def _extend(self, job: Job, image: Image, index: int, deep: int) -> Image:
-        """Depth layer number `index`, extended by its hidden part."""
+        """Compute depth layer number `index`, extended by its hidden part; deep: `LayerBounds.deep`."""
         run, number, (width, height) = self.target.run, np.int32(index), _size(job.grid)
         layer, hidden, pyramid = (self.buffers[name] for name in ("layer", "hidden", "pyramid"))
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))

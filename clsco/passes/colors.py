@@ -13,7 +13,7 @@ FLOAT = 4  # size in bytes
 
 
 class JoinedColors:
-    """A plane with all color channels, and with a coverage channel if `channels` exceeds `colors`.
+    """A plane with all color channels, and a last channel of coverage if `channels` exceeds `colors`.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class JoinedColors:
         self.buffer = empty(session, FLOAT)
 
     def put(self, plane: Plane, color: int, events: Events) -> Plane:
-        """Copy the plane of one color to its channel, and use green's coverage for all; returns the plane so far."""
+        """Copy the plane of one color to its channel; returns the joined plane so far. Coverage is that of green."""
         rows, columns = plane.rows, plane.columns
         size = FLOAT * self.channels * rows * columns
         if self.buffer.size < size:

@@ -1,4 +1,4 @@
-"""Blur with a single radius: buffers and launches of convolve.cl."""
+"""Host side of the blur of sources that all have one radius: buffers and launches of convolve.cl."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
 
 BITS = 56  # bits of a sum over a disc
-# Sums without DROPPED_BITS lose less than one unit per row of a disc: at most (2 R + 1) 2^-29 of the brightest source,
-# 2e-7 at R = 60, and 1e-8 RMS. If the radiance exceeds this multiple of white, sums have 64 bits, so that the loss does
+# Sums that omit DROPPED_BITS lose less than a unit per row of a disc: at most (2 R + 1) 2^-29 of the brightest source,
+# 2e-7 at R = 60, and 1e-8 RMS. If the radiance exceeds BRIGHTEST times white, sums have 64 bits, so that the loss does
 # not affect darker pixels nearby.
 BRIGHTEST = 4.0
 
@@ -27,7 +27,7 @@ Layout = tuple[cl.Buffer | None, int, int, int]  # buffer, offset of a plane, of
 
 
 class Convolve(BlurredPlane):
-    """The blur of all sources with a single radius; arguments as for `BlurredPlane`, but the target needs no program.
+    """The blur of sources that all have one radius; arguments as for `BlurredPlane`, but the target needs no program.
 
     The PSF is computed for the radius of the sources, up to `spec.largest`. Validated against sums over rectangles
     (tests/kernels/test_convolve.py).
@@ -48,7 +48,7 @@ class Convolve(BlurredPlane):
         self.stencils = {name: Refilled(session, sizes[name]) for name in arrays}
 
     def clear(self) -> None:
-        """Does nothing, because the plane is overwritten."""
+        """Do nothing, because `add` overwrites the plane."""
 
     def add(self, sources: Sources, events: Events) -> None:
         names = ("columns", "rows", "width", "height", "above", "guard")
@@ -68,12 +68,12 @@ class Convolve(BlurredPlane):
             self._convolve(last, (rows, columns), source, last[0].share * unit, target, events)
 
     def _tables(self, number: int, stencil: Stencil) -> list[cl.Buffer | None]:
-        """Runs, weights and pairs of a stencil on the device, in new buffers, as queued launches may read the old."""
+        """Upload runs, weights and pairs of stencil number `number`, after queued launches that read the buffers."""
         arrays = {"runs": stencil.runs, "weights": stencil.weights, "pairs": stencil.pairs}
         return [self.stencils[f"{k} {number}"].fill(a) if a.size else None for k, a in arrays.items()]
 
     def _sum(self, stencil: Stencil, size: tuple[int, int], source: Layout, events: Events) -> float:
-        """Compute the summed-area table of a plane; returns the radiance of one unit of the table."""
+        """Enqueue the summed-area table of a plane; returns the radiance of one unit of the table."""
         scale = 2.0 ** floor(BITS - log2(stencil.area * max(self.spec.brightest, 1e-20)))
         shape, (value, start, *_) = tuple(map(np.int32, size)), source
         args = (*shape, value, np.int32(start), np.float32(scale), self.sums)
@@ -85,7 +85,9 @@ class Convolve(BlurredPlane):
         self, step: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
         target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
-        """Enqueue one convolution; target: buffer, offset of pixel (0, 0), pitch."""
+        """Enqueue one convolution; step: stencil and its tables; share: weight of sums over rectangles; target: buffer,
+        offset of pixel (0, 0), pitch.
+        """
         stencil, (runs, weights, pairs) = step
         args = (
             *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(stencil.runs)), weights,

@@ -1,4 +1,4 @@
-"""Fills missing pixels of a warped image, sweep by sweep (4.3.5, chapter 5)."""
+"""Host side of the filling of missing pixels of a warped image, sweep by sweep (thesis, 4.3.5 and chapter 5)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CHAPTER5 = MeanMedian()
 
 @dataclass
 class FillPlanes:
-    """Buffers for filling on the padded grid, as in fill.cl; the caller writes the first six before filling.
+    """Buffers of fill.cl, with guard band; the caller writes `value` to `object` before the filling.
 
     Attributes
     ----------
@@ -49,8 +49,9 @@ class FillPlanes:
     object : Buffer, optional
         uchar: number of the visible object, for scenes with several objects.
     indices : (Buffer, Buffer)
-        Lists of pixels, an int per pixel, used only during filling.
+        Lists of missing pixels before and after a sweep, an int per pixel; used only during the filling.
     spans, grown, counters : Buffer
+        First and last valid pixel of each line, before and after a sweep; numbers of pixels.
     far : tuple of Buffer
         Bounds on the depth of neighbors, if holes are filled from the far side.
     done, sums, other_value, other_w : Buffer, optional
@@ -77,7 +78,7 @@ class FillPlanes:
     def create(cls, session: Session, sizes: Sizes) -> FillPlanes:
         """Allocate buffers of the sizes from `clsco.plan.buffers.fill_buffers`. Raises DeviceError."""
         buffers = allocate(session, sizes)
-        for name, bytes_of_lane in (("value", 4), ("valid", 1)):  # vectors read beyond the end, and discard it
+        for name, bytes_of_lane in (("value", 4), ("valid", 1)):  # vectors read beyond the end without effect
             tail = bytes_of_lane * FILL_LANES
             cl.enqueue_copy(session.queue, buffers[name], np.zeros(tail, np.uint8), dst_offset=sizes[name] - tail)
         indices = buffers.pop("list"), buffers.pop("next list")
@@ -93,11 +94,11 @@ class Filler:
     Parameters
     ----------
     target : Target
-        Program with fill.cl, and for mean/median filling score.cl and fill_mean_median.cl.
+        Target with the kernels of fill.cl, and for mean/median filling of score.cl and fill_mean_median.cl.
     grid : numpy.void
-        grid_t with the padded grid of the planes.
+        grid_t of the planes.
     lens : numpy.void
-        lens_t for the radii.
+        lens_t, which determines the radii of filled pixels.
     features : dict
         Features of the program.
     sizes : dict
@@ -123,8 +124,8 @@ class Filler:
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
 
-        surfaces: buffer of `count` surface_t; with domain "surface", pixels are missing only on these surfaces.
-        brightest: largest radiance. Waits for the device once per sweep.
+        surfaces: buffer of `count` surface_t; with domain "surface", only pixels whose rays hit one of these surfaces
+        are filled. brightest: largest radiance. Waits for the device once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
         source, remaining = self.planes.indices
@@ -143,7 +144,7 @@ class Filler:
                 filled += counts[COUNTER_FILLED_INSIDE]
                 first = filled if sweeps == 1 else first
             elif minimum > least:
-                minimum -= 1  # a stalled filling accepts fewer neighbors, then nearer ones
+                minimum -= 1  # a sweep that fills nothing accepts fewer neighbors, at 0 also those on the near side
             else:
                 break
         if self.smooths and counts[COUNTER_DONE]:
@@ -157,7 +158,7 @@ class Filler:
         }
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
-        """List all missing pixels on the device; returns their counts."""
+        """List all missing pixels on the device; returns the counters."""
         chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.grid, self.planes.valid)
         self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
         args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
@@ -165,12 +166,12 @@ class Filler:
         return self._read_counters()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
-        """Buffers with the depths of neighbors, and with the bound computed from these depths."""
+        """Kernel arguments: depths, and the bounds on the depth of neighbors; empty if depths do not matter."""
         return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
-        """Fill those of `count` listed missing pixels that have enough known neighbors; wins: bit k is set to use the
-        median of k neighbors.
+        """Fill those of the `count` missing pixels in the list `source` that have at least `minimum` known neighbors;
+        wins: as returned by `_score`.
         """
         p = self.planes
         objects = () if p.object is None else (p.object,)
@@ -186,9 +187,7 @@ class Filler:
     def _settle(
         self, placed: tuple[Any, ...], source: cl.Buffer, remaining: cl.Buffer, count: int, events: Events
     ) -> list[int]:
-        """End a sweep over the list `source`; writes pixels still missing to the list `remaining`, and returns the
-        counts.
-        """
+        """End a sweep over the list `source`: write still missing pixels to `remaining`; returns the counters."""
         p = self.planes
         cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
@@ -200,7 +199,7 @@ class Filler:
         return self._read_counters()
 
     def _score(self, brightest: float, events: Events) -> int:
-        """Bit mask over counts k of neighbors for which the median is the better estimator."""
+        """Bits k of the counts of known neighbors for which the median is a better estimator than the mean."""
         scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
         args = (self.grid, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
         self._run("score_mean_median", events, (scored,), OWNERS, *args)
@@ -208,7 +207,7 @@ class Filler:
         return bits_of(score.median_wins())
 
     def _smooth(self, count: int, events: Events) -> None:
-        """Smooth the filled pixels by rounds of the median, which alternate between two sets of planes."""
+        """Smooth the `count` filled pixels by rounds of the median, which alternate between two sets of planes."""
         p = self.planes
         current, next_ = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(current, next_, strict=True):

@@ -1,4 +1,4 @@
-"""Creates the blur of a frame for its method."""
+"""Creates the object that blurs a frame by the planned method."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ METHODS: dict[Blur, type[BlurredPlane]] = {
 
 
 def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> BlurredPlane:
-    """The blur of the time samples of a frame, or its strips.
+    """The object that blurs the time samples of a frame or its strips.
 
     Parameters
     ----------
     target : Target
-        Its program has the kernels of `FILES_OF[spec.method]`.
+        Target from `clsco.passes.blur.blur_target`.
     spec : BlurSpec
     tallest : Grid
         Grid of the frame, or the tallest of its strips.

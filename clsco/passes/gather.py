@@ -1,4 +1,4 @@
-"""The blur on processors: bands of rows gather all sources that reach them, in short launches."""
+"""The method "gather" of blur, for processors: bands of rows gather all sources that reach them."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, bands_at_a_time
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct
 
-HIDDEN_TAP = 3e-9  # time in s of a tap of a partly hidden source, including sub-pixel sources
-LONGEST = 2.0  # longest time in s of an undivided launch if all taps took HIDDEN_TAP, even if none did so far
-VECTOR = 1.5e-9  # assumed time in s of a vector of taps, until one is measured
-BRIEF = 2  # factor by which the first piece is shorter than later ones
+HIDDEN_TAP = 3e-9  # assumed time in s of a tap of a partly hidden source, including sub-pixel sources
+LONGEST = 2.0  # longest time in s, at HIDDEN_TAP per tap, of a launch that is not cut into pieces
+VECTOR = 1.5e-9  # assumed time in s of a vector of taps, until its time is measured
+BRIEF = 2  # factor by which the first piece is planned shorter than later pieces
 MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # the last two as in gather.cl
 INT2 = cl.cltypes.int2
 
 
 class Gather(TableBlur):
-    """Each work-item gathers the sources that reach a band of rows; only some bands run at a time, to limit scratch
-    memory.
+    """Method "gather": each work-item gathers the sources that reach its band of rows; the number of bands that run at
+    a time limits the scratch memory.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
@@ -37,7 +37,7 @@ class Gather(TableBlur):
         self.tap_tables = tuple(
             upload_cached(session, array, (table.place, name)) if array.size else None for name, array in arrays.items()
         )
-        # Rows of sources after which partial sums are added to the frame; 0 without partial sums.
+        # Number of rows of sources after which partial sums are added to the frame; 0 without partial sums.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
         self.ends = (filled_with(session, sizes["ends"]),) if "ends" in sizes else ()
@@ -76,8 +76,9 @@ class Gather(TableBlur):
         return launch_whole(self.target.session, run, (self.bands,), (1,), *before, budget, *after)
 
     def _in_pieces(self, before: tuple[Any, ...], after: tuple[Any, ...], bands: int) -> list[cl.Event]:
-        """Launch pieces with a few steps or vectors of each band. Times of the previous pieces determine their size, as
-        the cost of occlusion is not known in advance.
+        """Launch pieces that process a few steps or vectors of each band, and wait for them; returns their events.
+
+        The time of each piece determines the size of the next one, as the cost of occlusion is not known in advance.
         """
         session, columns = self.target.session, int(self.grid["columns"])
         at_once = -(-bands // session.device.compute_units)  # number of bands that a core processes in sequence

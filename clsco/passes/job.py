@@ -1,4 +1,4 @@
-"""Jobs: parts of an image, or of a scene at a time sample, that passes process."""
+"""Jobs: what passes process, a part of an image or of a scene's frame at a time sample."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Surfaces = tuple[PlacedSurface | None, ...]  # surface of every object, None for
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """Part of an image that passes process.
+    """The part of an image that passes process.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Job:
     grid : numpy.void
         grid_t of the strip.
     events : list
-        List to which launches are appended.
+        List to which names of kernels and events of their launches are appended.
     bounds : tuple of LayerBounds, optional
-        Bounds between depth layers, if they were computed from all strips: one for all colors, or one per color.
+        Bounds of depth layers, if they were computed from all strips: one entry for all colors, or one per color.
     """
 
     strip: Strip
@@ -48,19 +48,19 @@ class TimeSample:
     Attributes
     ----------
     time : float
-        Seconds.
+        Time in s since the reference pose.
     camera : Camera
         The camera with its lens at that time.
     poses : tuple of Pose
-        Pose of every object relative to the camera, which may move itself.
+        Pose of each object relative to the camera, which may also move.
     placed : tuple of PlacedSurface or None
-        The objects in their poses.
+        The surface of each object in its pose, None for a depth map.
     packed : ndarray
-        surface_t of every object.
+        surface_t of each object.
     surfaces : Buffer
         `packed` on the device.
-    light : (numpy.void,), optional
-        light_t, if the scene has a light.
+    light : tuple of numpy.void
+        light_t in a tuple; empty if the scene has no light.
     """
 
     time: float
@@ -74,14 +74,16 @@ class TimeSample:
 
 @dataclass(frozen=True, eq=False)
 class SourcePart:
-    r"""Part of the sources of an exposure: all still sources, or the moving sources of a time sample.
+    """Part of the sources of an exposure: all still sources, or the moving sources of a time sample.
 
-        Attributes
-        ----------
+    Attributes
+    ----------
     split : StillSplit
-        places : Buffer
+        Changes of all objects during the exposure.
+    places : Buffer
         `split.places` on the device.
-        still : bool
+    still : bool
+        True for the still sources.
     """
 
     split: StillSplit
@@ -91,21 +93,21 @@ class SourcePart:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneJob(Job):
-    """Part of a frame of a scene, at a time sample.
+    """The part of a scene's frame at a time sample that passes process.
 
     Attributes
     ----------
     sample : TimeSample
     weights : ndarray of float64, (rows,) or (columns,)
-        Weights of the time sample in the strip.
+        Weights of the time sample in the rows of `strip`, or in all columns of the frame.
     is_first : bool
-        True for the first time sample of the frame.
+        True for the first step on the whole strip, which begins the sum of time samples.
     whole_strip : Strip
-        The strip that `strip` is a part of, or equals.
+        The strip of the frame; `strip` is the part of it in which the time sample has a weight.
     noise_stream : int, optional
-        `clsco.optics.sensor.camera_word` of the frame, set only for its last time sample.
+        `clsco.optics.sensor.camera_word` of the frame in the last step on the whole strip, else None.
     part : SourcePart, optional
-        Sources to trace, if the frame splits them into still and moving sources.
+        Sources to trace, if the exposure is split into still and moving sources; by default all.
     """
 
     sample: TimeSample

@@ -1,4 +1,4 @@
-"""Host side of layered occlusion: depth layers, each blurred with its coverage, are composited front to back."""
+"""Host side of layered occlusion, which blurs each depth layer with its coverage and composites front to back."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from clsco.plan.buffers import depth_layer_spec, layered_buffers
 class DepthLayers:
     """Blurs depth layers into a plane, with occlusion based on the pinhole image: psf.occlusion = "layered".
 
-    Call `add` of this class in place of the blur's `add`.
+    Call `add` of this class instead of that of the blur.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class DepthLayers:
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
     behind_rims : callable, optional
-        As for `clsco.engine.workspace.Workspace`.
+        As for `clsco.engine.workspace.BlurWorkspace`.
 
     Raises
     ------
@@ -48,10 +48,10 @@ class DepthLayers:
 
     Notes
     -----
-    Near discontinuities the radiance and the coverage of a layer are blurred together by the PSF, and weighted at each
-    pixel by the fraction that nearer layers leave uncovered; elsewhere radiance is simply added. A cut through a
-    continuous surface, which has no hidden part, is invisible; with one layer the frame is bit-identical to that with
-    psf.occlusion = "none". Validated against `clsco.reference.layered.layered` and the ray tracer.
+    Near discontinuities, radiance and coverage of a layer are blurred together by the PSF, and weighted at each pixel
+    by the fraction that nearer layers leave uncovered; elsewhere radiance is simply added. A bound that cuts a
+    continuous surface has no visible effect. With one layer, the frame is bit-identical to that with psf.occlusion =
+    "none". Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class DepthLayers:
         self.depth, self.open = (empty(session, sizes[name]) if name in sizes else None for name in ("depth", "open"))
 
     def add(self, job: Job, layers: Layers) -> None:
-        """Add the radiance of layers to the frame or strip."""
+        """Enqueue kernels that add the radiance of layers to the frame or strip."""
         behind: dict[str, Any] = {}
         if self.depth is not None and self.behind_rims is not None:
             behind = self.behind_rims(job) | {"depth": self.depth}
@@ -90,13 +90,13 @@ class DepthLayers:
         return Sources(self.source, image.value, **behind)
 
     def _keep(self, job: Job, edge: cl.Buffer, near_edges: bool) -> None:
-        """Keep only the sources near edges (`near_edges` is True), or only those away from edges (False)."""
+        """Discard the sources away from edges if `near_edges` is True, else those near edges."""
         size = int(job.grid["width"]), int(job.grid["height"])
         args = (job.grid, np.int32(near_edges), edge, self.source)
         self.target.run("keep_sources", size, PIXELS, job.events, *args)
 
     def _blur(self, job: Job, layer: Image, edge: cl.Buffer, behind: dict[str, Any]) -> None:
-        """Blur the depth layer, and composite it behind the previous ones."""
+        """Blur a depth layer, and composite it behind the previous layers."""
         inner, frame = self.inner, (int(job.grid["columns"]), int(job.grid["rows"]))
         sources = self._sources(job, inner, layer, behind)
         self._keep(job, edge, near_edges=True)

@@ -1,4 +1,4 @@
-"""Packs scenes into the structs that kernels read."""
+"""Packs scenes into structs that kernels read."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def grid_struct(
         Width of the guard band, px.
     real : {"double", "float"}
     strip : Strip, optional
-        Rows of the frame to process; by default all.
+        Strip of the frame; by default the whole frame.
     step : float
         Slope between the rays of neighboring pixels, if rays are cast.
     rest_step : float, optional
-        `step` in the reference pose, if different.
+        `step` in the reference pose; by default `step`.
 
     Returns
     -------
@@ -63,8 +63,8 @@ def grid_struct(
 def camera_grid(
     camera: Camera, guard: int, real: Real, strip: Strip | None = None, reference: Camera | None = None
 ) -> Struct:
-    """grid_t of a camera with a resolution, for a guard band of `guard` px; strip: as for `grid_struct`; reference:
-    camera of the reference pose, if different.
+    """grid_t of a camera with a resolution; guard, strip: as for `grid_struct`; reference: camera of the reference
+    pose, by default `camera`.
     """
     columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
     grid = grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
@@ -75,7 +75,7 @@ def camera_grid(
 
 
 def towards(grid: Struct, camera: Camera) -> Struct:
-    """grid_t changed to the rays of another camera, with another focal length or magnification."""
+    """A copy of grid_t with the rays of another camera, which differs in its focal length or magnification."""
     grid = grid.copy()
     grid["step"] = ray_step(camera)
     if (distortion := distortion_of(camera)) is not None:
@@ -84,8 +84,8 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set in grid_t the first guess of Newton's method, and the number of steps that is enough for all rays of the grid
-    and of its reference pose.
+    """Set the fields of grid_t for Newton's method, which undistorts rays: coefficients of the first guess, and a
+    number of steps that is enough for all rays of the grid, also in its reference pose.
     """
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
@@ -105,8 +105,8 @@ def lens_struct(lens: Lens, real: Real) -> Struct:
 def surface_structs(
     items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
 ) -> NDArray[np.void]:
-    """surface_t of every object at its position in front of the camera, (objects,); textures: texture number of every
-    object, by default 0.
+    """surface_t of each object, (objects,); surfaces: the objects as placed in front of the camera; textures: number of
+    each object's texture, by default 0.
     """
     numbers = textures or [0] * len(items)
     placed = [_surface_struct(*fields, real) for fields in zip(items, surfaces, numbers, strict=True)]
@@ -147,7 +147,7 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
 def texture_map_structs(
     maps: Sequence[TextureMap | None], bases: Sequence[int], psf: PointSpread, covered: float, real: Real
 ) -> NDArray[np.void]:
-    """texture_map_t of every object, (objects,).
+    """texture_map_t of each object, (objects,).
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def texture_map_structs(
         For each object, index of the first float of its mipmap.
     psf : PointSpread
     covered : float
-        Value of the last channel outside of the image: 1 for coverage, else 0.
+        Value of the last channel outside of a texture's image: 1 if that channel is coverage, else 0.
     real : {"double", "float"}
     """
     packed = []
@@ -173,7 +173,7 @@ def texture_map_structs(
 
 
 def pose_structs(poses: Sequence[Pose], real: Real, step: float = 0.0) -> NDArray[np.void]:
-    """pose_t of every pose, (poses,); step: slope between neighboring rays at that time, if points are projected."""
+    """pose_t of each pose, (poses,); step: slope between neighboring rays at that time, if kernels project points."""
     placed = [filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift, "step": step}) for p in poses]
     return np.array(placed, structs(real)["pose_t"])
 
@@ -190,14 +190,14 @@ def group_struct(group: OcclusionGroup, objects: int) -> Struct:
 
 
 def exposure_struct(split: StillSplit, still: bool, window: Window | None, real: Real) -> Struct:
-    """exposure_t of a part of an exposure; window: region of the moving sources, None if none moves."""
+    """exposure_t of the still or the moving sources; window: region with all moving sources, None if none moves."""
     ends = dict(zip(("left", "top", "right", "bottom"), window or (0, 0, 0, 0), strict=True))
     values = {"moving": split.moving, "changing": split.changing, "samples": len(split.places), "still": still}
     return filled("exposure_t", real, values | ends)
 
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
-    """psf_t for the table of pixels and, with sub-pixel sources, for the table of these."""
+    """psf_t of a PSF; table, subpixel: its tables for pixels, and for sub-pixel sources if there are any."""
     values: dict[str, Any] = {
         "first": table.first,
         "count": table.count,
@@ -226,9 +226,9 @@ def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, rea
 
 
 def texture_planes(radiances: Sequence[NDArray[np.float32]], channels: int) -> NDArray[np.float32]:
-    """Channel planes (textures, channels, rows, columns); gray textures are repeated in color scenes.
+    """Channel planes (textures, channels, rows, columns) of textures; with 3 channels, gray textures are repeated.
 
-    The only texture of a gray scene is returned without a copy.
+    A single texture with a single channel is returned without a copy.
     """
     planes = [radiance[None] if radiance.ndim == 2 else np.moveaxis(radiance, -1, 0) for radiance in radiances]
     if len(planes) == channels == 1:

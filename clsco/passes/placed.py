@@ -28,7 +28,7 @@ from clsco.passes.pack import light_struct, pose_structs, surface_structs, textu
 from clsco.records import REAL, Real, structs
 from clsco.scene.model import Camera, Scene
 
-# A source is at most 1 + 4 c times its mean, with c < 0.0901 (kernels/trace/footprint.clh).
+# Largest ratio of a source to the brightest texel: 1 + 4 c, with c < 0.0901 (kernels/trace/footprint.clh).
 MOST_DETAIL = 1.37
 
 
@@ -45,13 +45,13 @@ class PlacedScene:
     real : {"double", "float"}
         Precision of the geometry.
     eye : {"left", "right"}
-        View of a stereo pair.
+        View of a stereo pair; "left" without one.
     covered : bool
         True if the last channel is coverage.
 
     Notes
     -----
-    Uploaded arrays are kept until `release`, since the host runs ahead of the launches that read them.
+    Uploaded arrays are kept until `release`, because launches that read them may run later.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class PlacedScene:
         self.brightest = max(gain * texture.brightest for gain, texture in zip(gains, textures, strict=True))
         pairs = list(zip(textures, scene.objects, strict=True))
         projected = [texture for texture, item in pairs if item.mapped is None]
-        # Each texture once, even if several objects share it, in one order for all scenes.
+        # Each texture once, even if several objects share it, in an order that does not depend on that of the objects.
         self.stack = sorted(dict.fromkeys(projected), key=lambda texture: repr(texture.content))
         self.texture_of = [self.stack.index(texture) if item.mapped is None else 0 for texture, item in pairs]
         self.mapped = list(dict.fromkeys(texture for texture, item in pairs if item.mapped is not None))
@@ -88,14 +88,14 @@ class PlacedScene:
 
     @property
     def content(self) -> Hashable:
-        """Key of the textures, equal for equal textures; None if unknown."""
+        """Cache key of the textures, equal for equal textures; None if the content of any texture has no key."""
         key = ("textures", self.channels, *(texture.content for texture in self.stack))
         key += ("mapped", *(texture.content for texture in self.mapped)) if self.mapped else ()
         return None if None in key else key
 
     @property
     def texture(self) -> cl.Buffer:
-        """The textures: float (textures, channels, rows, columns), then the mipmaps of textures on surfaces."""
+        """Projected textures, float (textures, channels, rows, columns), then mipmaps of the other textures."""
         if self._texture is None:
             key, cache = self.content, self.session.cache
             self._texture = self._planes() if key is None else cache.get(key, self._planes, lambda planes: planes.size)
@@ -121,7 +121,7 @@ class PlacedScene:
 
     @property
     def texture_maps(self) -> tuple[cl.Buffer, ...]:
-        """texture_map_t of every object in one buffer; an empty tuple if no texture is on a surface."""
+        """A buffer with texture_map_t of each object; an empty tuple if no texture is on a surface."""
         if not self.mapped:
             return ()
         if self._maps is None:
@@ -130,7 +130,7 @@ class PlacedScene:
 
     @cached_property
     def packed_maps(self) -> NDArray[np.void]:
-        """texture_map_t of every object, on the host."""
+        """texture_map_t of each object, on the host."""
         base = sum(self.channels * texture.radiance.shape[0] * texture.radiance.shape[1] for texture in self.stack)
         bases = {}
         for texture in self.mapped:
@@ -144,7 +144,7 @@ class PlacedScene:
         return texture_map_structs(maps, first, self.psf, float(self.covered), self.real)
 
     def at(self, time: float, eye: Eye | None = None) -> TimeSample:
-        """The objects at a time in s, as seen from `eye`."""
+        """The objects at a time in s, as seen in the view `eye`, by default its own; cached until `release`."""
         key = time, eye or self.eye
         if key not in self._samples:
             sample = self.posed(poses_at(self.scene, *key), time, camera_at(self.scene, time))
@@ -153,7 +153,7 @@ class PlacedScene:
         return self._samples[key]
 
     def in_reference_pose(self) -> TimeSample:
-        """The objects in the reference pose, as textures show them."""
+        """The objects in the reference pose, in which projected textures show them."""
         return self.posed(rest_poses(self.scene))
 
     def split_sources(self, times: Sequence[float]) -> dict[bool | None, SourcePart]:
@@ -168,27 +168,27 @@ class PlacedScene:
         return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
 
     def posed(self, poses: Sequence[Pose], time: float = 0.0, camera: Camera | None = None) -> TimeSample:
-        """The objects in these poses relative to `camera`, by default the camera of the scene."""
+        """The objects in these poses relative to `camera`, by default the camera of the reference pose."""
         placed = self._placed(poses)
         packed = self._surface_structs(placed)
         return TimeSample(time, camera or reference_camera(self.scene), tuple(poses), placed, packed, self.hold(packed))
 
     def poses(self, sample: TimeSample) -> cl.Buffer:
-        """pose_t of every object at a time sample, on the device."""
+        """pose_t of each object at a time sample, on the device; kept until `release`."""
         return self.hold(pose_structs(sample.poses, self.real, ray_step(sample.camera)))
 
     def hold(self, array: NDArray[Any]) -> cl.Buffer:
-        """An array on the device, kept until `release`."""
+        """Upload an array to a buffer that is kept until `release`."""
         self._held.append(upload(self.session, array))
         return self._held[-1]
 
     def release(self) -> None:
-        """Release the arrays; call this after all launches that read them have ended."""
+        """Release the uploaded arrays; call this after all launches that read them have ended."""
         self._held.clear()
         self._samples.clear()
 
     def _surface_structs(self, placed: Surfaces) -> NDArray[np.void]:
-        """surface_t of every object; for depth maps only the center of rotation."""
+        """surface_t of each object; that of a depth map has only the center of rotation and the texture."""
         items, analytic = self.scene.objects, [k for k, surface in enumerate(placed) if surface is not None]
         array = np.zeros(len(items), structs(self.real)["surface_t"])
         surfaces = [surface for surface in placed if surface is not None]

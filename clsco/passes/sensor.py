@@ -1,4 +1,4 @@
-"""Image sensor: converts the irradiance of a frame or a strip to codes."""
+"""Host side of the image sensor, which converts the irradiance of a frame or a strip to codes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ RECIPROCALS = reciprocals_of_counts()
 
 @dataclass(frozen=True)
 class Codes:
-    """Codes on the device, with rows padded to whole vectors.
+    """Codes of a sensor on the device, with rows padded to whole vectors.
 
     Attributes
     ----------
     code, saturated : Buffer
-        ushort and uchar in this shape.
+        Codes as ushort, and 1 for saturated pixels as uchar, both of `shape`.
     shape : tuple of int
-        Planes, rows, columns padded to whole vectors.
+        Planes, rows, and columns with padding.
     columns : int
         Columns of the image.
     """
@@ -42,13 +42,13 @@ class Codes:
     columns: int
 
     def read(self, session: Session, code: NDArray[np.uint16], saturated: NDArray[np.bool_]) -> None:
-        """Copy the codes to arrays (rows, columns, planes); waits for the device."""
+        """Copy codes and saturation to arrays (rows, columns, planes) on the host; waits for the device."""
         for buffer, out, dtype in ((self.code, code, np.uint16), (self.saturated, saturated, np.uint8)):
             out[...] = np.moveaxis(download(session, buffer, self.shape, dtype)[..., : self.columns], 0, -1)
 
 
 class FrameSensor:
-    """The sensor of a scene, which reads out a frame or its strips.
+    """The sensor of a scene on the device; reads out a frame or its strips.
 
     Parameters
     ----------
@@ -70,7 +70,9 @@ class FrameSensor:
         self.struct = filled("sensor_t", "float", sensor_values(sensor_model))
 
     def expose(self, strip: Strip, plane: Plane, camera: int, events: Events) -> Codes:
-        """Codes for the irradiance `plane` of a strip; camera: `clsco.optics.sensor.camera_word` of the frame."""
+        """Enqueue the conversion of a strip's irradiance `plane` to codes; camera: word from
+        `clsco.optics.sensor.camera_word`, which selects the noise of the frame.
+        """
         padded = padded_columns(plane.columns)
         counts = upload_cached(self.target.session, RECIPROCALS, "reciprocals of counts")
         head = (np.int32(n) for n in (plane.rows, plane.columns, strip.top, padded))

@@ -1,4 +1,4 @@
-"""Images with known blur radii, and static depth maps, uploaded by the host strip by strip."""
+"""Images with known blur radii, and static depth maps, which the host uploads strip by strip."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class HostImage(ABC):
     guard : int
         Width of the guard band around the frame, px.
     outside : {"symmetric", "constant"}
-        Image and radii in the guard band: mirrored at the border, as textures are, or 0.
+        Image and radii in the guard band: "symmetric" for mirror images, as of textures, "constant" for 0.
     """
 
     def __init__(
@@ -48,11 +48,13 @@ class HostImage(ABC):
 
     @abstractmethod
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
-        """Signed radii around a strip, "coc", and possibly a mask "valid", as in `Image`."""
+        """Signed radii "coc" on the source grid of a strip, and possibly the mask "valid" of known radii."""
 
     def image(self, job: Job, buffers: Mapping[str, cl.Buffer]) -> Image:
-        """The image of a strip, in the buffers "value", "coc" and "valid". For a missing buffer, kernels read the
-        host's array; without "valid" in `radii`, that buffer stays unchanged.
+        """Upload the image of a strip to the buffers "value", "coc" and "valid".
+
+        If `buffers` lacks one of them, kernels read the host's array in place. Buffer "valid" stays unchanged if
+        `radii` returns no mask.
         """
         value = self._send(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
         uploaded = {name: self._send(buffers.get(name), array) for name, array in self.radii(job.strip).items()}
@@ -70,7 +72,7 @@ class HostImage(ABC):
 
 
 class StaticMap(HostImage):
-    """Image and depth map of a static scene seen from the original viewpoint: its pixels are the pinhole image.
+    """Image and depth map of a static scene; seen from the original viewpoint, its pixels are the pinhole image.
 
     Parameters
     ----------
@@ -103,7 +105,7 @@ class StaticMap(HostImage):
         return {"coc": radii.astype(REAL[self.real], copy=False), "valid": valid.view(np.uint8)}
 
     def _radii(self, w: Array, top: int) -> Array:
-        """Signed radii of inverse depths (rows, columns), from row `top` on, for columns centered on the axis."""
+        """Signed radii in px of inverse depths `w` (rows, columns); top: row of the frame with the first row of `w`."""
         if not self.lens.is_curved and self.lens.distortion is None:
             return self.lens.blur_radius(w)
         (rows, columns), (_, height) = w.shape, self.camera.frame_size
@@ -113,7 +115,7 @@ class StaticMap(HostImage):
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
-        """Mask (rows, columns) of pixels without depth between pixels with depth in their row or column."""
+        """Mask (rows, columns) of pixels without depth that lie between pixels with depth in their row or column."""
         valid = self.inverse_depth > 0
         ends = [
             np.logical_or.accumulate(valid, axis) & np.flip(np.logical_or.accumulate(np.flip(valid, axis), axis), axis)
@@ -122,7 +124,7 @@ class StaticMap(HostImage):
         return (ends[0] | ends[1]) & ~valid
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Ground truth that needs no differences between pixels; arrays as in `clsco.passes.warp.ForwardWarp.truth`."""
+        """Outputs of ground truth that depend on single pixels only, as from `clsco.passes.warp.ForwardWarp.truth`."""
         w, valid = self.inverse_depth, self.inverse_depth > 0
         mask = valid if self.radiance.ndim == 2 else valid[..., None]
         radii = self._radii(w, 0)

@@ -1,4 +1,4 @@
-"""Tables of PSF weights: cached in the process, with their blocks cached on disk."""
+"""Caches of PSF weights: tables in the memory of the process, and the blocks that tables consist of also on disk."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from clsco.optics.psf_tables import PsfTable, narrow_table, rounded_span, span_s
 from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 
-CACHE_BYTES = 2**27  # memory limit of tables in this process; the latest two are kept even beyond it
+CACHE_BYTES = 2**27  # memory limit of tables in this process; the latest two tables stay even if they exceed it
 BLOCK_BYTES = 2**25  # memory limit of blocks in this process
 JOINED_BYTES = 2**24  # size up to which a table is extended to include the radii of other renderings
 R = TypeVar("R", PsfTable, WeightBlock)
@@ -48,11 +48,11 @@ class TableStore:
     def table(
         self, psf: PointSpread, smallest: float, largest: float, subpixel: int = 0, go_on: Callable[[], object] = tuple
     ) -> PsfTable:
-        """`clsco.optics.psf_tables.psf_table`, taken from a cached table if one includes the radii.
+        """The table of `clsco.optics.psf_tables.psf_table`, cut from a cached table if that includes the radii.
 
         A PSF's cached table of up to JOINED_BYTES is extended to include new radii. Of its larger tables only the
         latest is cached, so that a series of renderings with wide blur does not fill the memory. A sampled disc has
-        one table for each range of radii instead. go_on: called before each block; its exceptions propagate.
+        one table for each range of radii instead. go_on: called before each block is computed; it may raise an error.
         """
 
         def block(psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
@@ -74,13 +74,13 @@ class TableStore:
                 table = self._tables[key] = _in_pages(replace(built, place=place))
                 trim()  # memory that building it used
             self._tables.move_to_end(key)
-            # A rendering has two tables, of pixels and of sub-pixel sources: neither must evict the other.
+            # A rendering has two tables, for pixels and for sub-pixel sources, and neither must evict the other.
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 2:
                 self._tables.popitem(last=False)
         return narrow_table(table, psf, smallest, largest, subpixel > 0)
 
     def block(self, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
-        """A block of weights, read from the cache in memory or on disk, or computed."""
+        """A block of weights, from the cache in memory or on disk, or computed if it is in neither."""
         key = f"{_code()} {_key(psf, subpixel)} {first}"
         return self.blocks.get(key, lambda: self._block(key, psf, first, subpixel), lambda block: block.nbytes)
 
@@ -102,18 +102,18 @@ class TableStore:
 
 @cache
 def _code() -> str:
-    """Digest of the code that computes blocks."""
+    """Digest of the code that computes blocks, so that other versions do not read them."""
     return code_digest(constants, point_spread, pupils, psf_blocks, psf_grid)
 
 
 @cache
 def shared_tables() -> TableStore:
-    """The tables of this process; blocks are cached on disk if only the user can write to the cache folder."""
+    """The table store of this process; it caches blocks on disk only if no other user can write to the cache folder."""
     return TableStore(user_cache("tables"))
 
 
 def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | None]:
-    """Tables of weights for pixels and, if there are any, for sub-pixel sources. Raises CanceledError."""
+    """Tables of weights for pixels, and for sub-pixel sources or None if there are none. Raises CanceledError."""
 
     def table(subpixel: int) -> PsfTable:
         return shared_tables().table(spec.psf, spec.smallest, spec.largest, subpixel, session.go_on)
@@ -122,9 +122,7 @@ def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | No
 
 
 def forget_others(session: Session) -> None:
-    """Release the device's cached data of earlier calls, before a call with a memory limit: it then holds only planned
-    tables.
-    """
+    """Release cached buffers of earlier calls, so that a call with a memory limit has only planned buffers."""
     session.cache.clear()
     shared_tables().clear(blocks=False)
 
@@ -154,7 +152,7 @@ def _size(psf: PointSpread, span: range, subpixel: int) -> int:
 
 
 def _in_pages(record: R) -> R:
-    """A table or block with its large arrays in their own pages, so that freeing them leaves no gaps."""
+    """A copy of a table or block with large arrays in pages of their own, so that freeing them leaves no gaps."""
     arrays = {name: value for name, value in vars(record).items() if isinstance(value, np.ndarray)}
     large = {name: array for name, array in arrays.items() if array.nbytes >= SMALLEST and not is_in_pages(array)}
     placed: dict[str, Any] = {name: in_pages(array) for name, array in large.items()}

@@ -1,4 +1,4 @@
-"""Host side of ray tracing: sources, sub-pixel sources at silhouettes, and the pinhole image."""
+"""Host side of ray tracing, which computes sources, sub-pixel sources at silhouettes, and the pinhole image."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers, silhouette_buffer
 from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
 
-SPARE_SLOTS = 1.25  # ratio of allocated to needed slots, as the next time sample may need more
-ROUNDED = 1e-5  # relative tolerance, far above the rounding errors of rays and depths in single precision
+SPARE_SLOTS = 1.25  # ratio of allocated to needed slots when slots are added, as the next time sample may need more
+ROUNDED = 1e-5  # relative margin of extents, far above the rounding errors of rays and depths in single precision
 # The kernels that cast rays.
 TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth.cl", "trace/merge.cl")
-# Statistics at the beginning of a frame: of no radius, and of no slot (trace.cl).
+# Statistics at the beginning of a frame, before any radius or slot is recorded (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
-NO_SOURCE = np.array([-1.0], np.float32)  # table coordinate of a missing source; its bits mark no slot
+NO_SOURCE = np.array([-1.0], np.float32)  # table coordinate of a missing source; as a mark, its bits are no slot
 
 HitPlanes = tuple[cl.Buffer, ...]  # value, depth and label, as in trace.cl
 Cast = Callable[[HitPlanes], None]
 
 
 class HitKey(NamedTuple):
-    """Everything that ray hits depend on: occlusion group, rays and surfaces, and the textures (None if unknown)."""
+    """Cache key of ray hits: all that they depend on; `textures` is None if hits cannot be cached."""
 
     group: OcclusionGroup
     cast: Hashable
@@ -49,10 +49,10 @@ class HitKey(NamedTuple):
 
 
 class Hits(Protocol):
-    """Cache of planes of ray hits, shared by several lenses."""
+    """Interface of a cache of ray hits that several lenses share."""
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        """The planes of an occlusion group; on a cache miss, rays are cast to fill the planes.
+        """The planes with the hits of an occlusion group; on a cache miss, `cast` fills them.
 
         Parameters
         ----------
@@ -60,12 +60,12 @@ class Hits(Protocol):
             Sizes of the planes, by `clsco.plan.buffers.hit_buffers`.
         key : HitKey
         cast : callable
-            Enqueues the kernel that fills planes.
+            Enqueues the kernel that casts rays and fills planes.
         """
 
 
 class LatestHits:
-    """Cache of the last time sample's planes for each occlusion group, for the lenses of a sweep."""
+    """Cache of each occlusion group's hits at the latest time sample, for the lenses of a sweep."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -83,7 +83,7 @@ class LatestHits:
 
 
 class CachedHits:
-    """Cache of all planes of ray hits, kept by the session."""
+    """Cache of ray hits in the session, for several time samples and renderings."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -108,12 +108,12 @@ class Tracer:
     plan : Plan
     scene : PlacedScene
     buffers : dict
-        By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
-        colors; slot buffers are replaced if more slots are needed.
+        Buffers named as in `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
+        colors; those of slots are replaced if more slots are needed.
     psf : numpy.void
         psf_t of the blur that will add the sources.
     hits : Hits, optional
-        Hits shared with other lenses.
+        Ray hits shared with other lenses; by default, rays are cast for this lens alone.
     """
 
     plan: Plan
@@ -129,11 +129,11 @@ class Tracer:
 
     @cached_property
     def bends(self) -> Bends:
-        """Planes of the lens's effect on rays."""
+        """The lens's effect on rays."""
         return Bends(self.target, self.plan.scene)
 
     def _bends(self, job: SceneJob, *names: str) -> tuple[cl.Buffer, ...]:
-        """Kernel arguments: those of the named planes of the lens's effect on rays that exist."""
+        """Kernel arguments: planes of the lens's effect on rays, "bends" or "slopes", as far as the lens has them."""
         planes = self.bends.planes(job.grid, self.lens(job), job.events)
         return tuple(planes[name] for name in names if name in planes)
 
@@ -143,7 +143,7 @@ class Tracer:
 
     @cached_property
     def extents(self) -> tuple[cl.Buffer, ...]:
-        """Predicted extents of the objects on the device; empty for a single object."""
+        """Predicted extents of all objects in a buffer on the device; empty for a single object."""
         count = len(self.plan.scene.objects)
         if count == 1:
             return ()
@@ -153,9 +153,7 @@ class Tracer:
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
     def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources | None:
-        """Sources of one occlusion group; None if this part of the exposure has none. The buffers of the previous group
-        are overwritten, so all launches that read them must have ended.
-        """
+        """Sources of one occlusion group; None if the job's part has none. Overwrites those of the previous group."""
         plan, buffers, head = self.plan, self.buffers, self._head(job, group)
         sizes = hit_buffers(plan.grid, plan.mapped > 0)
         window = self._window(job, group)
@@ -187,14 +185,14 @@ class Tracer:
     def _cast(
         self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]
     ) -> None:  # fmt: skip
-        """Enqueue the casting of one occlusion group's rays, which are the same for all lenses."""
+        """Enqueue the kernel that casts the rays of one occlusion group, which are the same for all lenses."""
         grid, lens, surfaces, members, psf = self._head(job, group)
         lens_args, slopes = (lens, psf) if exposure else (), self._bends(job, "slopes")
         args = (*self._appearance(job), *planes, *lens_args, *slopes, *exposure)
         self._per_pixel("cast", job, window, grid, surfaces, members, *args)
 
     def silhouettes(self, job: SceneJob, group: OcclusionGroup, sources: Sources | None) -> Sources | None:
-        """The sources of an occlusion group, with sub-pixel sources added."""
+        """The sources of an occlusion group with sub-pixel sources added; None if there are no sources."""
         window = self._window(job, group)
         if sources is None or window is None:
             return None
@@ -227,8 +225,8 @@ class Tracer:
         return self.buffers["pixels"].size // 4
 
     def _assign_slots(self, job: SceneJob, sources: Sources, window: Window) -> int:
-        """Assign slots to the pixels that need sub-pixel sources, and reallocate if there are more than predicted;
-        returns their number. Waits for the device.
+        """Assign slots to the pixels that need sub-pixel sources, and allocate more slots if these are too few; returns
+        the number of slots used. Waits for the device.
         """
         session, statistics = self.target.session, self.buffers["statistics"]
         left, top, right, bottom = window
@@ -246,13 +244,13 @@ class Tracer:
             self._make_room(int(SPARE_SLOTS * count))
 
     def _make_room(self, slots: int) -> None:
-        """Replace the slot buffers by larger ones and copy existing slots. The queue must be empty."""
+        """Replace the buffers of slots by larger ones, and copy the assigned slots. The queue must be empty."""
         session, before = self.target.session, self.buffers["pixels"]
         self.buffers.update(allocate(session, silhouette_buffers(self.plan.spec, self.plan.grid, slots, False)))
         cl.enqueue_copy(session.queue, self.buffers["pixels"], before, byte_count=before.size).wait()
 
     def _merge(self, job: SceneJob, sources: Sources) -> Sources:
-        """Merge sources on the device as far as the plan's tolerance allows; returns `sources`."""
+        """Enqueue the merging of sources if the plan merges any; returns `sources`."""
         plan, grid = self.plan, job.grid
         if plan.merged:
             size = (-(-int(grid["width"]) // MERGED_SIDE), -(-int(grid["height"]) // MERGED_SIDE))
@@ -272,7 +270,7 @@ class Tracer:
 
     @cached_property
     def _hit_features(self) -> Hashable:
-        """Features of the kernels that hits depend on."""
+        """Precision, and the features of the kernels on which ray hits depend."""
         features = self.plan.features()
         return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
 
@@ -286,11 +284,11 @@ class Tracer:
         return HitKey(group, (cast, maps), self.scene.content)
 
     def _appearance(self, job: SceneJob) -> tuple[Any, ...]:
-        """Kernel arguments: the textures and, if the scene has them, texture mappings and a light."""
+        """Kernel arguments: textures and, if the scene has them, texture mappings and a light."""
         return (self.scene.texture, *self.scene.texture_maps, *job.sample.light)
 
     def without_occluders(self, job: SceneJob) -> dict[str, Any]:
-        """The lens, and an empty set of occluders, as fields of `Sources`."""
+        """Lens, surfaces and a group without occluders, as fields of `Sources`."""
         return {"lens": self.lens(job), "surfaces": job.sample.surfaces, "group": group_struct(NO_GROUP, 0)}
 
     def _head(self, job: SceneJob, group: OcclusionGroup) -> tuple[Any, ...]:
@@ -298,14 +296,14 @@ class Tracer:
         return job.grid, self.lens(job), job.sample.surfaces, members, self.psf
 
     def _moving_window(self, job: SceneJob, group: OcclusionGroup, part: SourcePart) -> Window | None:
-        """Window around the sources that are not still."""
+        """Window with all sources that are not still; None if all are still."""
         plan, strip = self.plan, job.strip
         rows = strip.top - strip.above, strip.height
         return part.split.window(group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
 
     def _window(self, job: SceneJob, group: OcclusionGroup) -> Window | None:
-        """Part of the grid whose sources are traced, aligned to whole groups of pixels, so that all passes use the same
-        padding.
+        """Part of the grid whose sources are traced, None if there are none; it begins at a multiple of the
+        work-group's width, so that all kernels pad it alike.
         """
         if job.part is None or job.part.still:
             return whole_grid(job)
@@ -313,7 +311,7 @@ class Tracer:
         return None if window is None else (window[0] - window[0] % PIXELS[0], *window[1:])
 
     def _exposure(self, job: SceneJob, group: OcclusionGroup, shared: bool = False) -> tuple[Any, ...]:
-        """Kernel arguments of a part of an exposure; shared: True for rays that all lenses share."""
+        """Kernel arguments of the job's part of the exposure, if any; shared: True for rays that all lenses share."""
         if job.part is None:
             return ()
         window, part = self._moving_window(job, group, job.part), job.part

@@ -1,4 +1,4 @@
-"""Ground truth of a frame, at the middle of its exposure, or with a rolling shutter at that of each row or column."""
+"""Ground truth of a frame at the middle of its exposure; with a rolling shutter, of the exposure of each line."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class GroundTruth:
     plan : Plan
     scene : PlacedScene
     pixels : ForwardWarp or StaticMap, optional
-        Source of pixels in the reference pose: moved by a forward warp, or static.
+        Origin of pixels in the reference pose; None if rays are cast.
     """
 
     plan: Plan
@@ -53,11 +53,11 @@ class GroundTruth:
 
     @cached_property
     def target(self) -> Target:
-        """Target with the kernels that cast rays, built when the first ray is cast."""
+        """Target with the kernels that cast rays; built when first used."""
         return ray_target(self.plan, self.scene)
 
     def compute(self, index: int, events: Events) -> Arrays:
-        """The requested outputs of frame `index`: (rows, columns[, 3]), as in `Frame`."""
+        """The requested outputs of frame `index` as arrays (rows, columns[, channels]), named as in `Frame`."""
         plan = self.plan
         if not plan.truth:
             return {}
@@ -72,7 +72,7 @@ class GroundTruth:
         return {name: array for name, array in outputs.items() if name in plan.truth}
 
     def _middles(self, index: int) -> tuple[float, float, float]:
-        """Times of the ground truth of the previous, the current and the next frame."""
+        """Times in s of the ground truth of the previous frame, frame `index` and the next frame."""
         if not self.plan.moves:
             return 0.0, 0.0, 0.0
         sequence = self.plan.scene.sequence
@@ -83,7 +83,7 @@ class GroundTruth:
         return "left" if self.plan.eye == "right" else "right"
 
     def _from_rays(self, before: float, time: float, later: float, events: Events) -> Arrays:
-        """Outputs from rays at analytic surfaces, strip by strip."""
+        """Outputs from rays cast at analytic surfaces; before, time, later: from `_middles`."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         sample, after = scene.at(time), scene.at(later)
         other_view = scene.at(time, eye=self._opposite) if set(STEREO_NAMES) & set(names) else None
@@ -102,7 +102,7 @@ class GroundTruth:
         return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._still_outputs() | out
 
     def _still_outputs(self) -> Arrays:
-        """Outputs of a static scene that are 0 everywhere and need no rays."""
+        """Outputs that are 0 everywhere if the scene is static, so that they need no rays."""
         shape = self.plan.rows, self.plan.columns
         return {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
 
@@ -112,8 +112,8 @@ class GroundTruth:
     ) -> tuple[Any, ...]:  # fmt: skip
         """Kernel arguments, between the grid and the outputs, for a frame or one of its lines.
 
-        reference: objects in the reference pose; sample: in this frame; after, earlier: in the next and the previous
-        frame; other_view: in the other view of a stereo pair.
+        reference: the objects in the reference pose; sample: in this frame; after, earlier: in the next and the
+        previous frame; other_view: in the other view of a stereo pair, None if it is not needed.
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
@@ -129,14 +129,14 @@ class GroundTruth:
         self, strip: Strip, camera: Camera, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
         size: tuple[int, int], origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue the rays of a strip, or of a block of its pixels; size, origin: columns and rows of the block."""
+        """Enqueue the rays of a block of pixels; size, origin: columns and rows, and first pixel in the strip."""
         grid = camera_grid(camera, self.plan.guard_px, self.scene.real, strip, self.plan.scene.camera)
         out = (buffers["mask"], *(buffers.get(name) for name in RAY_OUTPUTS))
         local = PIXELS if size[0] > 1 else PIXELS[::-1]
         self.target.run("ground_truth", size, local, events, grid, *arguments, *out, origin=origin)
 
     def _from_lines(self, index: int, events: Events) -> Arrays:
-        """Outputs from rays at analytic surfaces with a time per line; the host follows points from line to line."""
+        """Outputs from rays cast at analytic surfaces with a rolling shutter, where each line has its own time."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         times, by_columns = line_times(plan.scene, index), plan.scene.sequence.by_columns
         reference = scene.in_reference_pose()
@@ -153,7 +153,7 @@ class GroundTruth:
         return out | (self._between_lines(index, out) if set(LINE_OUTPUTS) & set(plan.truth) else {})
 
     def _between_lines(self, index: int, outputs: Arrays) -> Arrays:
-        """Flow, disparity and their occlusion, with a time per line."""
+        """Flow, disparity and their occlusion with a rolling shutter, computed from the other `outputs`."""
         plan, out = self.plan, Arrays()
         items, eye = plan.scene.objects, plan.eye
         points = LinePoints(items, outputs["depth"], outputs["object_id"], lines_of(plan.scene, index, eye))
@@ -172,7 +172,10 @@ class GroundTruth:
         return out
 
     def _split_colors(self, outputs: Arrays, times: NDArray[np.float64]) -> None:
-        """Convert blur radii to radii per color, if the lens separates colors; times: time of each line, s."""
+        """Replace blur radii in `outputs` by one radius per color if the lens separates colors.
+
+        times: one time, or the time of each line as an array that broadcasts over the frame, s.
+        """
         if not self.plan.scene.separates_colors or "blur_radius" not in outputs:
             return
         sizes, shifts, steps = np.empty((*times.shape, 3)), np.empty((*times.shape, 3)), np.empty(times.shape)
@@ -186,8 +189,9 @@ class GroundTruth:
         outputs["blur_radius"] = np.where(outputs["mask"][..., None], radius, 0.0).astype(np.float32)
 
     def _stretch(self, steps: NDArray[np.float64]) -> NDArray[np.float64] | float:
-        """Ratio (rows, columns, 1) of sizes in the distorted image to sizes without distortion; steps: slope between
-        neighboring rays, for each line.
+        """Ratio (rows, columns, 1) of sizes in the distorted image to sizes without distortion; 1 without distortion.
+
+        steps: slope between neighboring rays, one or for each line.
         """
         distortion = Distortion.of(self.plan.scene.lens)
         if distortion is None:
@@ -197,7 +201,7 @@ class GroundTruth:
         return distortion.stretch(*distortion.undistorted(x, y))[..., None]
 
     def _clear_background(self, outputs: Arrays) -> NDArray[np.bool_]:
-        """Set background pixels to the output values for pixels without a surface; returns the mask of background."""
+        """Set outputs in pixels of the background to their values for no surface; returns the mask of these pixels."""
         if self.plan.background is None:
             return np.zeros((), np.bool_)
         beyond = np.asarray(outputs["object_id"] == self.plan.background)
@@ -220,14 +224,14 @@ class GroundTruth:
             download_into(self.scene.session, buffers[name], array[strip.inside])
 
     def _from_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
-        """Outputs of a scene with depth maps, computed from its warped pixels, as rays cannot hit a depth map."""
+        """Outputs of a scene with depth maps, computed from its static or warped pixels, as rays cannot hit a map."""
         scene, plan, pixels = self.scene, self.plan, self.pixels
         now, then = scene.at(time), scene.at(later)
         out: Arrays = {}
         if isinstance(pixels, StaticMap):
             out = pixels.truth()
         elif isinstance(pixels, ForwardWarp):
-            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # inputs of other outputs
+            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # others need these
         self._split_colors(out, np.array(time))
         beyond = self._clear_background(out)
         points = MapPoints(plan.scene.objects, out["depth"], out["object_id"], now.camera, now.poses)

@@ -1,4 +1,4 @@
-"""Applies vignetting to the blurred plane of a time sample."""
+"""Host side of vignetting, which darkens the blurred plane of a time sample."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from clsco.scene.model import Camera
 
 @lru_cache(maxsize=2)
 def _share(camera: Camera, kind: Kind) -> NDArray[np.float32]:
-    """`throughput` of a lens, cached for many time samples and frames."""
+    """Vignetting (rows, columns) by `throughput`, cached for many time samples and frames."""
     return throughput(camera, kind).astype(np.float32)
 
 
 class Vignetting:
-    """Darkens planes, in place.
+    """Multiplies planes by the vignetting of the lens, in place.
 
     Parameters
     ----------
     session : Session
     kind : {"natural"} or tuple of float
-        Key of the scene.
+        Value of the scene's key lens.vignetting.
     colors : int
-        Number of color channels, which precede coverage in a plane; coverage is not changed.
+        Number of color channels; a channel of coverage after them is not changed.
     pixels : int
         Number of pixels in the frame.
 
@@ -47,10 +47,12 @@ class Vignetting:
         self.target, self.kind, self.colors = Target(session, program, "float"), kind, colors
         self._buffer = Refilled(session, 4 * pixels)  # kernels of the previous time sample may still read it
         self._filled: NDArray[np.float32] | None = None
-        self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as of `FrameSum`
+        self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as in `FrameSum`
 
     def darken(self, plane: Plane, camera: Camera, top: int, events: Events) -> Plane:
-        """Darken a plane in place; camera: of the frame; top: row of the frame at which the plane begins."""
+        """Darken a plane in place, and return it; camera: camera with the frame's resolution; top: row of the frame
+        with the plane's first row.
+        """
         share = _share(camera, self.kind)
         if share is not self._filled:
             self._buffer.fill(share)

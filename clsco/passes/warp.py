@@ -1,6 +1,4 @@
-"""Host side of the forward warp: moves every pixel of the reference pose to its position at a time sample, and fills
-holes.
-"""
+"""Host side of the forward warp, which moves each pixel of the reference pose to its position at a time sample."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ from clsco.records import REAL, structs
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
 NOWHERE = np.array(NO_WINNER, np.int32)
 
-# Number of bands of rows in reproject_nearest: few, as each band reads all segments, but enough for all cores.
+# Bands of rows in reproject_nearest: few, as each band reads all segments of sources, but enough for all cores.
 BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 
 SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
@@ -38,12 +36,13 @@ SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDE
 
 @dataclass(frozen=True)
 class Warped:
-    """One time sample on the device, on the padded grid (height, width); overwritten by the next one.
+    """Planes of one time sample on the device, (height, width) with guard band; the next sample overwrites them.
 
     value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed blur radius in
-    px; valid: uchar, 1 if known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known or not missing, 1
-    filled, 2 missing and not filled; object: uchar, number of the visible object, 255 for none and in the mirror image
-    around a depth map, or None if the scene has a single object; counters: as returned by `Filler.fill`.
+    px; valid: uchar, 1 if known or filled, else 0 (value, w and coc are then 0); status: uchar, 0 known or not missing,
+    1 filled, 2 missing and not filled; object: uchar, number of the visible object, 255 for none and in the mirror
+    image around a depth map, or None instead of a plane if the scene has a single object; counters: as returned by
+    `Filler.fill`.
     """
 
     value: cl.Buffer
@@ -56,10 +55,11 @@ class Warped:
 
 
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """Features that warp.cl and fill.cl are compiled for; owned: use bands of the image instead of atomics, for CPUs.
+    """Features that warp.cl and fill.cl are compiled for; owned: as for `ForwardWarp`.
 
-    In a scene with a depth map, which has no outline that a ray could miss, domain "surface" becomes "span". Holes are
-    filled from the far side (FILL_FAR) if surfaces may have several depths: with several objects, or a depth map.
+    In a scene with a depth map, whose outline rays cannot find, domain "surface" is replaced by "span". Holes are
+    filled from their far side (FILL_FAR) if their sides may be at different depths: with several objects, or a depth
+    map.
     """
     fill, mapped = plan.scene.fill, not plan.scene.is_analytic
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
@@ -81,11 +81,12 @@ class ForwardWarp:
     ----------
     plan : Plan
     scene : PlacedScene
-        On the device to run on.
+        The scene on the device that runs the warp.
     maps : sequence of ndarray of float64 (rows, columns) or None
         Inverse depth in 1/mm of every object that is a depth map, 0 without a surface; None for other objects.
     owned : bool, optional
-        Use the depth test without atomics, by default on processors; both give the same bits.
+        True for the depth test in which each work-item owns a band of the image, False for the one by atomics; both
+        give the same bits. By default True on processors.
 
     Raises
     ------
@@ -106,18 +107,18 @@ class ForwardWarp:
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
         self.filler = Filler(self.kernels, self.grid, self.lens, features, fill_sizes(plan.scene, plan.grid))
-        # After the pixels are moved, the filling uses these buffers for its lists.
+        # The filling, which follows the moving of pixels, uses the same buffers for its lists.
         self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)
         self.rest, self.moved = (empty(session, sizes[name]) for name in ("rest", "moved"))
         self.object = (empty(session, sizes["object"]),) if "object" in sizes else ()
-        if self.object:  # each object writes only its own pixels
+        if self.object:  # kernels move one object after another, and only its own pixels
             for buffer in (self.target, self.moved):
                 cl.enqueue_fill_buffer(session.queue, buffer, ZERO, 0, buffer.size)
         depths = [depth for depth in maps if depth is not None]
         self.maps = (upload(session, np.stack(depths).astype(REAL[real])),) if depths else ()
         self.bounds = empty(session, sizes["bounds"]) if self.owned else None
-        # The filling writes the radii of filled pixels later.
+        # The buffer of radii is free until the radii are written.
         self.depth = self.filler.planes.coc if self.owned else empty(session, self.winner.size)
         reference = scene.in_reference_pose()
         self.rest_surfaces = reference.surfaces
@@ -127,13 +128,13 @@ class ForwardWarp:
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
 
     def warp(self, sample: TimeSample, events: Events) -> Warped:
-        """The pixels of the reference pose moved to a time sample, with missing pixels filled as the scene specifies.
+        """Move the pixels of the reference pose to a time sample, and fill missing pixels as the scene specifies.
 
         Parameters
         ----------
         sample : TimeSample
         events : list
-            List to which launches are appended.
+            List to which events of launches are appended.
 
         Returns
         -------
@@ -156,8 +157,8 @@ class ForwardWarp:
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
-        """Enqueue the depth test: computes the target of each pixel of the reference pose, and for each target the
-        winner, the nearest pixel moved to it. Arguments as for `warp`.
+        """Enqueue the depth test, which computes the target of each pixel of the reference pose, and the winner of each
+        target: the nearest of the pixels that are moved to it. Arguments as for `warp`.
         """
         scene, real = self.plan.scene, self.scene.real
         if scene.lens_moves or self.plan.only is not None:
@@ -188,23 +189,23 @@ class ForwardWarp:
             self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
-        """Store the largest and the smallest radius of the warped pixels in the first two ints of `statistics`."""
+        """Include |R| of the warped pixels in the largest and smallest |R| of `statistics`."""
         chunks = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
         planes = (self.filler.planes.coc, self.filler.planes.valid, statistics)
         self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.grid, *planes)
 
     def missing(self, warped: Warped) -> NDArray[np.bool_]:
-        """Mask (rows, columns) of the frame's pixels that were missing, filled or not."""
+        """Mask (rows, columns) of pixels of the frame that were missing, whether they have been filled or not."""
         return self._frame(warped.status, np.uint8) > 0
 
     def truth(self, sample: TimeSample, names: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
-        """The arrays in `names`, float32 unless stated otherwise, (rows, columns[, channels]).
+        """The arrays in `names` that the warp has, (rows, columns[, channels]), float32 unless stated otherwise.
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. For a scene with a depth map, which rays
-        cannot hit, also properties of the surface in each pixel, known or filled: "depth" in mm, +inf for none, float64
-        because normals are computed from its differences; "blur_radius" in px, 0 for none; "mask", bool; "object_id",
-        int32, -1 for none. These are values of the source that was moved to the pixel, up to half a pixel from the
-        pixel's center.
+        cannot hit, also properties of the surface in each known or filled pixel: "depth" in mm, +inf without a surface,
+        float64 because normals are computed from its differences; "blur_radius" in px, 0 without a surface; "mask",
+        bool; "object_id", int32, -1 without a surface. They are values of the source that was moved to the pixel, which
+        is up to half a pixel from the pixel's center.
         """
         plan = self.plan
         available = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
@@ -229,16 +230,14 @@ class ForwardWarp:
         return {name: array for name, array in arrays.items() if name in available & set(names)}
 
     def _frame(self, buffer: cl.Buffer, dtype: Any, channels: int | None = None) -> NDArray[Any]:
-        """The frame (rows, columns), cut from a plane on the padded grid; with `channels`, (channels, rows, columns)
-        cut from several planes.
-        """
+        """Download a plane (rows, columns), or planes (channels, rows, columns), without the guard band."""
         plan, guard = self.plan, self.plan.guard_px
         shape = (plan.height, plan.width) if channels is None else (channels, plan.height, plan.width)
         inside = (..., slice(guard, guard + plan.rows), slice(guard, guard + plan.columns))
         return np.ascontiguousarray(download(self.scene.session, buffer, shape, dtype)[inside])
 
     def _test_in_bands(self, args: tuple[Any, ...], events: Events) -> None:
-        """Enqueue the depth test in a form in which each work-item owns a band of the image."""
+        """Enqueue the depth test in which each work-item owns a band of the image."""
         rows, cores = self.plan.height, self.scene.session.device.compute_units
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
         segments = self.plan.rows * -(-self.plan.columns // OWNED_PIXELS)
@@ -248,7 +247,7 @@ class ForwardWarp:
         self.kernels.run("reproject_nearest", (-(-rows // band),), OWNERS, events, *owned, *depth)
 
     def _test_by_atomics(self, args: tuple[Any, ...], events: Events) -> None:
-        """Enqueue the depth test in a form with a work-item per source, by atomics."""
+        """Enqueue the depth test by atomics, with a work-item per source."""
         queue, sources = self.scene.session.queue, (self.plan.rows * self.plan.columns,)
         cl.enqueue_fill_buffer(queue, self.depth, ZERO, 0, self.depth.size)
         cl.enqueue_fill_buffer(queue, self.winner, NOWHERE, 0, self.winner.size)

@@ -1,1 +1,1 @@
-"""Plans: passes that render a scene, with their methods and memory; independent of OpenCL."""
+"""Plans: the passes that render a scene, with their methods and buffers; independent of OpenCL."""

@@ -1,23 +1,28 @@
-"""Reduction of time samples, silhouette samples and sources, by their estimated effect on a frame (float64, pure).
+"""Reduction of time samples, silhouette samples and sources within a tolerance of the frame (float64, pure).
 
-A pattern that moves by D px while the shutter is open is multiplied, at f cycles per px along the motion, by the sum
-M(f) = sum_i w_i exp(2 pi i f D t_i) over the time samples, t from 0 to 1. With fewer samples the sum differs:
+Consider a pattern that moves by D px while the shutter is open. The frame has its component of f cycles per px along
+the motion times M(f) = sum_i w_i exp(2 pi i f D t_i), summed over the time samples, with t from 0 to 1. With fewer
+samples, M differs, and the squared error of the frame is
 
     e^2 = sum_f P(f) H(f)^2 |M(f) - M_exact(f)|^2
 
-P: power of the moving pattern, from the texture along its rows and columns, and l c^2 / (2 pi f)^2 for outlines of
-length l per px^2 and contrast c; H: transfer function of the PSF. Each of N x N sub-pixel sources emits the light of
-its covered part from its middle: for an edge along the sources' rows, the first moment of the pixel's light is off by
-m.
+P: power of the moving pattern: that of the texture along its rows and columns, and l c^2 / (2 pi f)^2 for outlines of
+length l per px^2 and contrast c; H: transfer function of the PSF.
+
+Each of the N x N sub-pixel sources of a pixel emits the light of its covered part from its middle. At an edge along the
+rows of sources, this changes the first moment of the pixel's light by m, and
 
     e^2 = l c^2 (mean m^2 sum_f (2 pi f)^2 H(f)^2 + s mean off^2 sum_f H(f)^2)
 
-off: error of the coverage, if it is counted by sources: on a share s, CORNERS of outlines, or everywhere if each pixel
-is one source. `clsco.plan.texture_sources` treats errors of textures on surfaces.
+off: error of the coverage of a pixel, where covered sources are counted; s: fraction of outlines with such pixels,
+CORNERS for N > 1, and 1 for N = 1. `clsco.plan.texture_sources` treats errors of textures on surfaces.
 
-One source in place of MERGED_SIDE x MERGED_SIDE (kernels/trace/merge.cl) leaves a lattice of discs, whose harmonics are
-e^2 = share L^2 (4 H(g)^2 + 4 H(sqrt(2) g)^2) for a radiance L, g = 1 / MERGED_SIDE per px. Validated against frames
-with all samples: tests/plan/test_approximation.py.
+One source in place of MERGED_SIDE x MERGED_SIDE (kernels/trace/merge.cl) makes the light of an even surface a lattice
+of discs. With g = 1 / MERGED_SIDE per px, for radiance L in a given fraction of the frame, its harmonics cause
+
+    e^2 = fraction L^2 (4 H(g)^2 + 4 H(sqrt(2) g)^2)
+
+Validated against frames with all samples: tests/plan/test_approximation.py.
 """
 
 from __future__ import annotations
@@ -49,17 +54,17 @@ from clsco.scene.model import Scene
 Array = NDArray[np.float64]
 Samples = tuple[int, int]
 
-SIDE, LINES = 256, 64  # px of a segment of a texture whose spectrum is taken, and how many segments along each axis
-FREQUENCIES = np.arange(1, SIDE + 1) / SIDE  # cycles per px; textures have half of them, outlines all
+SIDE, LINES = 256, 64  # length of texture segments whose spectrum is computed, px, and their number per axis
+FREQUENCIES = np.arange(1, SIDE + 1) / SIDE  # cycles per px; textures have power in the lower half, outlines in all
 NO_POWER = np.zeros(SIDE)
-CYCLE_STEPS = 8  # per cycle
-STRIDE = 7  # px between the pixels of a texture that enter its means; rarely the period of a pattern
-MARGIN = 1.5  # of squared errors: rays sample outlines and paths coarsely
-CORNERS = 0.06  # of outlines, whose coverage is counted by sources: corners, and surfaces seen edge-on
+CYCLE_STEPS = 8  # bins per cycle of motion
+STRIDE = 7  # px from one sample of a texture's means to the next; rarely the period of a pattern
+MARGIN = 1.5  # factor of squared errors, because rays sample outlines and paths coarsely
+CORNERS = 0.06  # fraction of outlines whose coverage is counted by sources: corners, and surfaces seen edge-on
 FINE_COST, OUTLINE_COST = 1 / 8, 1 / 80  # cost of each of N^2 sources per pixel, relative to a time sample with one
-UNEVEN = 0.2  # of outlines, as CORNERS: for differences between time samples
-MERGED_RADII = tuple(8.0 * 2.0 ** (k / 2) for k in range(9))  # px: |R| from which on sources may be merged
-TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # of the longest path, the worst counts: some points travel less
+UNEVEN = 0.2  # in place of CORNERS for differences between time samples
+MERGED_RADII = tuple(8.0 * 2.0 ** (k / 2) for k in range(9))  # px: |R| from which sources may be merged
+TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # fractions of the longest path, as some points travel less; the worst counts
 
 
 @dataclass(frozen=True)
@@ -69,15 +74,15 @@ class ApproximationReport:
     Attributes
     ----------
     tolerance : float
-        RMS error that was asked for, 1 = white.
+        Requested RMS error, 1 = white.
     rms_error : float
         Estimated RMS error relative to all samples of the scene; 0 if all are used.
     samples, scene_samples : int
-        Time samples used, and those of the scene.
+        Number of time samples: used, and of the scene.
     silhouette_samples, scene_silhouette_samples : int
-        Sub-pixel sources along an axis of a pixel: used, and of the scene; 1 for none.
+        Number of sub-pixel sources along an axis of a pixel: used, and of the scene; 1 for none.
     merged : float
-        Blur radius |R| in px from which partly hidden sources may be merged, 0 for none.
+        Blur radius |R| in px from which partly hidden sources may be merged; 0 for no merging.
     """
 
     tolerance: float
@@ -107,7 +112,7 @@ class ApproximationReport:
 
 
 def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
-    """True if a frame with this report (an `ApproximationReport` as a mapping, or None) had this tolerance."""
+    """True if a frame was rendered with this tolerance; report: its `ApproximationReport` as a mapping, or None."""
     return (None if report is None else report.get("tolerance")) == tolerance
 
 
@@ -123,7 +128,7 @@ def fewer_samples(
 ) -> tuple[Scene, ApproximationReport]:
     """Choose the cheapest numbers of samples whose estimated error is within a tolerance.
 
-    Merging of sources is tried last; it is not a key of the scene, so the plan needs it separately.
+    Merging of sources is tried last. It is no key of the scene: the caller sets `Plan.merged` from the report.
 
     Parameters
     ----------
@@ -132,7 +137,7 @@ def fewer_samples(
     tolerance : float
         RMS error, 1 = white.
     textures : callable
-        Returns the textures of all objects; not called if nothing can be saved.
+        Returns the textures of all objects; called only if something may be saved.
     maps : sequence
         As for `clsco.plan.plan.make_plan`.
     least : tuple of int
@@ -141,7 +146,7 @@ def fewer_samples(
     Returns
     -------
     Scene
-        With fewer samples, or the plan's own.
+        Scene with fewer samples, or that of the plan.
     ApproximationReport
 
     Raises
@@ -162,7 +167,7 @@ def fewer_samples(
         time_error = partial(_time_error, scene, *_cycles(plan.psf, parts), outlines.coverage_error(exact[1]), exact[0])
         source_errors = {exact[1]: 0.0}
         if not keeps_silhouettes:
-            # A whole pixel in focus reaches over its border, and has more taps than its parts have.
+            # At least 2 for fine textures: a source of a whole pixel reaches farther, and has more taps than its parts.
             fewer = [count for count in STEEP if max(least[1], 1 + fine) <= count < exact[1]]
             source_errors |= {count: outlines.source_error(exact[1], count) for count in fewer}
             if fine:
@@ -187,10 +192,10 @@ def fewer_samples(
 def _cheapest(
     samples: Samples, source_errors: Mapping[int, float], square: float, time_error: Callable[[int], float], fine: bool
 ) -> Samples:
-    """Time samples, and sources along an axis, with the lowest cost within a squared error.
+    """Numbers of time samples, and of sources along an axis, with the lowest cost within the squared error `square`.
 
-    source_errors: squared errors by number of sources; time_error: squared error by number of time samples; fine: True
-    if textures need sub-pixel sources, not only outlines.
+    samples: least and exact number of time samples; source_errors: squared errors by number of sources; time_error:
+    squared error by number of time samples; fine: True if textures need sub-pixel sources, not only outlines.
     """
     source_cost, choices = FINE_COST if fine else OUTLINE_COST, []
     for count, error in source_errors.items():
@@ -201,7 +206,7 @@ def _cheapest(
 
 
 def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
-    """First of increasing counts with a squared error within `square`, by bisection; 0 if there is none."""
+    """Smallest of increasing `counts` with a squared error of at most `square`, by bisection; 0 if there is none."""
     few, many = 0, len(counts)
     while few < many:
         middle = (few + many) // 2
@@ -210,15 +215,15 @@ def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
 
 
 def _may_merge(plan: Plan) -> bool:
-    """True if some sources may be so wide, and partly hidden, that merging them saves time."""
+    """True if some sources may be blurred so widely, and be partly hidden, that merging them saves time."""
     spec, psf = plan.spec, plan.psf
     wide = plan.largest_blur >= MERGED_RADII[0]
     return wide and spec.method == "gather" and spec.occluders > 0 and psf.uniform and not psf.signed and not psf.rims
 
 
 def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple[float, float]:
-    """Smallest |R| from which sources may be merged within a squared error, 0 for none, and the squared error of
-    merging.
+    """Smallest |R| in px from which merging of sources has at most the squared error `square`, and its squared error;
+    (0, 0) for no merging.
     """
     along, across = (round(SIDE * frequency / MERGED_SIDE) - 1 for frequency in (1.0, sqrt(2.0)))
     for least in MERGED_RADII:
@@ -235,10 +240,10 @@ def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple
 class _Part:
     """Statistics of an object in the frame.
 
-    travel: path of its image and of its blur's edge while the shutter is open, px along x and y; radius, widest:
-    smallest and largest |R|, px, but widest is 0 if no object is nearer; light: mean squared radiance, times its share
-    of the frame; power: power of its texture, white^2 over the frame, by FREQUENCIES along x and y; outline: length
-    times squared contrast per px^2, of outlines across x and y.
+    travel: length along x and y of the path of its image and of the edge of its blur while the shutter is open, px;
+    radius: smallest |R|, px; widest: largest |R|, px, 0 if no other object is nearer; light: mean squared radiance
+    times the fraction of the frame that it covers; power: power of its texture in the frame, white^2, by FREQUENCIES
+    along x and y; outline: length times squared contrast per px^2 of its outlines across x, and of those across y.
     """
 
     travel: tuple[float, float]
@@ -250,8 +255,8 @@ class _Part:
 
 
 def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
-    """Cycles by which patterns move while the shutter is open, (n,), and their power in the frame, white^2, for each of
-    TRAVEL_SHARES (shares, n).
+    """Numbers of cycles (n,) by which patterns move while the shutter is open, and the power (shares, n) of these
+    patterns in the frame, white^2, if points travel each of TRAVEL_SHARES.
     """
     longest = max((max(part.travel) for part in parts), default=0.0)
     powers = np.zeros((len(TRAVEL_SHARES), ceil(longest * CYCLE_STEPS) + 1))
@@ -266,15 +271,15 @@ def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
 
 
 def _time_error(scene: Scene, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
-    """Squared error of `count` time samples instead of `exact`; uneven: squared error of the coverage in each
-    sample.
+    """Squared error of `count` time samples instead of `exact`; cycles, power: from `_cycles`; uneven: squared error of
+    the coverage in each sample.
     """
     missed = np.mean(np.abs(_sums(scene, cycles, exact) - _sums(scene, cycles, count)) ** 2, axis=0)
     return MARGIN * (float((power * missed).sum(axis=1).max()) + uneven * (1.0 / count + 1.0 / exact))
 
 
 def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
-    """Sums M for `count` time samples, (rows or 1, n)."""
+    """Sums M of the module's formula, (rows or 1, n), over `count` time samples; cycles: f D."""
     exposure = frame_exposure(scene, 0, count)
     opens, closes = shutter_span(scene.sequence, 0)
     turns = np.exp(2j * np.pi / (closes - opens) * np.multiply.outer(exposure.times, cycles))
@@ -283,9 +288,9 @@ def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
 
 @dataclass(frozen=True)
 class _Outlines:
-    """Factors of squared errors at outlines: length times squared contrast per px^2, after the blur.
+    """Factors of squared errors at outlines: l c^2 of the module's formula times a sum over frequencies.
 
-    edges: for the coverage; slopes: for its first moment, px^-2.
+    edges: factor for errors of the coverage; slopes: factor for errors of its first moment, px^-2.
     """
 
     edges: float
@@ -301,12 +306,12 @@ class _Outlines:
         return _Outlines(sum(edges), sum(slopes))
 
     def coverage_error(self, sources: int) -> float:
-        """Squared error of the coverage at one time, for `sources` per axis."""
+        """Squared error of the coverage in one time sample with `sources` sub-pixel sources per axis."""
         return self.edges * (UNEVEN if sources > 1 else 1.0) / (12.0 * sources**2)
 
     def source_error(self, exact: int, count: int) -> float:
         """Squared error of count x count sub-pixel sources instead of exact x exact."""
-        place = np.linspace(0.0, 1.0, 1025)[1:]  # of an edge in its pixel
+        place = np.linspace(0.0, 1.0, 1025)[1:]  # positions of an edge in its pixel
         exact_coverage, coverage = (np.floor(place * sources + 0.5) / sources for sources in (exact, count))
         square = (CORNERS if count > 1 else 1.0) * self.edges * float(np.mean((coverage - exact_coverage) ** 2))
         if count > 1:
@@ -315,14 +320,16 @@ class _Outlines:
 
 
 def _moments(place: Array, sources: int) -> Array:
-    """First moments of the part of a pixel covered up to a position, with each source's share in its middle."""
+    """First moment of the part of a pixel that is covered up to an edge at `place`, 0 to 1, if each of the sources
+    along an axis has the light of its covered part in its middle.
+    """
     full = np.floor(place * sources)
     return np.asarray((0.5 * full**2 + (place * sources - full) * (full + 0.5)) / sources**2)
 
 
 def _squared_transfer(psf: PointSpread, radius: float) -> Array:
-    """Upper bound of H^2 by FREQUENCIES: for a Gaussian, or for the disc with the second moment of another PSF; 1 if
-    light is not spread evenly.
+    """Upper bound of H^2 by FREQUENCIES: that of a Gaussian PSF, or of a disc with the PSF's second moment; 1 for PSFs
+    that are neither Gaussian nor uniform.
     """
     z = 4.0 * np.pi * sqrt(psf.pupil.second_moment) * radius * FREQUENCIES
     if not (psf.pupil.soft or psf.uniform):
@@ -358,8 +365,8 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
 
 
 def _longest_travel(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
-    """Longest path of an object's image and of its blur's edge along x and y, px; a diagonal path counts fully for
-    both.
+    """Length along x and y of the longest path of an object's image and of its blur's edge, px; a diagonal path counts
+    with its full length along both axes.
     """
     longest, (lens, *_) = np.zeros(2), lenses_at(scene, 0.0)
     for path in paths:
@@ -372,8 +379,10 @@ def _longest_travel(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]
 
 
 def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Array, axis: int) -> Array:
-    """Outlines per object: length per px^2 times squared contrast of outlines crossed between consecutive rays along an
-    axis; each counts for the object in front.
+    """Length per px^2 times squared contrast of each object's outlines that lie between consecutive rays along an axis.
+
+    An outline belongs to the object in front. nearest: number of the object that each ray hits, -1 for none; w: its
+    inverse depth.
     """
     size = scene.camera.frame_size[1 - axis]
     first, second = (np.take(nearest, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
@@ -386,8 +395,8 @@ def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Arra
 
 
 def _contrasts(textures: tuple[Texture, ...], shaded: bool) -> Array:
-    """Mean squared difference between the radiances of two objects, or of an object and an empty pixel, the last entry;
-    shaded: either may be dark.
+    """Mean squared difference between the radiances of each two objects, (objects + 1, objects + 1); the last index
+    stands for an empty pixel. shaded: True if either of the two may be dark.
     """
     images = [texture.radiance[::STRIDE, ::STRIDE] for texture in textures]
     mean = np.array([*(float(image.mean()) for image in images), 0.0])
@@ -403,7 +412,9 @@ def _power(texture: Texture) -> tuple[Array, Array]:
 
 
 def _mapped_power(scene: Scene, number: int, texture: Texture, x: Array, y: Array) -> tuple[Array, Array]:
-    """Power of a texture on a surface, met by rays of slopes (n,) in the middle of the sequence."""
+    """Power of a texture on a surface by FREQUENCIES along x and y; x, y: slopes (n,) of rays that hit the object in
+    the middle of the sequence.
+    """
     time, item, image = middle_of(scene), scene.objects[number], texture.radiance
     mapped = texture_map(item, image.shape[1], image.shape[0])
     across = footprints(item, poses_at(scene, time)[number], mapped, camera_at(scene, time), x, y)
@@ -411,7 +422,7 @@ def _mapped_power(scene: Scene, number: int, texture: Texture, x: Array, y: Arra
 
 
 def _along(image: NDArray[np.float32]) -> Array:
-    """Power of segments of rows (rows, columns, channels) under a Hann window, by FREQUENCIES."""
+    """Mean power by FREQUENCIES of segments of rows under a Hann window; image: (rows, columns, channels)."""
     rows, columns, _ = image.shape
     side, lines = min(SIDE, columns), min(LINES, rows)
     starts, firsts = (np.linspace(0, end, lines).astype(np.intp).tolist() for end in (columns - side, rows - 1))

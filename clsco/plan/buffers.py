@@ -1,4 +1,4 @@
-"""Buffers on the device: size in bytes by name, for each pass. The plan adds them up, and the passes allocate them."""
+"""Sizes in bytes, by name, of the buffers of each pass; the plan adds them up, and the passes allocate them."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ from clsco.scene.model import Scene
 
 Sizes = dict[str, int]
 TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
-BANDS_PER_CORE = 4  # bands that `gather` processes at a time, if each needs its own memory
+BANDS_PER_CORE = 4  # bands per core that `gather` processes at a time, if each needs memory of its own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row, which its vectors read and discard
-PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB; least distance of a row's length from a multiple of it
-ITEM_BYTES, CHORD_BYTES = 32, 8  # of a group of sources of a column, beside its vectors
-MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
+PAGE, BESIDE_PAGE = 64, 5  # vectors in 2 KiB of floats; least distance of a row's length from a multiple of PAGE
+ITEM_BYTES, CHORD_BYTES = 32, 8  # size of a group of sources of a column without its vectors
+MOST_IN_ONE_SUM = 256  # taps that `gather` adds up in one float before it adds this sum to another one
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
-COUNTERS = COUNTER_DONE + 1  # ints, of a filling
-STATISTICS = STATISTIC_OUTSIDE + 1  # ints, of a frame
-# Buffers that passes share; each of the others belongs to one pass.
+COUNTERS = COUNTER_DONE + 1  # number of counters of a filling, ints
+STATISTICS = STATISTIC_OUTSIDE + 1  # number of statistics of a frame, ints
+# Buffers that several passes share; every other buffer belongs to one pass.
 SHARED = (
     "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
     "sub_depth", "share", "sharper",
@@ -84,17 +84,17 @@ def ray_truth(scene: Scene, names: Collection[str], is_forward: bool) -> tuple[s
 
 
 def bands_at_a_time(rows: int, cores: int) -> int:
-    """Number of bands of a strip processed together, if each needs its own memory."""
+    """Number of bands of a strip that are processed together, if each needs memory of its own."""
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
 def by_columns(psf: PointSpread) -> bool:
-    """True if `gather` takes columns of sources together, with scratch for each band of a frame."""
+    """True if `gather` processes the sources of a column together, for which each band needs scratch memory."""
     return psf.layout != "general" or psf.has_runs
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
-    """True if `gather` stores ends of runs for wide, partly hidden sources (kernels/blur/cpu/spans.clh)."""
+    """True if `gather` adds widely blurred, partly hidden sources by the ends of runs (kernels/blur/cpu/spans.clh)."""
     return spec.method == "gather" and bool(spec.occluders) and _is_uniform(spec) and fp64 and _in_parts(spec.reach)
 
 
@@ -108,20 +108,20 @@ def _in_parts(reach: int) -> bool:
 
 
 def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
-    """Size in bytes of the ends of runs of a band, see kernels/blur/cpu/spans.clh."""
+    """Size in bytes of the ends of runs in a band, see kernels/blur/cpu/spans.clh."""
     return 8 * BAND * (columns + 1) * (1 + spec.tilt) * (4 if channels == 3 else channels)
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
-    """Size in bytes of the planes in sources.clh; marked: True if there are sub-pixel sources or occluders."""
+    """Size in bytes of the planes of `sources` sources in sources.clh; tilt, marked: as in `BlurSpec`."""
     return 4 * (1 + 2 * tilt + marked) * sources
 
 
 def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
-    """Scratch columns on both sides of a row of the blurred frame, and the row length, in whole vectors.
+    """Scratch columns on each side of a row of the blurred frame, and the length of the row, in floats.
 
-    The length is odd and not near a multiple of PAGE: otherwise vertical neighbors would compete for the same place in
-    a processor's cache, and take up to four times as long (docs/lessons.md).
+    The length is an odd number of vectors, and not near a multiple of PAGE vectors: otherwise vertical neighbors would
+    compete for the same place in a processor's cache, which takes up to four times as long (docs/lessons.md).
     """
     pad = ceil((guard + far + TAP_LANES) / TAP_LANES) * TAP_LANES
     vectors = ceil(columns / TAP_LANES) + 2 * pad // TAP_LANES | 1
@@ -131,7 +131,10 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
 
 
 def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
-    """Scratch bytes of a work-item of `gather` for columns of sources (kernels/blur/cpu/columns.clh), whole doubles."""
+    """Scratch memory in bytes of a work-item of `gather` for columns of sources (kernels/blur/cpu/columns.clh).
+
+    A multiple of 8. far: reach of the blur, px.
+    """
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * tilt
     if psf.layout == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
@@ -161,7 +164,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Returns
     -------
     dict
-        "total": the plane of a time sample, in rows of `margin`; the other buffers depend on the method.
+        "total" is the plane of a time sample, with rows as long as in `margin`; other buffers depend on the method.
     """
     reach, channels, rows, columns = spec.reach, grid.channels, grid.rows, grid.columns
     _, pitch = margin(columns, grid.guard, reach)
@@ -198,7 +201,7 @@ def sum_buffers(grid: Grid) -> Sizes:
 
 
 def sensor_buffers(sensor_model: SensorModel, grid: Grid) -> Sizes:
-    """Buffers of the codes of a sensor (`clsco.passes.sensor.FrameSensor`)."""
+    """Buffers of a sensor's codes and saturation (`clsco.passes.sensor.FrameSensor`)."""
     pixels = len(sensor_model.filters) * grid.rows * padded_columns(grid.columns)
     return {"code": 2 * pixels, "saturated": pixels}
 
@@ -209,7 +212,7 @@ def padded_columns(columns: int) -> int:
 
 
 def _table_buffers(spec: BlurSpec) -> Sizes:
-    """Tables of weights; "taps" and "outlines" are for `gather`."""
+    """Buffers of the tables of weights, and of the lens if sources may be hidden."""
     main = table_sizes(spec.psf, spec.smallest, spec.largest)
     names = main.keys() if spec.method == "gather" else ("intervals", "coefficients")
     sizes = {name: main[name] for name in names}
@@ -228,21 +231,21 @@ def _span(spec: BlurSpec) -> range:
 
 
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
-    """Specification of the blur of a depth layer with its coverage, from that of the frame."""
+    """Specification of the blur of a depth layer with its coverage; spec: that of the frame's blur."""
     brightest = max(spec.brightest, 1.0)
     return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
 
 
 def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, largest: float) -> int:
     """Bytes of the pyramid of `clsco.passes.layered.DepthLayers` over a grid, for radii up to `largest` px."""
-    planes = channels + 2  # radius, and how far it is known
+    planes = channels + 2  # two more: the radius, and how far it is known
     rows, columns, start = levels_of(height, width, most_deep(psf, largest), planes)[-1]
     return 4 * (start + planes * rows * columns)
 
 
 def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`): planes with each pixel's
-    layer, and one layer with its pyramid. Arguments as for `layered_buffers`.
+    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`): planes that assign pixels to
+    layers, and the planes of one layer with its pyramid. Arguments as for `layered_buffers`.
     """
     pixels = grid.sources
     return {
@@ -272,7 +275,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Returns
     -------
     dict
-        Bytes of sources, of coverage, and of each buffer NAME of a layer's blur as "blur NAME".
+        Buffers of sources and of coverage; buffers of a layer's blur have names that begin with "blur ".
     """
     sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
     sizes |= {"open": sizes["covered"]} if spec.occluders else {}
@@ -358,8 +361,8 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
 
 
 def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Sizes:
-    """Ray hits and sources of one time sample of an occlusion group, as written by trace.cl; predicted extents of
-    several objects, the lens's effect on rays, and statistics of a frame. mapped: as for `hit_buffers`.
+    """Buffers of trace.cl: ray hits and sources of an occlusion group at one time sample, predicted extents of several
+    objects, the lens's effect on rays, and statistics of a frame. mapped: as for `hit_buffers`.
     """
     objects, bends = len(scene.objects), bend_buffers(scene, grid.sources)
     sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}
@@ -368,7 +371,7 @@ def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Siz
 
 
 def bend_buffers(scene: Scene, pixels: int) -> Sizes:
-    """Planes of the lens's effect on rays (kernels/trace/bend.cl), for all pixels of frame and guard band."""
+    """Planes of the lens's effect on rays (kernels/trace/bend.cl); pixels: number of pixels of frame and guard band."""
     curved = curvature_of(scene)
     distorts = bool(curved & CURVED_IMAGE)
     floats = 2 * bool(curved & (CURVED_FIELD | CURVED_SPHERE)) + 6 * distorts
@@ -377,8 +380,8 @@ def bend_buffers(scene: Scene, pixels: int) -> Sizes:
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
-    """Buffers of sub-pixel sources for `slots` pixels near silhouettes; mapped: also of data that neighbors exchange,
-    for textures on surfaces.
+    """Buffers of sub-pixel sources for `slots` pixels near silhouettes; mapped: True if textures are on surfaces, which
+    adds planes of the detail that neighboring pixels exchange.
     """
     subs = slots * spec.subpixels**2
     sizes = {"pixels": 4 * slots, "sub_label": subs, "sub_depth": REAL_BYTES * subs}
@@ -387,7 +390,10 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> 
 
 
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
-    """The textures of a scene with a resolution, without duplicates; alpha: the background's texture has coverage 0."""
+    """Buffers of the textures of a scene with a resolution, without duplicates.
+
+    alpha: True if the last channel is coverage, which is 0 in the background's copy of a texture.
+    """
     columns, rows = scene.camera.resolution or (0, 0)
     unmapped = [item for item in scene.objects if item.mapped is None]
     count = len({(item.inputs()["texture"], alpha and item.is_background) for item in unmapped})
@@ -398,26 +404,26 @@ def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Buffers of sources, one per pixel, and of their depths if rims cut their light."""
+    """Buffers of sources, one per pixel, and of their depths if occluders or rims cut their light."""
     depth = {"depth": REAL_BYTES * grid.sources} if spec.occluders else {}
     return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)} | depth
 
 
 def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
-    """Sizes of the planes of an occlusion group's ray hits, shared by all lenses (`clsco.passes.trace.Hits`); mapped:
-    True if textures are on surfaces, which adds a plane of texels per pixel.
+    """Planes of an occlusion group's ray hits, which all lenses share (`clsco.passes.trace.Hits`); mapped: True if
+    textures are on surfaces, which adds a plane with the number of texels in each pixel.
     """
     pixels, planes = grid.sources, grid.channels + mapped
     return {"value": 4 * planes * pixels, "depth": REAL_BYTES * pixels, "label": pixels}
 
 
 def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:
-    """Buffers of an image with its map of signed radii; scene: the scene whose rays make the image, if any."""
+    """Buffers of an image with its map of signed radii; scene: the scene if rays make the image, else None."""
     bends = {} if scene is None else bend_buffers(scene, grid.sources)
     return {"value": 4 * grid.channels * grid.sources, "coc": REAL_BYTES * grid.sources, "valid": grid.sources} | bends
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:
-    """Buffers of one strip's ground truth by rays, including the mask; allocated only while it is computed."""
+    """Buffers of the outputs `names`, and of the mask, of one strip; allocated only while ground truth is computed."""
     pixels, outputs = grid.rows * grid.columns, (OUTPUTS[name] for name in ("mask", *names))
     return {out.name: np.dtype(out.dtype).itemsize * (out.components or grid.channels) * pixels for out in outputs}

@@ -19,7 +19,7 @@ class Choice(Generic[T]):
     reason : str
         Text for reports.
     unused : tuple of str
-        Keys of the scene file without effect under this value.
+        Keys of the scene file that have no effect with this value.
     """
 
     value: T
@@ -28,5 +28,5 @@ class Choice(Generic[T]):
 
     @property
     def left_out(self) -> bool:
-        """True if the scene does not need the part."""
+        """True if the scene does not need this part of the pipeline."""
         return not self.value or self.value == "none"

@@ -1,4 +1,4 @@
-"""Passes for colors that are blurred separately, and the pass that joins them."""
+"""Passes that blur the colors of a frame separately, and join them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ JOINED: Parameters = (("colors", "each blurred by itself"),)
 
 
 def color_passes(passes: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
-    """The passes that blur each color separately, and copy it to its channel of the joined plane.
+    """The passes that blur each color separately and copy it to its channel of the joined plane.
 
     Parameters
     ----------

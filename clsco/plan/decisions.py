@@ -1,6 +1,4 @@
-"""Decisions of a plan, one function each: the parts of the pipeline that a scene needs, and why it does not need
-others.
-"""
+"""Decisions of a plan, each made by one function: which parts of the pipeline a scene needs, and why not the others."""
 
 from __future__ import annotations
 
@@ -31,15 +29,15 @@ from clsco.plan.predict import (
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
-UNEVEN = 0.25  # share of its path by which an object may leave the sampled poses
-MOST_NAMED = 3  # objects whose time samples are reported
+UNEVEN = 0.25  # fraction of the range of sampled poses by which an object may leave this range
+MOST_NAMED = 3  # largest number of objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
 OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields if key != "exposure")
-# Groups of outputs that not every scene has.
+# Groups of outputs that some scenes do not have: the condition for having them, and the reason for not having them.
 POSSIBLE: tuple[tuple[Group, Callable[[Scene], bool], str], ...] = (
     ("stereo", lambda scene: scene.stereo is not None, "there is one view"),
     ("motion", lambda scene: scene.moves, "nothing moves"),
@@ -52,7 +50,7 @@ POSSIBLE: tuple[tuple[Group, Callable[[Scene], bool], str], ...] = (
 
 @dataclass(frozen=True)
 class Choices:
-    """Decisions of a plan, in the order in which reports list the parts left out.
+    """Decisions of a plan, in the order in which reports list the parts that are left out.
 
     Attributes
     ----------
@@ -67,7 +65,7 @@ class Choices:
     reproject : Choice of bool
         Move pixels of the reference pose.
     fill : Choice of bool
-        Fill pixels that this leaves missing.
+        Fill pixels that the forward warp leaves missing.
     silhouettes : Choice of int
         Number of sub-pixel sources per axis.
     tilt : Choice of bool
@@ -75,7 +73,7 @@ class Choices:
     blur : Choice of Blur
         Method of the blur.
     renormalize : Choice of bool
-        Return light lost over the border to the frame.
+        Return light that crosses the border to the frame.
     guard_band : Choice of bool
         Include light from surfaces beyond the frame.
     color : Choice of bool
@@ -87,7 +85,7 @@ class Choices:
     still_sources : Choice of bool
         Blur sources shared by all time samples only once.
     other_outputs : Choice of bool
-        Make all possible outputs, or none.
+        False if some outputs are requested, but not all that the scene can have; the reason names these.
     """
 
     image: Choice[bool]
@@ -109,16 +107,14 @@ class Choices:
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:
-        """Name of each part of the pipeline that the scene does not need, and the reason; if no image is made, only
-        that.
-        """
+        """Pairs of name and reason for the parts of the pipeline that are left out; only the image if none is made."""
         if self.image.left_out:
             return (("image", self.image.reason),)
         return tuple((name, choice.reason) for name, choice in self._all().items() if choice.left_out)
 
     @property
     def unused(self) -> dict[str, str]:
-        """Reason for each key without effect, by key."""
+        """Reasons why keys of the scene have no effect, by key."""
         return {key: choice.reason for choice in self._all().values() for key in choice.unused}
 
     def _all(self) -> dict[str, Choice[object]]:
@@ -129,8 +125,8 @@ def choose(
     scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, device: DeviceFacts,
     prediction: Prediction,
 ) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
-    """All decisions for a view of a scene, its occlusion groups, and the predicted extents that these are valid for.
-    Raises SceneError for an unusable method.
+    """Make all decisions for a view of a scene; also returns its occlusion groups, and the extents of objects within
+    which the groups are valid. Raises SceneError if the requested method of blur cannot be used.
     """
     warp = choose_warp(scene, eye)
     rays = choose_rays(scene, warp.value)
@@ -170,18 +166,21 @@ def choose(
 
 
 def choose_image(color: bool) -> Choice[bool]:
-    """True if the image is made."""
+    """Decide whether to make the image; color: True if it is requested."""
     return Choice(True) if color else Choice(False, "nobody asked for the color: neither its rays nor its blur")
 
 
 def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard: int) -> Choice[int]:
-    """Number of time samples while a line of the frame is exposed; guard: width in px of the guard band."""
+    """Choose the number of time samples while a line of the frame is exposed; 0 if nothing moves.
+
+    rays: True if rays are cast; guard: width of the guard band, px. Raises SceneError for too many time samples.
+    """
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
     from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
 
     if scene.sequence.samples == "auto":
-        # Without visibility tests, outlines are as sharp as the surface behind them; radii are those of one lens.
+        # Without visibility tests, outlines are as sharp as the surface behind. Radii are only known for a fixed lens.
         soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
         gradual = rays and soft and not scene.lens_moves
         needs = motion_needs(scene, psf, maps, guard, gradual)
@@ -200,7 +199,7 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
 
 
 def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:
-    """True if pixels of the reference pose are moved."""
+    """Decide whether a forward warp moves pixels of the reference pose."""
     if is_forward(scene, eye):
         return Choice(True)
     if scene.motion.warp == "forward" and scene.is_analytic:
@@ -209,14 +208,14 @@ def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:
 
 
 def choose_rays(scene: Scene, forward: bool) -> Choice[bool]:
-    """True if rays are cast."""
+    """Decide whether to cast rays; forward: True for a forward warp."""
     if is_static_map(scene):
         return Choice(False, "a static depth map: its own pixels")
     return Choice(False, "replaced by the forward warp") if forward else Choice(True)
 
 
 def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[bool]:
-    """True if textures are interpolated between their texels."""
+    """Decide whether to interpolate textures between their texels; forward: True for a forward warp."""
     key = ("motion.texture_filter",)
     if forward:
         return Choice(False, WHOLE_PIXELS, key)
@@ -226,7 +225,7 @@ def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[boo
 
 
 def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
-    """True if missing pixels are filled."""
+    """Decide whether to fill missing pixels; forward: True for a forward warp."""
     static = is_static_map(scene)
     if not (forward or static):
         return Choice(False, "only a forward warp leaves pixels missing", FILL_KEYS)
@@ -238,7 +237,7 @@ def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
 
 
 def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, prediction: Prediction) -> Choice[int]:
-    """Number of sub-pixel sources per axis; 0 if every source is a pixel."""
+    """Choose the number of sub-pixel sources per axis; 0 if every source is a pixel. rays: True if rays are cast."""
     samples, key = scene.psf.silhouette_samples, ("psf.silhouette_samples",)
     if samples == 1:
         return Choice(0, "silhouette_samples = 1")
@@ -254,8 +253,8 @@ def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, prediction: P
 def choose_occlusion(
     scene: Scene, psf: PointSpread, rays: bool, prediction: Prediction
 ) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
-    """Method of occlusion, the resulting occlusion groups, and the extents of objects that they are valid for, if
-    any.
+    """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which they
+    are valid, empty if they always are. rays: True if rays are cast.
     """
     one_group, key = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), ("psf.occlusion",)
     method = scene.psf.occlusion
@@ -282,7 +281,7 @@ def hides_nothing(scene: Scene) -> bool:
 
 
 def choose_tilt(scene: Scene, one_radius: bool, blur: Blur) -> Choice[bool]:
-    """True if weights depend on the gradient of R."""
+    """Decide whether weights depend on the gradient of R; one_radius: True if all pixels have one radius."""
     if not scene.psf.tilt:
         return Choice(False, "tilt = false")
     if blur == "none":
@@ -291,7 +290,7 @@ def choose_tilt(scene: Scene, one_radius: bool, blur: Blur) -> Choice[bool]:
 
 
 def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
-    """Values of `renormalize` and `guard_band`."""
+    """Choose the values of `Choices.renormalize` and `Choices.guard_band`."""
     if scene.psf.border == "renormalize":
         return Choice(True), Choice(False, "light stays inside the frame")
     beyond = "the mirrored map" if is_static_map(scene) else "surface"
@@ -301,7 +300,9 @@ def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
 def choose_still_sources(
     scene: Scene, spread: bool, truth: tuple[str, ...], prediction: Prediction, groups: tuple[OcclusionGroup, ...]
 ) -> Choice[bool]:
-    """True if sources shared by all time samples are blurred once; spread: True if traced sources have many radii."""
+    """Decide whether to blur sources that all time samples share only once; spread: True if sources come from rays and
+    have different radii.
+    """
     if not scene.moves:
         return Choice(True)
     if not spread:
@@ -327,7 +328,9 @@ def choose_still_sources(
 def choose_truth(
     scene: Scene, names: tuple[str, ...], color: bool = True
 ) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
-    """Outputs besides color and alpha that the scene can have; and True if all possible ones, or none, are made."""
+    """Choose the values of `Choices.ground_truth` and `Choices.other_outputs`; names: requested outputs; color: True if
+    an image is made.
+    """
     reasons = {group: why for group, can, why in POSSIBLE if not can(scene)}
     impossible = {name: reasons[row.group] for name, row in OUTPUTS.items() if row.group in reasons}
     impossible |= {} if color else dict.fromkeys(SENSOR_NAMES, "no image is made")

@@ -15,7 +15,7 @@ def shapes_of(scene: Scene) -> str:
 
 
 def describe_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
-    """Description of rays and the surfaces that they meet; colors: number of color channels."""
+    """Description of rays and the surfaces that they hit; colors: number of color channels."""
     sampled = choices.texture_sampling.value
     moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
     if scene.has_mapped_textures:
@@ -25,13 +25,13 @@ def describe_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> P
 
 
 def describe_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
-    """Description of a depth map and its image that are used unmoved; arguments as for `describe_rays`."""
+    """Description of the pixels of a static depth map and its image; arguments as for `describe_rays`."""
     first = ("pixels", "as the depth map and its image have them")
     return (first, *describe_distortion(scene), *describe_frame(choices, colors, alpha))
 
 
 def describe_distortion(scene: Scene) -> Parameters:
-    """Description of a distorted image: how far ellipses differ from discs; empty without distortion."""
+    """Description of the blur in a distorted image, where discs become ellipses; empty without distortion."""
     off = 100.0 * ellipticity_of(scene)
     words = f"blur of ellipses, whose rims are up to {off:.2g} % of R off those of discs of the same area"
     return (("distortion", words),) if scene.lens is not None and scene.lens.distorts else ()
@@ -47,7 +47,7 @@ def describe_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
 
 
 def describe_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
-    """Description of the blur with `groups` occlusion groups."""
+    """Description of the blur; groups: number of occlusion groups."""
     parameters = [
         ("PSF", f"{spec.psf.name}, R up to {spec.largest:.3g} px"),
         ("method", f"{spec.method}: {choices.blur.reason}"),

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass, field
 from typing import Protocol
 
-UNKNOWN = 2**62  # bytes, of a limit that is not known
+UNKNOWN = 2**62  # bytes, in place of a limit that is not known
 
 
 class DeviceFacts(Protocol):
@@ -43,12 +43,12 @@ class DeviceFacts(Protocol):
 
 @dataclass(frozen=True)
 class ThisMachine:
-    """This machine's processor, for a plan made before a device is opened."""
+    """Assumed properties of this machine's processor, for a plan that is made before a device is opened."""
 
     kind: str = "cpu"
     has_fp64: bool = True
     has_int64_atomics: bool = True
-    compute_units: int = field(default_factory=lambda: os.cpu_count() or 1)  # as PoCL counts, whatever it is allowed
+    compute_units: int = field(default_factory=lambda: os.cpu_count() or 1)  # as PoCL counts, ignoring limits
     global_mem: int = UNKNOWN
     max_alloc: int = UNKNOWN
     unified_memory: bool = True

@@ -18,14 +18,15 @@ from clsco.plan.decisions import hides_nothing
 from clsco.plan.predict import is_forward
 from clsco.scene.model import Scene
 
-PLACES = 33  # along each axis of the frame
-ROUND = 0.01  # of R: rims of discs that are nearer to those of ellipses stay
-BEYOND = 1.1  # times as much is planned for, for what is between places and in the guard band
+PLACES = 33  # positions along each axis of the frame at which ellipses are examined
+ROUND = 0.01  # fraction of R: discs whose edges are at most this far from those of ellipses replace them
+BEYOND = 1.1  # safety factor for positions between PLACES and in the guard band
 
 
 def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
-    """The PSF of a scene (or `psf`); in a distorted image, if ellipses are supported, with the margin `stretched` for
-    them. eye: view of the scene.
+    """The PSF of a view of a scene: `psf`, or by default the PSF that the scene specifies.
+
+    If distortion makes its discs ellipses, and the method supports ellipses, `stretched` is set to their margin.
     """
     psf = psf or scene_point_spread(scene)
     off = ellipticity_of(scene)
@@ -36,8 +37,8 @@ def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpr
 
 
 def ellipticity_of(scene: Scene) -> float:
-    """Largest distance over the frame between the edges of ellipses and of discs of the same area, divided by R; 0
-    without distortion.
+    """Largest distance in the frame between the edges of an ellipse and of a disc of the same area, as a fraction of R;
+    0 without distortion.
     """
     camera = reference_camera(scene)
     return _ellipticity(camera) if isinstance(camera, DistortedCamera) else 0.0

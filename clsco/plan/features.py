@@ -12,7 +12,7 @@ from clsco.scene.objects import Object
 
 
 def curvature_of(scene: Scene) -> int:
-    """Feature CURVED: terms that curve the surface in focus, or the image; 0 for none."""
+    """Feature CURVED: bits for each property of the lens that curves the surface in focus or the image; 0 for none."""
     lens = scene.lens
     if lens is None:
         return 0
@@ -23,8 +23,8 @@ def curvature_of(scene: Scene) -> int:
 def shape_features(objects: Sequence[Object]) -> dict[str, int]:
     """Geometry features (kernels/common/geometry.clh) that objects need.
 
-    With several objects, linear terms are on if any is a quadric, and nappes are tested if any has bounds: this costs a
-    few operations and changes no bit, but fewer programs serve all scenes.
+    LINEAR is on for several objects if any is curved, and NAPPE is on if any object has bounds, even if not needed.
+    This costs a few operations and changes no bit of a frame, but fewer programs serve all scenes.
     """
     analytic = [item for item in objects if item.is_analytic]
     shapes, several = [canonical(item) for item in analytic], len(objects) > 1

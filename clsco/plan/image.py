@@ -1,4 +1,4 @@
-"""Passes from an image with its radii to its blurred plane, and the plan for an image given with radii."""
+"""Passes that blur an image by its map of blur radii, and the plan for an image that a user passes with radii."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ SLOPE = ("gradient", "from differences of R")
 
 
 def prefix_names(owner: str, sizes: Sizes) -> Sizes:
-    """Buffers of an owner, renamed to be unique in the plan."""
+    """Sizes of buffers, with `owner` before each name, so that names are unique in the plan."""
     return {f"{owner} {name}": size for name, size in sizes.items()}
 
 
 def light_of(spec: BlurSpec) -> str:
-    """Name of a pass's output that holds the image: "image" with radii, "sources" if all pixels have one radius, or in
-    focus the "plane".
+    """Name of the output that the blur starts from: "image" if pixels have different radii, "sources" if all have one
+    radius, "plane" if everything is in focus.
     """
     if spec.method == "none":
         return "plane"
@@ -41,7 +41,9 @@ def light_of(spec: BlurSpec) -> str:
 
 
 def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Parameters = ()) -> Iterator[Pass]:
-    """The passes from the output named by `light_of` to the plane; parameters: of the blur, for reports."""
+    """The passes from the output that `light_of` names to the blurred plane; parameters: those of the "blur" or "depth
+    layers" pass, for reports.
+    """
     blur = prefix_names("blur", blur_buffers(spec, grid, device))
     if spec.layered:
         sizes = prefix_names("depth layer", layered_buffers(spec, grid, device)) | blur
@@ -69,7 +71,7 @@ class ImagePlan:
     guard_px : int
         Width of the guard band around the image that contributes light.
     strip_rows : int
-        Rows processed at a time, 0 for all.
+        Rows of the tallest strip, 0 for all rows.
     """
 
     spec: BlurSpec
@@ -79,7 +81,7 @@ class ImagePlan:
     channels: int
     guard_px: int
     strip_rows: int = 0
-    forward = False  # strips will do
+    forward = False  # a forward warp would need the whole frame at once
 
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
@@ -94,7 +96,7 @@ class ImagePlan:
 
     @cached_property
     def passes(self) -> tuple[Pass, ...]:
-        """Passes of a strip, in this order."""
+        """Passes that blur a strip, in the order in which they run."""
         sizes, light = map_buffers(self.grid), light_of(self.spec)
         if light == "sources":
             sizes = {"value": sizes["value"]}
@@ -102,6 +104,8 @@ class ImagePlan:
 
 
 def strips_of(spec: BlurSpec, rows: int, tallest: int, guard: int, reach: int) -> tuple[Strip, ...]:
-    """Strips of a frame with `rows` rows; tallest: 0 for all; reach: px within which a source may affect a pixel."""
+    """Strips of a frame with `rows` rows; tallest: most rows of a strip, 0 for all; guard: width of the guard band,
+    px; reach: largest distance at which a source may affect a pixel, px.
+    """
     far, step = margin_of_layers(spec.psf, spec.largest) if spec.layered else (reach, 1)
     return cut_strips(rows, tallest or rows, guard, far, step)

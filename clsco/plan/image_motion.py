@@ -1,15 +1,15 @@
 """Motion of objects in the image while a shutter is open, and the time samples that it needs (float64, pure).
 
-Consider an edge of contrast 1 that passes a pixel. The visible part of the moving object, and the part that it hides,
-are blurred by its pupil of radius R: the light of the pixel changes by at most v c / R for a speed of v px per
-exposure, where c is the fraction of the lens's light that an edge crosses per radius, 2 / pi for a disc. The error of
-the midpoint rule with n samples is then at most (Euler and Maclaurin)
+Consider an edge of contrast 1 that passes a pixel. The moving object and the surface behind it are both blurred with
+the object's blur radius R at the edge. For a speed of v px per exposure, the light of the pixel changes at a rate of at
+most v c / R, where c is the fraction of the lens's light that an edge crosses per radius, 2 / pi for a disc. By Euler
+and Maclaurin, the error of the midpoint rule with n samples is then at most
 
     c v / (24 R n^2)
 
-of white, where v is the speed of a uniform motion, or half of the total variation of the velocity, from rest to rest,
-of any other motion. If R is small, the pixel smooths the steps, provided that they are at most PIXELS_PER_SAMPLE long.
-The smaller of the two numbers is used.
+of white. For a motion that is not uniform, v is half of the total variation of the velocity, which counts as 0 before
+and after the exposure. If R is small, n is instead chosen so that steps are at most PIXELS_PER_SAMPLE long, and the
+pixel smooths them. The smaller n of the two rules is used.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from clsco.plan.predict import Maps, grid_slopes, predict_depths
 from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
-PIXELS_PER_SAMPLE = 1.0  # of the fastest motion of an object in focus: 2 lose 5 to 9 dB, fewer gain little
-EDGE_ERROR = 5e-4  # of white, where an edge of contrast 1 passes
+PIXELS_PER_SAMPLE = 1.0  # fastest motion of an object in focus: 2 px lose 5 to 9 dB, less than 1 gains little
+EDGE_ERROR = 5e-4  # error of a pixel that an edge of contrast 1 passes, 1 = white
 MOST_SAMPLES = 4095
-LENS_TIMES = 65  # of an exposure, at which the lens is evaluated
-LINE_SAMPLES = 11  # intervals while a line is exposed
+LENS_TIMES = 65  # times of an exposure at which the lens is evaluated
+LINE_SAMPLES = 11  # time samples that are enough for lines that share them
 MOST_SUBFRAMES = 8192  # time samples of a frame
-RAYS = 17  # along each axis of the visible part of an object
+RAYS = 17  # rays along each axis of the visible part of an object
 LOOKS = 5  # times of an exposure at which rays are cast at an object
-FIRST_STEPS, MOST_STEPS = 32, 512  # of an exposure, at whose ends a path is evaluated
-SETTLED = 1.05, 0.25  # a path grows by this factor and px at most when it has twice as many steps
-UNEVEN = 0.5  # of a step: an object that rotates or oscillates in phase with even times would seem to rest
+FIRST_STEPS, MOST_STEPS = 32, 512  # steps of an exposure; a path is evaluated at the ends of steps
+SETTLED = 1.05, 0.25  # steps are short enough if halving them lengthens a path by at most this factor plus these px
+UNEVEN = 0.5  # irregularity of times, in steps: an object that rotates in phase with regular times would seem to rest
 NEAREST = 1e-3  # mm: points nearer to the lens are not visible
-BETWEEN = 0.95  # of the smallest |R| at rays: a lower bound between them
+BETWEEN = 0.95  # ratio of a lower bound of |R| between rays to the smallest |R| at rays
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +55,11 @@ class ImagePath:
     Attributes
     ----------
     times : ndarray of float64, (n,)
-        From 0, when the shutter opens, to 1.
+        From 0, when the shutter opens, to 1, when it closes.
     places : ndarray of float64, (n, 3, points)
         x and y in px from the middle of the image, and inverse depth in 1/mm.
     visible : ndarray of bool, (n - 1, points)
-        True for steps that touch the frame or its guard band.
+        True for the steps of each point that touch the frame or its guard band.
     """
 
     times: Array
@@ -68,31 +68,31 @@ class ImagePath:
 
     @cached_property
     def steps(self) -> Array:
-        """Displacement in each step along x and y (n - 1, 2, points), px; 0 if not visible."""
+        """Displacements (n - 1, 2, points) of points in each step along x and y, px; 0 where not visible."""
         return np.asarray(np.diff(self.places[:, :2], axis=0) * self.visible[:, None])
 
     @property
     def longest(self) -> float:
-        """Longest path of a point, px."""
+        """Length of the longest path of any point, px."""
         return float(np.linalg.norm(self.steps, axis=1).sum(axis=0).max(initial=0.0))
 
     @property
     def speed(self) -> float:
-        """Largest speed of a point, px per exposure."""
+        """Largest speed of any point, px per exposure."""
         return float((np.linalg.norm(self.steps, axis=1) / np.diff(self.times)[:, None]).max(initial=0.0))
 
     @property
     def variation(self) -> float:
-        """Largest half total variation of any point's velocity, which is 0 before and after, px per exposure; the
-        speed of a uniform motion.
+        """Half of the total variation of a point's velocity, px per exposure, for the point with the largest one. The
+        velocity counts as 0 before and after the exposure, so that a uniform motion gives its speed.
         """
         velocity = self.steps / np.diff(self.times)[:, None, None]
         changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
         return 0.5 * float(np.linalg.norm(changes, axis=1).sum(axis=0).max(initial=0.0))
 
     def radius(self, scene: Scene) -> float:
-        """Smallest |R| of the visible points, px, minus a margin for points between rays; 0 if the path crosses the
-        focus of a color.
+        """Smallest |R| of the visible points in px, times BETWEEN for points between rays; 0 if the path crosses the
+        focus of a color, or no point is visible.
         """
         ends = np.zeros((len(self.times), self.places.shape[2]), dtype=np.bool_)
         ends[1:] |= self.visible
@@ -112,12 +112,13 @@ class Need:
     Attributes
     ----------
     number : int
-        Number of the object.
+        Number of the object, from 0.
     speed : float
         Its largest speed in the image, px per exposure of a line.
     radius : float
         Smallest |R| of its visible points, px.
     samples : float
+        Time samples per exposure of a line.
     """
 
     number: int
@@ -144,7 +145,7 @@ def motion_needs(
     guard : int
         Width in px of the guard band.
     gradual : bool
-        True if an object's outline is blurred as the object: points that it hides then appear gradually.
+        True if the outline of an object is blurred like the object, so that points behind it appear gradually.
 
     Returns
     -------
@@ -163,7 +164,7 @@ def _cached_needs(scene: Scene, psf: PointSpread, guard: int, gradual: bool) -> 
 
 
 def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool) -> tuple[Need, ...]:
-    line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # part of all exposures
+    line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # fraction of a frame
     needs = dict[int, Need]()
     for frame in sampled_frames(scene):
         for number, path in enumerate(image_paths(scene, maps, frame, guard)):
@@ -188,9 +189,9 @@ def _chord(psf: PointSpread) -> float:
 def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
     """Time samples per exposure of a line that are enough for all objects; odd, so that the middle is one of them.
 
-    A line that shares samples with other lines takes part of the light of its first and last interval, as if it were
-    open for all of these intervals: with LINE_SAMPLES intervals, or with intervals of a tenth of a px of motion, the
-    error is small.
+    With a rolling shutter, lines share time samples. A line may open or close within the interval of a sample: it then
+    gets only part of the sample's light, but that sample is at the middle of the whole interval. The error is small
+    with LINE_SAMPLES samples, or if objects move by at most a tenth of a px per interval.
     """
     samples = ceil(max((need.samples for need in needs), default=1.0))
     if scene.rolls and lines_overlap(scene):
@@ -201,9 +202,7 @@ def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
 
 
 def lens_samples(scene: Scene, maps: Maps) -> int:
-    """Time samples that suit the changes of the lens while a line is exposed: one per px of change of the blur
-    radius.
-    """
+    """Time samples per exposure of a line that a changing lens needs: one per px of change of the blur radius."""
     if not scene.lens_moves:
         return 1
     w, change = predict_depths(scene, maps), 0.0
@@ -226,9 +225,9 @@ def sampled_frames(scene: Scene) -> list[int]:
 def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[ImagePath]:
     """Paths of all objects in the image while the shutter of a frame is open.
 
-    Poses are evaluated at FIRST_STEPS + 1 times, and at twice as many while that makes a path longer: 8 steps per
-    rotation or oscillation give 0.97 of its length, so that up to MOST_STEPS / 8 of them are detected. An object that
-    appears and disappears within a step may be missed: its light is at most a fraction 1 / FIRST_STEPS.
+    Poses are evaluated at FIRST_STEPS + 1 times; the steps are halved as long as this makes a path longer. 8 steps per
+    rotation or oscillation give 0.97 of its length, so up to MOST_STEPS / 8 rotations are detected. An object that
+    appears and disappears within a step may be missed: its light is at most 1 / FIRST_STEPS of the exposure's.
 
     Parameters
     ----------
@@ -242,7 +241,7 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
     Returns
     -------
     list of ImagePath
-        One per object, without points if it stands still.
+        One per object; the path of an object that stands still has no points.
     """
     opens, closes = shutter_span(scene.sequence, frame)
     jumps = (jump_times(scene, frame) - opens) / (closes - opens)
@@ -264,7 +263,7 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
         steps = FIRST_STEPS
         while True:
             path = _follow(item, body, [(camera, poses[number]) for camera, poses in views(steps)], guard)
-            path.visible[np.searchsorted(path.times, jumps) - 1] = False  # jumps are no motion: time samples end there
+            path.visible[np.searchsorted(path.times, jumps) - 1] = False  # a jump is no motion: a sample ends there
             longest = path.longest
             coarse = ImagePath(path.times[::2], path.places[::2], path.visible[::2] | path.visible[1::2]).longest
             if longest <= SETTLED[0] * coarse + SETTLED[1] or steps >= MOST_STEPS:
@@ -275,22 +274,22 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
 
 
 def _times(steps: int) -> Array:
-    """Ends of `steps` uneven steps from 0 to 1."""
+    """Ends (steps + 1,) of `steps` uneven steps from 0 to 1."""
     k = np.arange(steps + 1, dtype=np.float64)
     inner = (k > 0) & (k < steps)
     return (k + inner * UNEVEN * (np.mod(k * 0.5 * (sqrt(5.0) - 1.0), 1.0) - 0.5)) / steps
 
 
 def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) -> Array:
-    """Visible points (3, n) of an object in a pose, in mm from its center in its reference pose; for an object that no
-    ray meets, the center of the ball around it.
+    """Visible points (3, n) of an object in a pose, in mm from its center, turned back to the reference pose; if no ray
+    hits the object, the center of the ball around it. depth: inverse depths of a depth map, None for other objects.
     """
     columns, rows = camera.frame_size
     x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, RAYS) * (size - 1) for size in (columns, rows))))
     half = float(x.max()), float(y.max())
     if depth is not None:
         x, y = _slopes(((-half[0], half[0]), (-half[1], half[1])))
-        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # treats all of it as near
+        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # all points count as near
         middle = np.empty((3, 0))
     else:
         surface = place(item, pose)
@@ -305,14 +304,14 @@ def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) 
 
 
 def _slopes(ends: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """Slopes along x and y (RAYS, RAYS) of rays between two ends on each axis; empty if the ends are reversed."""
+    """Slopes along x and y (RAYS, RAYS) of rays between the `ends` of each axis; empty if an axis has reversed ends."""
     counts = [RAYS if low <= high else 0 for low, high in ends]
     x, y = np.meshgrid(*(np.linspace(*bounds, count) for bounds, count in zip(ends, counts, strict=True)))
     return x, y
 
 
 def _follow(item: Object, body: Array, views: Sequence[tuple[Camera, Pose]], guard: int) -> ImagePath:
-    """Path of points `body` (3, points) of an object through consecutive pairs of camera and pose."""
+    """Path of the points `body` (3, points) of an object; views: camera and pose of the object at each time."""
     turns, shifts = (np.stack([getattr(pose, name) for _, pose in views]) for name in ("rotation", "shift"))
     camera, steps = views[0][0], np.array([ray_step(camera) for camera, _ in views])[:, None, None]
     points = turns @ body + (rest_center(item) + shifts)[:, :, None]

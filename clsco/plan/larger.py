@@ -1,4 +1,4 @@
-"""Makes a larger plan for a frame that exceeded the predictions of its plan."""
+"""Makes a larger plan if a frame exceeded the predictions of its plan."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class SourceStatistics:
     smallest, largest : float
         Range of |R| in px; largest is 0 without sources.
     beyond : bool
-        True if a hit was outside of its object's predicted extent, so that objects outside its group's occluders may
-        hide it.
+        True if a ray hit an object outside of its predicted extent, where it may be hidden by objects that are not
+        occluders of its group.
     outside : bool
-        True if a source moves that was predicted to be still.
+        True if a source that was predicted to be still moves.
     """
 
     smallest: float
@@ -50,7 +50,7 @@ class SourceStatistics:
 
     @classmethod
     def parse(cls, values: NDArray[np.int32]) -> Self:
-        """Read the statistics of a frame, as kernels write them."""
+        """Unpack the statistics of a frame from the ints that kernels write."""
         radii = values.view(np.float32)
         return cls(
             float(radii[STATISTIC_SMALLEST]),
@@ -61,7 +61,7 @@ class SourceStatistics:
 
 
 def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan | None:
-    """A plan with room for the measured statistics; None if the present one is large enough.
+    """A plan with room for the measured statistics; None if the given plan is large enough.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan 
 
 
 def _for_any_place(plan: Plan) -> Plan:
-    """The plan with occlusion groups that are valid for any positions of objects, and a blur with visibility tests."""
+    """The plan with occlusion groups that are valid wherever objects are, and a blur that supports visibility tests."""
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
     if plan.blur == "tiles":
         choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))
@@ -102,7 +102,7 @@ def _for_any_place(plan: Plan) -> Plan:
 
 
 def widen_plan(plan: Plan, smallest: float, largest: float) -> Plan:
-    """The plan for a wider range of |R| in px than predicted. Raises SceneError beyond LARGEST_BLUR."""
+    """The plan for |R| from `smallest` to `largest` px, a wider range. Raises SceneError beyond LARGEST_BLUR."""
     if largest > LARGEST_BLUR:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))

@@ -1,4 +1,4 @@
-"""Device memory: sizes of a plan's buffers, the memory available, and the strips that fit; independent of OpenCL."""
+"""Device memory: sizes of a plan's buffers, the memory limit, and strips whose buffers fit; independent of OpenCL."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
 class Limit:
     """Memory limit for a frame's buffers, in bytes.
 
-    total: of all buffers together; buffer: of each buffer; set_by_user: True if exceeding it is an error; views: number
-    of views that share `total` on the device, 2 for a stereo pair.
+    total: limit of all buffers together; buffer: limit of each buffer; set_by_user: True if the user set `total`, so
+    that exceeding it is an error; views: number of views that share `total` on the device, 2 for a stereo pair.
     """
 
     total: int
@@ -36,7 +36,7 @@ class Limit:
 
 
 def parse_size(size: str | int, name: str = "memory") -> int:
-    """Parse a size like 1.5GiB or 100000 into bytes. Raises SceneError for anything else; name: for the message."""
+    """Parse a size like 1.5GiB or 100000 into bytes. Raises SceneError for other text; name: key named in the error."""
     match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,15})?)\s*([a-z]{0,3})\s*", str(size).lower(), re.ASCII)
     bytes_of_unit = _UNITS.get(match[2]) if match else None
     parsed = int(float(match[1]) * bytes_of_unit) if match and bytes_of_unit else 0
@@ -47,9 +47,9 @@ def parse_size(size: str | int, name: str = "memory") -> int:
 
 
 def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Limit:
-    """The limit set by the user, or half of the free memory.
+    """The limit set by the user; by default half of the processor's free memory, or of all memory of another device.
 
-    memory: as for `parse_size`, or None; device: by default the processor. Raises SceneError as `parse_size`.
+    memory: size as for `parse_size`, or None; device: by default the processor. Raises SceneError as `parse_size`.
     """
     facts = device or ThisMachine()
     total = min(facts.global_mem, machine_bytes(free=True)) if facts.unified_memory else facts.global_mem
@@ -60,9 +60,9 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
 
 
 def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
-    """Size in bytes by name of the buffers on the device while a plan's frame is rendered in strips.
+    """Sizes in bytes, by name, of a plan's buffers on the device.
 
-    Buffers "truth ..." exist only while ground truth is computed.
+    Buffers named "truth ..." exist only while ground truth is computed.
     """
     sizes: Sizes = {}
     for step in plan.passes:
@@ -71,20 +71,18 @@ def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
 
 
 def lens_bytes(plans: Sequence[Plan]) -> int:
-    """Total of `buffer_bytes` for lenses that are on the device together; they share the ray hits of each occlusion
-    group.
-    """
+    """Bytes of the buffers of lenses that are rendered together and share ray hits; plans: one for each lens."""
     hits = sum(hit_buffers(plans[0].grid, plans[0].mapped > 0).values())
     return sum(device_bytes(plan) - hits for plan in plans) + len(plans[0].groups) * hits
 
 
 def device_bytes(plan: Plan | ImagePlan, views: int = 1) -> int:
-    """Total of `buffer_bytes` for one view, or for several that are on the device together."""
+    """Total of `buffer_bytes` for one view, or for `views` views that are on the device together."""
     return _sum(buffer_bytes(plan), views)
 
 
 def _sum(sizes: Mapping[str, int], views: int) -> int:
-    """Total for several views; ground truth counts once, because the views compute it one after the other."""
+    """Total size for several views; ground truth counts once, as the views compute it one after the other."""
     return sum(size * (1 if name.startswith("truth") else views) for name, size in sizes.items())
 
 
@@ -94,7 +92,7 @@ def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
 
 
 def fit_strips(plan: P, limit: Limit) -> P:
-    """The plan with the fewest strips within the limit, ideally the whole frame. Raises as `rows_that_fit`."""
+    """The plan in as few strips as fit within the limit, in one if possible. Raises as `rows_that_fit`."""
     plans = {plan.strip_rows: plan}  # passes are costly to list, and each plan caches its own
 
     def in_strips(rows: int) -> P:
@@ -108,9 +106,9 @@ def fit_strips(plan: P, limit: Limit) -> P:
 def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], one_strip: bool = False) -> int:
     """Rows of the tallest strips that fit within the limit: all rows, or a multiple of BAND.
 
-    rows: of the frame; sizes: returns the buffers for strips of a height; one_strip: True for a forward warp, which
-    needs the whole frame. If nothing fits, it raises SceneError for a limit set by the user; otherwise it returns the
-    smallest strips, or the whole frame.
+    rows: rows of the frame; sizes: returns the sizes of buffers for strips of a height; one_strip: True for a forward
+    warp, which needs the whole frame. If even the smallest strips do not fit, raises SceneError if they exceed a limit
+    set by the user, and returns them otherwise.
     """
 
     if fits(sizes(rows), limit):

@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
 Occlusion = Literal["visibility", "layered", "none"]
 
-FEW_TAPS = 6.0  # px: radius times channels up to which a card is faster by atomics (`python -m benchmarks.speed.gpu`)
+FEW_TAPS = 6.0  # px: |R| times channels up to which "scatter" is faster than "tiles" (`python -m benchmarks.speed.gpu`)
 
-MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources of any radius each
+MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources with different radii
 HOW: dict[Blur, str] = {
     "gather": "many radii",
     "scatter": "atomic, fixed point",
@@ -32,24 +32,24 @@ HOW: dict[Blur, str] = {
 
 @dataclass(frozen=True)
 class BlurSpec:
-    """Specification of a blur by each source's PSF: decides its programs and buffers.
+    """Specification of a blur, which determines its programs and buffers.
 
     Attributes
     ----------
     psf : PointSpread
     method : Blur
     smallest, largest : float
-        Range of |R| in px, to which other radii are clamped ("convolve" uses its own radius).
+        Range of |R| in px; radii outside of it are clamped, except by "convolve", which uses the radius of the sources.
     subpixels : int
         Sub-pixel sources per axis at silhouettes, 0 for none.
     small : bool
         True if small surfaces have their own slots of sub-pixel sources.
     tilt : bool
-        True if sources have the gradient of R.
+        True if sources store the gradient of R.
     occluders : int
         Largest number of occluders of one source, rounded by `occluder_room`.
     limited : bool
-        True if any occluder has bounds, one nappe of two, or is a disc.
+        True if any occluder has bounds, is one nappe of a double cone or hyperboloid, or is a disc.
     brightest : float
         Largest |radiance|, which sets the unit of integer sums.
     border : {"lose", "renormalize"}
@@ -57,7 +57,8 @@ class BlurSpec:
     layered : bool
         True if sources are in depth layers, with nearer ones hiding farther ones.
     curved : int
-        Feature CURVED, if visibility tests need radii.
+        Feature CURVED of the lens (`clsco.plan.features.curvature_of`), if visibility tests or ellipses need it; else
+        0.
     merged : float
         |R| in px from which partly hidden sources may be merged; 0 for none.
     shared : bool
@@ -82,7 +83,7 @@ class BlurSpec:
 
     @property
     def marked(self) -> bool:
-        """True if sources carry marks: whole, in sub-pixel sources, or partly occluded."""
+        """True if sources are marked as whole, as split into sub-pixel sources, or as partly occluded."""
         return self.subpixels > 0 or self.occluders > 0
 
     @property
@@ -105,8 +106,8 @@ def check_shape(psf: PointSpread, method: str) -> None:
 
 
 def occluder_room(occluders: int) -> int:
-    """Number of occluders that a program is compiled for: 4, 16 or 64, so that few programs serve all scenes. 4 cost no
-    more time than 1.
+    """Number of occluders that a program is compiled for: 0, 4, 16 or 64, so that few programs serve all scenes. A
+    program for 4 takes no more time than one for 1.
     """
     room = 4
     while room < occluders:
@@ -122,8 +123,8 @@ def check_method(method: str) -> None:
 
 
 def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
-    """True on a GPU if blurs up to |R| = `largest` px have so few taps that adding them by atomics takes less time than
-    the tests of sources in tiles.
+    """True on a GPU if blurs with |R| up to `largest` px have so few taps that "scatter", which adds them by atomics,
+    is faster than "tiles", which tests which sources reach a pixel.
     """
     return device.kind == "gpu" and device.has_int64_atomics and largest * channels <= FEW_TAPS
 
@@ -131,22 +132,22 @@ def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
 def choose_blur(
     method: str, sharp: bool, one_stencil: bool, gpu: bool, occluded: bool = False, few_taps: bool = False
 ) -> Choice[Blur]:
-    """Method of computing a blur.
+    """Choose the method of a blur.
 
     Parameters
     ----------
     method : str
         "auto", one of MANY_RADII, or "convolve".
     sharp : bool
-        True if all light stays in its pixel (`is_sharp`).
+        True if all light stays in its pixel (`PointSpread.is_sharp`).
     one_stencil : bool
-        True if all pixels have one radius, and `can_convolve`.
+        True if all pixels have one radius and `can_convolve` is True.
     gpu : bool
         True if the device is a GPU.
     occluded : bool
-        True if sources may be occluded, or their blur is an ellipse.
+        True if sources may be occluded, rims cut their light, or their blur is an ellipse.
     few_taps : bool
-        `has_few_taps`.
+        Value of `has_few_taps`.
 
     Returns
     -------

@@ -20,17 +20,17 @@ from clsco.optics.rays import slopes_at
 from clsco.plan.plan import Plan
 from clsco.scene.model import Camera, Object, Rectangle, Scene
 
-CLOSE = 0.02  # share by which sizes may differ from those of textbooks without a note
-RAYS = 65  # per axis of the frame, or of the image bounds of an object that these miss
-FEW_FRAMES, MOST_FRAMES = 5, 64  # examined: of all scenes; if these miss an object
-LENS_POINTS = np.exp(0.25j * np.pi * np.arange(8))  # they may see objects that others hide from the lens's middle
+CLOSE = 0.02  # fraction by which sizes may differ from those of textbooks without a note
+RAYS = 65  # rays per axis of the frame; if they miss an object, also per axis of its image's bounds
+FEW_FRAMES, MOST_FRAMES = 5, 64  # frames that are examined: always; if these do not show an object
+LENS_POINTS = np.exp(0.25j * np.pi * np.arange(8))  # may see objects that are hidden from the middle
 MOST_NAMED = 3
 
 Array = NDArray[np.float64]
 
 
 def close_focus_note(camera: Camera) -> str | None:
-    """Line on a close focus, which makes sizes differ from usual formulas; None if the scene sets the scale."""
+    """Line on a focus so close that sizes differ from textbook formulas; None if not, or the scene sets the scale."""
     share = 1.0 - camera.normalization_distance / camera.sensor_distance
     if "normalization_distance" in camera.model_fields_set or abs(share) <= CLOSE:
         return None
@@ -42,10 +42,12 @@ def close_focus_note(camera: Camera) -> str | None:
 
 @dataclass
 class _Sight:
-    """Visibility and width of a scene's bodies: objects, with each box as one."""
+    """Visibility of each body, an object or a whole box, in the times examined so far; lit: True if the light reaches
+    a visible side of any.
+    """
 
     visible: dict[Hashable, bool] = field(default_factory=dict)
-    widest: dict[Hashable, float] = field(default_factory=dict)  # of their images, px
+    widest: dict[Hashable, float] = field(default_factory=dict)  # largest width of the image, px
     names: dict[Hashable, str] = field(default_factory=dict)
     lit: bool = False
 
@@ -55,8 +57,8 @@ class _Sight:
 
 
 def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
-    """Lines on objects that no frame shows or that are smaller than a pixel, on a light that shines only on hidden
-    sides, and on black frames; empty for scenes with depth maps.
+    """Lines on objects that no frame shows or whose image is narrower than a pixel, on a light that shines only on
+    hidden sides, and on black frames; empty for scenes with depth maps.
 
     Parameters
     ----------
@@ -69,8 +71,8 @@ def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
 
     Notes
     -----
-    FEW_FRAMES frames are examined, at the beginning, middle and end of their exposures, from the middle of the lens; if
-    an object is missing, up to MOST_FRAMES, also from near the edge of the lens.
+    FEW_FRAMES frames are examined at the beginning, middle and end of their exposures, from the middle of the lens. If
+    these do not show an object, up to MOST_FRAMES are, and with visibility tests also from near the edge of the lens.
     """
     scene = plans[0].scene
     if not scene.is_analytic:
@@ -110,7 +112,7 @@ def _join_first(words: list[str] | list[int]) -> str:
 
 
 def _body(index: int, item: Object) -> tuple[Hashable, str]:
-    """An object and its name; for a face of a box, the box."""
+    """Key and name of the body of an object: of the object, or of the whole box for a face of a box."""
     if isinstance(item, Rectangle) and item.offset:
         name = item.name.rpartition(" ")[0] or item.name
         return (item.center, name), name
@@ -120,8 +122,9 @@ def _body(index: int, item: Object) -> tuple[Hashable, str]:
 def _examine(
     sight: _Sight, scene: Scene, plan: Plan, time: float, place: tuple[float, float] = (0.0, 0.0)
 ) -> bool:  # fmt: skip
-    """Examine a scene from a view, at a time, and from a point of the lens, in lens radii; True if any object is
-    visible.
+    """Examine a view of a scene at a time, and record in `sight` what is visible; True if any object is.
+
+    place: point of the lens from which to look, in lens radii from its middle.
     """
     camera, light = camera_at(scene, time), place_light(scene, time, plan.eye)
     eye, power = np.array([*place, 0.0]) * camera.aperture_diameter / 2, 1.0 / camera.focused_distance
@@ -129,7 +132,7 @@ def _examine(
     surfaces = [surface_at(*values) for values in zip(scene.objects, poses, strict=True)]
     if light is not None and light.is_near:
         light = replace(light, place=light.place - eye)
-    guard = 0 if any(place) else plan.guard_px  # which is for rays from the middle
+    guard = 0 if any(place) else plan.guard_px  # the guard band is for rays from the middle
     x, y = slopes_at(camera, *np.meshgrid(*(_positions(size, guard) for size in camera.frame_size)))
     frame = x - eye[0] * power, y - eye[1] * power  # rays cross in the focal surface
     depths, any_seen = _depths(scene, surfaces, frame), False
@@ -159,13 +162,13 @@ def _positions(size: int, guard: int) -> Array:
 
 
 def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Array]) -> Array:
-    """Inverse depths (objects, ...) along rays."""
+    """Inverse depths (objects, ...) of all objects along rays; 0 for a miss."""
     pairs = zip(scene.objects, surfaces, strict=True)
     return np.stack([predict_inverse_depth(item, surface, *rays) for item, surface in pairs])
 
 
 def _rays_around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, Array] | None:
-    """Rays within the image bounds of an object; None if these are outside of the frame."""
+    """Rays within the bounds of an object's image; None if these are outside of the frame."""
     ends = []
     for slopes, bounds in zip(frame, (surface.extent.x, surface.extent.y), strict=True):
         low, high = max(float(slopes.min()), bounds[0]), min(float(slopes.max()), bounds[1])
@@ -177,7 +180,9 @@ def _rays_around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Ar
 
 
 def _is_lit(surface: PlacedSurface, light: PlacedLight, x: Array, y: Array, w: Array) -> bool:
-    """True if the light reaches the visible side of a surface anywhere along these rays."""
+    """True if the light shines on the visible side of a surface at any of its points; x, y, w: slopes of the rays to
+    the points, and their inverse depths.
+    """
     ray = np.stack([x, y, np.ones_like(x)])
     shape, turn = surface.canonical, surface.turn
     point = turn @ ray + surface.offset[:, None] * w  # times w

@@ -1,4 +1,4 @@
-"""A pass: a step of a frame, described by a value."""
+"""Passes, the steps of a frame, and the order in which they run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Kind = Literal[
     "static image", "trace", "silhouettes", "pinhole", "reproject", "fill", "count missing", "sources", "cluster",
     "depth layers", "blur", "join colors", "vignetting", "accumulate", "sensor", "ground truth",
 ]  # fmt: skip
-ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # all others: for each time sample
+ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # other passes run for each time sample
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Pass:
     buffers : dict
         Size in bytes of each buffer on the device, by name; passes share buffers of equal name.
     takes, gives : tuple of str
-        Names of its inputs from earlier passes, and of its outputs: "moved" pixels, an "image" with its radii,
-        "sources", "layers", the blurred "plane" of a time sample, its "colors" so far if each is blurred separately,
-        the "frame" so far, its "codes" when it is complete; "counts" and "missing" of a filling, the number of
-        "depth_layers".
+        Names of its inputs, which are outputs of earlier passes, and of its outputs: "moved" pixels; an "image" with
+        its radii; "sources"; depth "layers"; the blurred "plane" of a time sample; the "colors" joined so far, if each
+        is blurred separately; the "frame" summed so far; the sensor's "codes" of the complete frame; "counts" and mask
+        of "missing" pixels of a filling; the number of "depth_layers".
     group : OcclusionGroup
-        Its occlusion group.
+        Occlusion group that the pass processes.
     color : int, optional
-        Its color, 0 to 2; by default all.
+        Color that the pass processes, 0 to 2; by default all colors.
     """
 
     kind: Kind
@@ -49,18 +49,18 @@ class Pass:
 
 
 def run_passes(passes: Iterable[Pass], run: Callable[..., Iterable[Any]]) -> Mapping[str, Any]:
-    """Run passes in their order.
+    """Run passes in the given order.
 
     Parameters
     ----------
     passes : iterable of Pass
     run : callable
-        Runs a pass, given the pass and its inputs; returns its outputs.
+        Called with a pass and its inputs, in the order of `takes`; returns its outputs, in the order of `gives`.
 
     Returns
     -------
     dict
-        All outputs by name; for equal names, the latest.
+        All outputs by name; of outputs with equal names, the latest.
 
     Examples
     --------

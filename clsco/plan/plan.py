@@ -1,7 +1,7 @@
-"""Planning: the passes that a scene needs, with their sizes and cost; independent of OpenCL.
+"""Plans: the passes that a scene needs, with their buffers and costs; independent of OpenCL.
 
-The engine runs `Plan.passes`, `clsco plan` prints them, and a frame needs the memory of their buffers. A pass that a
-scene does not need is not compiled, run or allocated: `Choices.left_out` lists these with reasons.
+The engine runs `Plan.passes`, `clsco plan` prints them, and their buffers determine the memory that a frame needs.
+Passes that a scene does not need are neither compiled nor run; `Choices.left_out` lists them with reasons.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from clsco.plan.vignetting import vignetting_pass
 from clsco.scene.model import Scene
 
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
-SILHOUETTE_SLOTS = 12  # pixels near silhouettes per row and column of the frame, to begin with
+SILHOUETTE_SLOTS = 12  # initial slots for pixels near silhouettes, per row and per column of the frame
 
 
 @dataclass(frozen=True)
@@ -73,31 +73,31 @@ class Plan:
     eye : {"left", "right"}
         View of a stereo pair.
     channels, rows, columns : int
-        Size of the frame: 1 or 3 channels, and one more for `alpha`; rows and columns in px.
+        Size of the frame: 1 or 3 channels, and one more with `alpha`; rows and columns in px.
     guard_px : int
-        Width of the guard band, whose surfaces contribute light to the frame.
+        Width of the guard band around the frame, px.
     smallest_blur, largest_blur : float
         Predicted range of |R| in px over the whole sequence, with a margin.
     choices : Choices
-        Decisions, with their reasons.
+        Decisions on the parts of the pipeline, with their reasons.
     groups : tuple of OcclusionGroup
         Occlusion groups, which are blurred one after the other.
     taps : float
-        Predicted number of weights per frame.
+        Predicted number of weights that the blur of a frame computes.
     spreads : tuple of PointSpread
         PSFs of red, green and blue, if each color is blurred separately (`color_plans`).
     only : int, optional
-        The color that this plan is for, 0 to 2; by default all colors.
+        Color that this plan is for, 0 to 2; None for all colors.
     alpha : bool
         True if the last channel is coverage.
     strip_rows : int
-        Rows of the frame processed at a time, 0 for all.
+        Rows of the tallest strip, 0 for all rows of the frame.
     extents : tuple of Extent
-        Predicted extents of objects that `groups` are valid for; empty if valid for any.
+        Predicted extents of objects within which `groups` are valid; empty if they always are.
     merged : float
-        |R| in px from which a tolerance merges partly hidden sources; 0 for none.
+        |R| in px from which partly hidden sources are merged, for a tolerance; 0 for no merging.
     small : bool
-        True if an object may be narrow in the image, which needs sub-pixel sources of its coverage.
+        True if an object may be so narrow in the image that it needs its own slots of sub-pixel sources.
     """
 
     scene: Scene
@@ -123,12 +123,12 @@ class Plan:
 
     @property
     def splits_still(self) -> bool:
-        """True if sources shared by all time samples are blurred once."""
+        """True if sources that all time samples share are blurred only once."""
         return self.moves and self.averages and self.choices.still_sources.value
 
     @cached_property
     def color_plans(self) -> tuple[Plan, ...]:
-        """Plans for red, green and blue, if the lens blurs colors differently."""
+        """Plans for red, green and blue if the lens blurs colors differently, else empty."""
         if not self.color:
             return ()
         channels = 1 + self.alpha
@@ -148,17 +148,17 @@ class Plan:
 
     @property
     def samples(self) -> int:
-        """Time samples while a line of the frame is exposed; without a rolling shutter, of the whole frame."""
+        """Number of time samples while a line is exposed; without a rolling shutter, while the frame is exposed."""
         return max(self.choices.motion.value, 1)
 
     @property
     def subframes(self) -> int:
-        """Time samples per frame."""
+        """Number of time samples of a frame."""
         return subframes_of(self.scene, self.samples) if self.moves else 1
 
     @cached_property
     def repeats(self) -> float:
-        """Time samples per frame, where samples rendered in only some rows count by that fraction."""
+        """Number of time samples of a frame; one that is rendered only in some rows counts as the fraction of rows."""
         if not self.narrows:
             return float(self.subframes)
         (frame_strip,) = strips_of(self.spec, self.rows, 0, self.guard_px, self.reach_px)
@@ -167,12 +167,12 @@ class Plan:
 
     @property
     def forward(self) -> bool:
-        """True if pixels of the reference pose are moved."""
+        """True for a forward warp, which moves pixels of the reference pose."""
         return self.choices.reproject.value
 
     @property
     def static_map(self) -> bool:
-        """True if pixels are used as in the depth map, without moving them."""
+        """True for a single depth map whose pixels are not moved."""
         return is_static_map(self.scene)
 
     @property
@@ -268,17 +268,17 @@ class Plan:
 
     @property
     def needs_light(self) -> bool:
-        """True if the irradiance of a frame is read back, not only the codes of a sensor."""
+        """True if the irradiance of a frame is read back from the device, not only the codes of a sensor."""
         return self.sensor_model is None or self.alpha or not {"electrons", "noise_sigma"}.isdisjoint(self.truth)
 
     @property
     def slots(self) -> int:
-        """Initial number of slots for pixels near silhouettes."""
+        """Initial number of slots for pixels near silhouettes, which have sub-pixel sources."""
         return SILHOUETTE_SLOTS * (self.width + self.grid.height) if self.silhouettes else 0
 
     @property
     def eye_moved(self) -> bool:
-        """True if the camera is not in the pose of the textures."""
+        """True if this view of a stereo pair is not the one from which textures are projected."""
         return shifts_view(self.scene, self.eye)
 
     @cached_property
@@ -288,12 +288,12 @@ class Plan:
 
     @property
     def device_truth(self) -> tuple[str, ...]:
-        """Outputs of ground truth by rays; a forward warp makes its own focused image."""
+        """Outputs of ground truth that rays on the device compute; empty for scenes with depth maps."""
         return ray_truth(self.scene, self.truth, self.forward) if self.scene.is_analytic else ()
 
     @property
     def mapped(self) -> int:
-        """Textures on surfaces: 0 none, 1 with coordinates that are linear in a point, 2 with any coordinates."""
+        """Kind of textures on surfaces: 0 none, 1 all with coordinates that are linear in the point, 2 any others."""
         kinds = {item.mapped for item in self.scene.objects} - {None}
         return int(bool(kinds)) + int(not kinds <= {"card", "plane", "triplanar"})
 
@@ -304,7 +304,7 @@ class Plan:
 
     @cached_property
     def passes(self) -> tuple[Pass, ...]:
-        """Passes to run: each time sample runs them in this order; "ground truth" runs once per frame."""
+        """Passes that each time sample runs in this order; those in ONCE_A_FRAME run once per frame."""
         return _passes(self)
 
     def features(self) -> dict[str, int]:
@@ -345,16 +345,16 @@ def make_plan(
     device: DeviceFacts | None = None,
     psf: PointSpread | None = None,
 ) -> Plan:
-    """The passes that a scene needs.
+    """Plan the rendering of a scene.
 
     Parameters
     ----------
     scene : Scene
         Scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
     channels : int
-        Channels of its textures.
+        Number of color channels of its textures, 1 or 3.
     request : Request, optional
-        Outputs and the method of the blur; by default only color.
+        Requested outputs and method of the blur; by default only color.
     eye : {"left", "right"}
         View of a stereo pair.
     maps : sequence of ndarray of float64 (rows, columns) or None, optional
@@ -363,7 +363,7 @@ def make_plan(
     device : DeviceFacts, optional
         Device to run on; by default this machine's processor.
     psf : PointSpread, optional
-        PSF of the lens, if known.
+        PSF of the lens; by default computed from the scene.
 
     Returns
     -------
@@ -407,7 +407,7 @@ def _splits_colors(scene: Scene, channels: int) -> bool:
 
 
 def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
-    """Weights per frame, from inverse depths at some of its pixels."""
+    """Value of `Plan.taps`, from the predicted depths."""
     w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
     hit = w > 0
     radii = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, predicted.slopes)))
@@ -439,7 +439,7 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
 
 
 def _moving_passes(plan: Plan) -> Iterator[Pass]:
-    """The passes of a forward warp, if there is one; its filling counts the missing pixels of each time sample."""
+    """The passes of a forward warp, if there is one: "reproject", and "fill" or "count missing"."""
     scene, grid, frame_parameters = plan.scene, plan.grid, describe_frame(plan.choices, plan.colors, plan.alpha)
     if not plan.forward:
         return
@@ -453,7 +453,7 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
 
 
 def _image_passes(plan: Plan) -> Iterator[Pass]:
-    """The passes of the image of a time sample up to its blurred plane, after a forward warp."""
+    """The passes up to the blurred plane of a time sample; those of a forward warp run before."""
     spec, grid, light, choices = plan.spec, plan.grid, light_of(plan.spec), plan.choices
     context = plan.scene, choices, plan.colors, plan.alpha
     if plan.static_map:
@@ -480,7 +480,7 @@ def _truth_pass(plan: Plan) -> Pass:
 
 
 def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pass]:
-    """The passes of one occlusion group; first: True if it begins the plane, to which other groups add."""
+    """The passes of one occlusion group; first: True for the group that begins the plane, to which the others add."""
     spec, grid, rays = plan.spec, plan.grid, describe_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
     light = ("plane",) if plan.blur == "none" else ("sources",)
     sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | _scene_buffers(plan)

@@ -1,4 +1,4 @@
-"""Predictions for a scene from a coarse grid of rays: range of blur radii, guard band."""
+"""Predictions for a scene from a coarse grid of rays: range of blur radii, and width of the guard band."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ Maps = Sequence[Array | None]
 Slopes = tuple[Array, Array]
 Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
-LEAST_DISTANCE = 0.1  # of a curved image from the lens, in sensor distances
+LEAST_DISTANCE = 0.1  # least distance of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
-# Keys of the camera that change the blur of a hit, but not the rays.
+# Keys of the camera that change the blur but not the rays.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
-_DEPTHS = Cache(32 << 20)  # bytes
+_DEPTHS = Cache(32 << 20)  # limit in bytes
 
 
 def guard_band(psf: PointSpread, border: str, largest: float) -> int:
     """Width in px of the band around the frame whose surfaces can light it, plus 2 px to detect silhouettes.
 
-    The width is a multiple of TAP_LANES, so that vectors of sources begin in the same columns of the frame for every
-    lens: lenses that share a band give the same bits as alone.
+    largest: largest |R|, px. The width is rounded up to a multiple of TAP_LANES, so that vectors of sources begin in
+    the same columns of the frame for every lens: lenses that share a band then give the same bits as each one alone.
     """
     if border == "renormalize":
         return 0
@@ -66,7 +66,7 @@ def check_keyframes(scene: Scene) -> None:
 
 @lru_cache(maxsize=8)
 def _grid(camera: Camera, guard: int) -> Slopes:
-    """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included."""
+    """Slopes (GRID, GRID) of rays over frame and guard band, up to the outermost pixels."""
     columns, rows = camera.frame_size
     x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
     y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
@@ -78,25 +78,25 @@ def _grid(camera: Camera, guard: int) -> Slopes:
 
 def _slopes(cameras: Sequence[Camera], guard: int) -> list[Slopes]:
     """Slopes (GRID, GRID) of the rays of each camera."""
-    cameras_by_step = {ray_step(camera): camera for camera in cameras}  # in all that rays depend on
+    cameras_by_step = {ray_step(camera): camera for camera in cameras}  # cameras with the same step have the same rays
     grids = {step: _grid(camera, guard) for step, camera in cameras_by_step.items()}
     return [grids[ray_step(camera)] for camera in cameras]
 
 
 def shifts_view(scene: Scene, eye: Eye) -> bool:
-    """True if a view of a stereo pair is not at the viewpoint of the textures."""
+    """True if a view of a stereo pair is not the one from which textures are projected."""
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
 
 def is_static_map(scene: Scene) -> bool:
-    """True if the scene is one depth map and static, so that every pixel shows its own pixel of the map."""
+    """True if the scene is a single static depth map, so that each pixel shows its own pixel of the map."""
     alone = len(scene.objects) == 1 and not scene.is_analytic and scene.stereo is None
     return alone and not scene.moves and not scene.shifts_colors
 
 
 def is_forward(scene: Scene, eye: Eye) -> bool:
-    """True if pixels of the reference pose are moved: for moving objects with the forward warp, and for depth maps
-    unless the scene is static.
+    """True if a forward warp moves pixels of the reference pose: for scenes with depth maps unless they are static, and
+    with motion.warp = "forward" for scenes that move or have a shifted view.
     """
     if not scene.is_analytic:
         return not is_static_map(scene)
@@ -104,7 +104,7 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
 
 
 def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: int) -> Array:
-    """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 without a hit."""
+    """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 for rays that miss."""
     depths = np.empty((len(scene.objects), len(samples), GRID, GRID))
     rays = _slopes([camera for camera, _ in samples], guard)
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
@@ -120,15 +120,13 @@ def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: 
 
 
 def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
-    """Inverse depths (GRID, GRID) of a surface at rays that miss it but have it between them and a neighbor; 0
-    elsewhere.
-    """
+    """Inverse depths (GRID, GRID) of a surface that all rays miss, at the rays around it; 0 elsewhere."""
     inverse, (right, up, depth, radius) = np.zeros(x.shape), surface.ball.tolist()
     aside = np.maximum(*(np.abs(slope - place / depth) for slope, place in ((x, right), (y, up)))) if depth > 0 else x
     spacing = max(x[0, 1] - x[0, 0], abs(y[1, 0] - y[0, 0]))
     if depth > radius:
         inverse[aside <= spacing + radius / depth] = 1.0 / depth
-    elif surface.width < 0.0 and surface.constant != 0.0:  # 0: it passes through the middle of the lens
+    elif surface.width < 0.0 and surface.constant != 0.0:  # 0: the surface passes through the middle of the lens
         off, _ = outline_lines(surface, x, y)
         gradient = (surface.canonical.q * surface.offset + surface.canonical.l) @ surface.turn
         w = -(gradient[0] * x + gradient[1] * y + gradient[2]) / surface.constant
@@ -137,7 +135,7 @@ def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
 
 
 def _cached_depths(scene: Scene, eye: Eye, guard: int) -> Array:
-    """`_inverse_depths` of a scene without a lens, with only analytic objects and fixed rays; cached."""
+    """`_inverse_depths`, cached, for scenes from `without_lens` with analytic objects and rays that never change."""
 
     def cast() -> Array:
         samples = [(reference_camera(scene), poses_at(scene, t, eye)) for t in sequence_times(scene)]
@@ -149,13 +147,13 @@ def _cached_depths(scene: Scene, eye: Eye, guard: int) -> Array:
 
 
 def without_lens(scene: Scene) -> Scene:
-    """The scene without its lens and sensor, which do not affect rays."""
+    """The scene without the keys of its lens and sensor that do not affect rays."""
     camera = scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))
     return scene.model_copy(update={"camera": camera, "sensor": None})
 
 
 def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
-    """Inverse depths (GRID, GRID) of sampled points of a depth map after a move, including its nearest and farthest."""
+    """Inverse depths (GRID, GRID) of points of a depth map in a pose, including its nearest and farthest point."""
     rows, columns = (np.linspace(0, n - 1, GRID).round().astype(np.intp) for n in depth.shape)
     i, j = (n.copy() for n in np.meshgrid(rows, columns, indexing="ij"))
     depths = np.where(depth > 0, depth, np.inf)
@@ -170,14 +168,14 @@ def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
 
 
 def middle_of(scene: Scene) -> float:
-    """Middle of the sequence, s; 0 for static scenes."""
+    """Time of the middle of the sequence, s; 0 for static scenes."""
     return middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
 
 
 def predict_depths(scene: Scene, maps: Maps, time: float | None = None) -> Array:
-    """Predicted inverse depths (objects, GRID, GRID) in 1/mm at a time, 0 without a hit.
+    """Predicted inverse depths (objects, GRID, GRID) in 1/mm at a time, 0 for rays that miss.
 
-    By default in the middle of the sequence.
+    time: s, by default the middle of the sequence.
     """
     time = middle_of(scene) if time is None else time
     return np.asarray(_inverse_depths(scene, [(camera_at(scene, time), poses_at(scene, time))], maps, 0)[:, 0])
@@ -189,7 +187,10 @@ def grid_slopes(scene: Scene, time: float | None = None) -> Slopes:
 
 
 def fills_view(scene: Scene, w: Array) -> bool:
-    """True if no silhouette is visible: every ray hits the surface, which cannot have a hole between rays."""
+    """True if one surface fills the view without a visible silhouette: all rays hit it, and it can have no hole.
+
+    w: inverse depths of the nearest surface at rays, 0 for a miss.
+    """
     item = scene.objects[0]
     simple = len(scene.objects) == 1 and cutting_bounds(item) is None and item.shape != "quadric"
     return simple and bool((w > 0).all())
@@ -203,7 +204,7 @@ def _faces_camera(item: Plane | Rectangle | Disc) -> bool:
 
 
 def constant_blur(scene: Scene) -> bool:
-    """True if every pixel has the same radius at any time: a plane that stays parallel to the detector."""
+    """True if all pixels have the same radius at any time, as the only object stays parallel to the detector."""
     item, camera = scene.objects[0], scene.camera.motion
     turns = any(any(motion.turns[:2]) for motion in (*scene.motions(item), camera))
     turns |= scene.camera.shake is not None and scene.camera.shake.rotation_rms > 0.0
@@ -225,13 +226,13 @@ class Prediction:
     poses : list of tuple of Pose
         Poses of the objects at each time.
     w : ndarray of float64, (objects, times, GRID, GRID)
-        Inverse depths in 1/mm over frame and guard band, 0 without a hit.
+        Inverse depths in 1/mm at rays over frame and guard band, 0 for a miss.
     slopes : tuple of ndarray of float64, (GRID, GRID)
-        Slopes of the rays, right and up.
+        Slopes of the rays, right and up, at the middle time.
     smallest, largest : float
         Range of |R| with a margin, px.
     guard : int
-        Width of the guard band for this range, px.
+        Width of the guard band for |R| up to `largest`, px.
     lowest, highest : float
         Range of R with its sign, with a margin, px.
     """
@@ -248,7 +249,7 @@ class Prediction:
 
     @property
     def nearest(self) -> Array:
-        """Inverse depth of the nearest object, (times, GRID, GRID)."""
+        """Inverse depth of the nearest object at each ray, (times, GRID, GRID)."""
         return np.asarray(self.w.max(axis=0))
 
 
@@ -281,7 +282,7 @@ def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:
 
 
 def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
-    """Raise SceneError if frame and guard band reach to where a distorted image would fold back."""
+    """Raise SceneError if frame and guard band extend to where a distorted image would fold back."""
     distortion, lens = distortion_of(cameras[0]), scene.lens
     if distortion is None or lens is None:
         return
@@ -294,7 +295,7 @@ def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
 
 
 def _widest(scene: Scene, time: float) -> Camera:
-    """The camera at a time for the color with the widest field of view."""
+    """The camera at a time, for the color with the widest field of view."""
     camera = camera_at(scene, time)
     if scene.lens is None or not scene.shifts_colors:
         return camera
@@ -302,7 +303,10 @@ def _widest(scene: Scene, time: float) -> Camera:
 
 
 def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[Array | float, Array | float]:
-    """Slopes (n,) of rays (..., GRID, GRID) that hit a surface, or 0 if the blur does not depend on them."""
+    """Slopes (n,) along x and y of the rays that hit a surface, or 0 if the blur does not depend on slopes.
+
+    hit: mask (..., GRID, GRID) of rays.
+    """
     if not scene.blurs_unevenly:
         return 0.0, 0.0
     x, y = (np.broadcast_to(slope, hit.shape)[hit] for slope in slopes)
@@ -310,8 +314,12 @@ def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[
 
 
 def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays: Sequence[Slopes]) -> Array:
-    """Blur radii (n,) in px of `Prediction.w` for the lenses at each time; for a constant lens, all times at once."""
-    if scene.blurs_unevenly and is_static_map(scene):  # extreme depths may be anywhere
+    """Signed blur radii (n,) in px of all hits in `w` (`Prediction.w`).
+
+    lenses: for each time, the lenses of all colors; rays: slopes of the rays at each time. Both are read only at the
+    first time if the lens does not change.
+    """
+    if scene.blurs_unevenly and is_static_map(scene):  # the nearest and farthest points may be anywhere in the map
         ends = np.array([w[w > 0].min(initial=np.inf), w.max(initial=0.0)])
         w = np.broadcast_to(ends[np.isfinite(ends), None, None, None], (*ends.shape, 1, GRID, GRID))
     times = [slice(k, k + 1) for k in range(w.shape[1])] if scene.lens_moves else [slice(None)]
@@ -325,11 +333,11 @@ def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays:
 
 
 def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
-    """Cast rays of a coarse grid at the scene. Raises SceneError if |R| exceeds LARGEST_BLUR, or if keyframes do not
-    cover the times.
+    """Cast rays of a coarse grid at the scene.
 
     Surfaces in the guard band may be blurred more than those in the frame, and so need a wider band: rays are cast
-    again until the band is wide enough for every |R| in it.
+    again until the band is wide enough for every |R| in it. Raises SceneError if |R| exceeds LARGEST_BLUR, keyframes do
+    not cover the exposures, or the lens distorts or curves the image too much.
     """
     check_keyframes(scene)
     times = sequence_times(scene)
@@ -355,7 +363,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
                 why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
         largest_hit = largest
-        if not constant:  # rays between those of the grid
+        if not constant:  # margin for rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
             lowest, highest = lowest - 0.1 * abs(lowest) - 1.0, highest + 0.1 * abs(highest) + 1.0
         band = guard_band(psf, scene.psf.border, largest)
@@ -369,7 +377,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         largest_hit, wider = cast(guard)
         if largest_hit <= prediction.largest:
             break
-        # Without the margin: otherwise a band in which |R| grows about as fast as the band would grow forever.
+        # Without the margin of |R|: if |R| grows about as fast as the band, the band would otherwise grow forever.
         prediction = replace(wider, guard=max(guard, guard_band(psf, scene.psf.border, largest_hit)))
     _check_fold(scene, cameras, prediction.guard)
     return prediction

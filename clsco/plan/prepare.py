@@ -1,6 +1,4 @@
-"""Scenes and sweeps with their plans, and with their input files read once; used by `plan`, `render`, `check` and
-`batch`.
-"""
+"""Prepares scenes and sweeps for rendering: reads their input files once, and plans them."""
 
 from __future__ import annotations
 
@@ -44,11 +42,11 @@ class Prepared:
     scene : Scene
         Scene with a resolution, by default that of the first texture.
     plans : tuple of Plan
-        Plans for its view, or for the left and the right one; with three channels if any texture has color.
+        Plan for its view, or plans for the left and the right view; with three channels if any texture has color.
     request : Request
     files : InputFiles
     approximation : ApproximationReport, optional
-        Approximation by fewer samples, if the request has a tolerance.
+        Report on the approximation by fewer samples, if the request has a tolerance.
     """
 
     scene: Scene
@@ -59,7 +57,7 @@ class Prepared:
 
     @cached_property
     def textures(self) -> tuple[Texture, ...]:
-        """Textures of all objects; with an additional channel for `alpha`."""
+        """Textures of all objects; with `alpha`, coverage is an additional last channel."""
         textures = self.files.textures(self.scene)
         if self.plan.spreads:
             textures = tuple(map(cache(to_color), textures))
@@ -71,14 +69,12 @@ class Prepared:
 
     @cached_property
     def maps(self) -> Maps:
-        """Depth maps of all objects, see `InputFiles.maps`."""
+        """Depth maps of all objects, None for analytic objects; see `InputFiles.maps`."""
         return self.files.maps(self.scene)
 
     @cached_property
     def color(self) -> Color:
-        """Color space of the frames: that of all image files if they share one with the right number of channels, else
-        sRGB.
-        """
+        """Color space of the frames: that of the image files if all share one that suits the channels; else sRGB."""
         spaces = set(self.colors.values())
         color = spaces.pop() if len(spaces) == 1 else SRGB
         colored = self.plan.channels - self.plan.alpha == 3
@@ -86,16 +82,16 @@ class Prepared:
 
     @cached_property
     def colors(self) -> dict[str | LayerInput, Color]:
-        """Color space of every image file, or of a layer of it."""
+        """Color space of each image file, or layer of a file, by its name in the scene."""
         return {image: self.files.about(image).color for image in image_files(self.scene)}
 
     @property
     def plan(self) -> Plan:
-        """The plan of the view, or of the left one."""
+        """The plan of the view, or of the left view of a stereo pair."""
         return self.plans[0]
 
 
-PreparedFile = tuple[Path, tuple[str, ...], tuple[Prepared, ...]]  # with the labels of its scenes
+PreparedFile = tuple[Path, tuple[str, ...], tuple[Prepared, ...]]  # file, labels of its scenes, scenes
 
 
 def prepare(
@@ -111,7 +107,7 @@ def prepare(
     device : DeviceFacts, optional
         As for `clsco.plan.plan.make_plan`.
     files : InputFiles, optional
-        By default the files that all renderings share.
+        Cache of input files; by default the one that all renderings of this process share.
 
     Returns
     -------
@@ -120,7 +116,7 @@ def prepare(
     Raises
     ------
     SceneError
-        Faults of all textures and depth maps together, and as `clsco.plan.plan.make_plan`.
+        A texture or depth map cannot be used (the error lists all faults), or as for `clsco.plan.plan.make_plan`.
     """
     (prepared,) = prepare_sweep(Sweep(("",), (scene,)), request, device, files)
     return prepared
@@ -129,10 +125,10 @@ def prepare(
 def prepare_sweep(
     sweep: Sweep, request: Request | None = None, device: DeviceFacts | None = None, files: InputFiles | None = None
 ) -> tuple[Prepared, ...]:
-    """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them.
+    """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all scenes.
 
-    With a tolerance, scenes that differ only in the lens or the sensor use the samples of the most demanding one,
-    because they share rays.
+    With a tolerance, consecutive scenes that differ only in the lens or the sensor share rays, so they use the numbers
+    of samples of the most demanding scene.
     """
     request, files = request or Request(), files or shared_files()
     prepared, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
@@ -163,7 +159,7 @@ def prepare_sweep(
 
 
 def lens_groups(scenes: Sequence[Scene]) -> list[list[int]]:
-    """Groups of consecutive scenes, by number, that differ only in the lens or the sensor."""
+    """Groups of consecutive scenes that differ only in the lens or the sensor, as lists of scene numbers."""
     groups: list[list[int]] = []
     for k, scene in enumerate(scenes):
         if k and without_lens(scenes[k - 1]) == without_lens(scene):
@@ -177,9 +173,7 @@ def prepare_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], request: Request | None = None,
     device: DeviceFacts | None = None,
 ) -> list[PreparedFile]:  # fmt: skip
-    """`prepare_sweep` for files from `clsco.scene.sweep.load_sweeps`. Raises SceneError with the faults of all
-    files.
-    """
+    """`prepare_sweep` for all files from `clsco.scene.sweep.load_sweeps`. Raises SceneError with all faults."""
     prepared: list[PreparedFile] = []
     messages: list[str] = []
     for path, sweep in loaded:
@@ -207,7 +201,7 @@ def _prepare_scene(
     scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles,
     least: Samples = (1, 1),
 ) -> Prepared:  # fmt: skip
-    """Plan one scene; least: lower bounds of its samples, if a tolerance selects them."""
+    """Plan one scene; least: lower bounds of its numbers of samples if the request has a tolerance."""
     sized = with_resolution(scene)
     maps = _maps(sized, files)
 
@@ -227,7 +221,9 @@ def _prepare_scene(
 
 
 def _channels(scene: Scene, files: InputFiles) -> int:
-    """Number of channels of the image, from all files and arrays of a scene; their faults are raised together."""
+    """Number of channels of a scene's image: 1 if all its textures are gray, else 3. Raises SceneError with the faults
+    of all its files and arrays.
+    """
     faults, gray = dict[str, str](), True
     for index, item in enumerate(scene.objects):
         sources = item.inputs()
@@ -254,8 +250,8 @@ def _channels(scene: Scene, files: InputFiles) -> int:
 
 
 def _maps(scene: Scene, files: InputFiles) -> Maps:
-    """Inverse depth of the objects that are depth maps; raises an error for maps that do not fit the frame or the
-    camera.
+    """Inverse depths of the objects that are depth maps, None for others. Raises SceneError for maps that do not fit
+    the frame or the camera.
     """
     faults, maps = dict[str, str](), list[NDArray[np.float64] | None]()
     for index, item in enumerate(scene.objects):
@@ -268,8 +264,8 @@ def _maps(scene: Scene, files: InputFiles) -> Maps:
 
 @contextmanager
 def _collect_faults(faults: dict[str, str], where: str) -> Iterator[None]:
-    """Record the location of a file's fault by message: once, even if several objects or faces of a box use the
-    file.
+    """Catch a file's error raised in the block, and add its message and `where` to `faults`, unless another object or
+    face of a box has already added that message.
     """
     try:
         yield

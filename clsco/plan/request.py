@@ -1,4 +1,4 @@
-"""Request for a rendering, besides its scene."""
+"""Request: what a user asks for besides the scene."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ class Request:
     truth : tuple of str
         Names of the outputs besides color.
     method : str
-        Method of the blur: "auto", or a method by name (`clsco.plan.methods.check_method`).
+        Method of the blur: "auto", or the name of a method (`clsco.plan.methods.check_method`).
     tolerance : float, optional
-        Largest RMS error, 1 = white, from taking fewer samples; None for all samples.
+        Largest RMS error (1 = white) that fewer samples may cause; None for all samples.
     precision : {"single", "double"}, optional
         Precision of the geometry; by default double if the device has it.
     memory : int or str, optional
-        Limit of the buffers on the device; by default half of the free memory.
+        Limit of the buffers on the device; by default as in `clsco.plan.memory.limit_of`.
     color : bool
         True if the image is requested.
     """

@@ -1,4 +1,4 @@
-"""The pass of a sensor, which reads out a frame after all of its time samples are summed."""
+"""The pass of a sensor, which reads out a frame after all of its time samples have been added up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from clsco.plan.passes import Parameters, Pass
 
 
 def sensor_pass(model: SensorModel, grid: Grid, takes: str) -> Pass:
-    """Sensor pass; takes: name of its input of irradiance, "frame" or "plane"."""
+    """The sensor pass; takes: name of the output with the frame's irradiance, "frame" or "plane"."""
     sensor = model.sensor
     electrons = f"{model.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
     codes = f"{model.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"

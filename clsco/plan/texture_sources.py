@@ -1,20 +1,21 @@
-"""Errors of fine textures on surfaces with fewer sub-pixel sources (float64, pure).
+"""Errors of a frame in which fine textures on surfaces have fewer sub-pixel sources (float64, pure).
 
-A pixel whose texture is too fine for one source has N x N sources, with the means of its p x p parts
-(kernels/trace/detail.clh). Along one axis, they turn a pattern cos(2 pi f x), in the middle of a pixel, into
+A pixel whose texture is too fine for one source is cut into p x p parts and has N x N sources, each with the mean of
+the texture in its part (kernels/trace/detail.clh). Along one axis, the sources of a pixel turn a pattern cos(2 pi f x),
+at the middle of the pixel, into
 
     V(f) = 1 / N sum_n S(x_n) cos(2 pi f c_n) sinc(f / p) (1 + 4 c sin(pi f / p)^2)
 
-x_n, c_n: positions of sources, and of the middles of their parts, relative to the middle of the pixel; S: fraction of
-the disc around a source within the width of the pixel; c: coefficient of the exchange between parts. With the product
-over both axes, and f converted from cycles per texel by the pixel's footprint on the surface,
+x_n: position of source n; c_n: middle of its part, both relative to the middle of the pixel; S: fraction of the disc
+around a source that lies within the width of the pixel; c: coefficient of the exchange between parts. V of both axes is
+multiplied, and f is converted from cycles per texel by the pixel's footprint on the surface:
 
     e^2 = sum_f P(f) (V_exact(f_x) V_exact(f_y) - V(f_x) V(f_y))^2
 
-P: power of the texture. If R changes by G px from pixel to pixel, and discs begin to reach over the border of a pixel,
-their lattice is not constant: e = STEEP G L for a radiance L, as measured on tilted planes through the focus. One
-source per pixel is N = p = 1. Hidden, shaded and dark parts count as if visible with the texture's radiance. Validated
-against frames: tests/plan/test_approximation.py.
+P: power of the texture. If R changes by G px from pixel to pixel, and discs are so small that they barely reach over
+the border of a pixel, the sum of all discs is uneven: e = STEEP G L for a radiance L, as measured on tilted planes
+through the focus. One source per pixel is N = p = 1. Hidden, shaded and dark parts count as if they were visible with
+the texture's radiance. Validated against frames: tests/plan/test_approximation.py.
 """
 
 from __future__ import annotations
@@ -41,17 +42,17 @@ from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
 
-SIDE, PATCHES = 64, 9  # texels of a square whose spectrum is taken, and how many along each axis
-LOOKS = 8  # rays at a texture, for its power in the frame
-HELD = 0.4  # cycles per texel that a coarser level of the mipmap holds
-STEEP = {1: 0.08, 2: 0.16, 3: 0.1, 4: 0.06, 8: 0.03}  # by sources along an axis
-NARROW = 0.75  # px, radius of discs
-STRIDE = 7  # texels between those that enter means
-BETWEEN = 5  # positions between two rays of a grid
+SIDE, PATCHES = 64, 9  # side in texels of a patch whose spectrum is computed, and patches along each axis
+LOOKS = 8  # rays at which the power of a texture in the frame is evaluated
+HELD = 0.4  # highest frequency in a coarser level of a mipmap, cycles per texel of that level
+STEEP = {1: 0.08, 2: 0.16, 3: 0.1, 4: 0.06, 8: 0.03}  # by number of sources along an axis
+NARROW = 0.75  # px, radius of discs below which STEEP applies
+STRIDE = 7  # texels from one sample of a mean to the next
+BETWEEN = 5  # positions around each ray of a grid at which R is interpolated
 FINEST = 6.0  # cycles per px, beyond which all means are constant
-STEPS = 64  # per cycle per px
+STEPS = 64  # frequencies per cycle per px
 FREQUENCIES = np.arange(int(FINEST * STEPS) + 1) / STEPS
-RADII = 0.0105 * 2.0 ** (np.arange(40) / 4.0)  # px: of discs, up to 9
+RADII = 0.0105 * 2.0 ** (np.arange(40) / 4.0)  # radii of discs in px, up to 9
 REACHING = 2.0  # slope of the beginning of the exchange, as in detail.clh
 ALONG = ((2, 1), (0, 2), (0, 1))  # the two other components of each axis
 
@@ -59,7 +60,7 @@ ALONG = ((2, 1), (0, 2), (0, 1))  # the two other components of each axis
 def squared_errors(
     scene: Scene, psf: PointSpread, textures: Sequence[Texture], maps: Maps, exact: int, counts: Sequence[int]
 ) -> dict[int, float]:
-    """Estimate the squared errors of a frame with fewer sources of fine textures.
+    """Estimate the squared errors of a frame in which fine textures have fewer sub-pixel sources.
 
     Parameters
     ----------
@@ -71,14 +72,14 @@ def squared_errors(
     maps : sequence
         As for `clsco.plan.plan.make_plan`.
     exact : int
-        Sub-pixel sources along an axis.
+        Number of sub-pixel sources along an axis in the exact frame.
     counts : sequence of int
-        Smaller numbers of sources along an axis, 1 for one source per pixel.
+        Smaller numbers of sources along an axis; 1 for one source per pixel.
 
     Returns
     -------
     dict
-        For each of `counts`, white^2: the largest value over the examined times.
+        Squared error in white^2 for each number in `counts`: the largest one at the examined times.
     """
     spectra: dict[int, tuple[Spectrum, float]] = {}
     firsts = [next(j for j, other in enumerate(textures) if other.radiance is texture.radiance) for texture in textures]
@@ -118,17 +119,18 @@ def squared_errors(
 
 
 def _between(radius: Array, change: Array) -> Array:
-    """|R| (BETWEEN, rows, columns) interpolated between rays of a grid, from its change per ray: rays rarely meet the
-    focus exactly.
+    """|R| (BETWEEN, rows, columns) at positions around each ray of a grid, as rays rarely hit the focus exactly.
+
+    radius: signed R at the rays; change: change of R from ray to ray.
     """
     steps = np.linspace(-0.5, 0.5, BETWEEN + 1)
     return np.abs(radius + change * (0.5 * (steps[1:] + steps[:-1]))[:, None, None])
 
 
 def footprints(item: Object, pose: Pose, image: TextureMap, camera: Camera, x: Array, y: Array) -> Array:
-    """Changes of texture column and row per pixel to the right and down, texels (right or down, 2, n).
+    """Changes of texture column and row from a pixel to its right and its lower neighbor, texels (right or down, 2, n).
 
-    image: mapping of the texture; x, y: slopes (n,) of rays that hit the object; NaN if neighboring rays miss it.
+    image: mapping of the texture; x, y: slopes (n,) of rays that hit the object. NaN if a neighbor's ray misses it.
     """
     surface, (right, up) = place(item, pose), places_of(camera, x, y)
     points = np.empty((3, x.size, 3))
@@ -149,7 +151,7 @@ def footprints(item: Object, pose: Pose, image: TextureMap, camera: Camera, x: A
 
 def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> Array:
     """The two coordinates (2, ..., n) of points (..., n, 3) in the frame of a texture (`clsco.optics.texture_mapping`);
-    side: axis (n,) along which they are projected.
+    side: axis (n,) along which each point is projected, for cube and triplanar maps.
     """
     x, y, z = np.moveaxis(q, -1, 0)
     if side is not None:
@@ -172,8 +174,10 @@ Spectrum = tuple[Array, Array, Array]
 
 
 def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[Kind, float]]:
-    """Kinds of pixels with fine texture, with the fraction of each; spread: radius of the discs at and between rays
-    (BETWEEN, n).
+    """Kinds of pixels with fine texture, each with the fraction of all pixels that it stands for.
+
+    across: footprints (right or down, 2, n); spread: radii (BETWEEN, n) of the discs around each ray; fine: mask
+    (BETWEEN, n) of fine texture.
     """
     discs = np.abs(np.log(RADII[:, None] / np.maximum(spread[fine], RADII[0]))).argmin(axis=0)
     fine_rays, kinds = np.nonzero(fine)[1], []
@@ -185,10 +189,10 @@ def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[
 
 
 def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Array, Array]:
-    """Power of a texture in the frame by cycles per px along x and y, without the constant term, after averaging over
-    pixels.
+    """Power of a texture's image by frequency along x, and by frequency along y, without the constant term; each pixel
+    has the mean over its area.
 
-    across: footprints (right or down, 2, n).
+    across: footprints (right or down, 2, n); cycles: frequencies, multiples of the first one, cycles per px.
     """
     powers, columns, rows = spectrum
     binned = np.zeros((2, cycles.size))
@@ -205,7 +209,7 @@ def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Ar
 
 
 def _kind_errors(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int]) -> dict[int, float]:
-    """Squared error of one kind of pixels, by number of sources."""
+    """Squared error of one kind of pixels for each number of sources in `counts`."""
     (changes, disc), (powers, columns, rows) = kind, power
     texels = (changes**2).sum(axis=1).max(keepdims=True)
 
@@ -225,14 +229,14 @@ def _kind_errors(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int])
 
 
 def _level(changes: Array) -> int:
-    """Mipmap level for a footprint (right or down, 2), so that it is at least LEAST_TEXELS wide."""
+    """Coarsest mipmap level in which a footprint (right or down, 2) is at least LEAST_TEXELS wide."""
     across = sqrt(2.0 / float((changes**2).sum())) * abs(float(np.linalg.det(changes)))
     return max(int(log2(max(across / LEAST_TEXELS, 1.0))), 0)
 
 
 @lru_cache(maxsize=32)
 def _transfer(count: int, parts: int) -> Array:
-    """V (RADII, FREQUENCIES) for count x count sources with the means of parts x parts."""
+    """V of the module's formula, by RADII and FREQUENCIES, for count x count sources in parts x parts parts."""
     reach = int(count * (RADII[-1] + 1.0))
     source = np.arange(-reach, reach + count)
     place, middle = (source + 0.5) / count - 0.5, (source * parts // count + 0.5) / parts - 0.5
@@ -247,13 +251,13 @@ def _transfer(count: int, parts: int) -> Array:
 
 
 def _left_of(place: Array) -> Array:
-    """Fraction of a disc of radius 1 on one side of a line at a position."""
+    """Fraction of a disc of radius 1 to the left of a vertical line at `place`."""
     t = np.clip(place, -1.0, 1.0)
     return np.asarray(0.5 + (t * np.sqrt(1.0 - t * t) + np.arcsin(t)) / pi)
 
 
 def spectrum_of(image: NDArray[np.float32]) -> Spectrum:
-    """Mean spectrum of patches of a texture under a Hann window; patches use its channels in turn."""
+    """Mean power spectrum of patches of a texture under a Hann window; successive patches use successive channels."""
     channels = image.reshape(*image.shape[:2], -1)
     sides = tuple(min(SIDE, size) for size in channels.shape[:2])
     starts = (
@@ -267,6 +271,6 @@ def spectrum_of(image: NDArray[np.float32]) -> Spectrum:
     )
     spectrum = np.fft.rfft2((patches - patches.mean(axis=(1, 2), keepdims=True)) * window)
     power = np.mean(np.abs(spectrum) ** 2, axis=0) / (window.size * float((window**2).sum()))
-    power[:, 1 : (sides[1] + 1) // 2] *= 2.0  # and their negatives
+    power[:, 1 : (sides[1] + 1) // 2] *= 2.0  # also stands for negative frequencies
     columns, rows = np.meshgrid(np.fft.rfftfreq(sides[1]), np.fft.fftfreq(sides[0]))
     return power, columns, rows

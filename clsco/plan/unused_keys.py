@@ -1,4 +1,4 @@
-"""Keys that a scene gives without any effect."""
+"""Keys of a scene file that have no effect on its frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ SECTIONS = ("aperture", "psf", "sequence", "motion", "fill")
 
 
 def unused_keys(plan: Plan) -> list[tuple[str, str]]:
-    """Keys that the scene gives without effect, and why: (key, reason)."""
+    """Keys that the scene sets although they have no effect, as pairs of key and reason."""
     scene, reasons = plan.scene, plan.choices.unused | _idle_keys(plan.scene)
     tables = [(name, getattr(scene, name)) for name in SECTIONS]
     tables += [(f"object[{k}]", item) for k, item in enumerate(scene.objects)]
@@ -19,7 +19,7 @@ def unused_keys(plan: Plan) -> list[tuple[str, str]]:
 
 
 def _idle_keys(scene: Scene) -> dict[str, str]:
-    """Keys that affect no rendering of the scene, with reasons."""
+    """Reasons for keys that have no effect whatever is requested, by key."""
     reasons = {}
     motions = [scene.camera.motion, *(motion for item in scene.objects for motion in scene.motions(item))]
     if scene.moves and all(sum(motion.turns) < 2 for motion in motions):
