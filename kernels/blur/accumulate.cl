@@ -1,8 +1,8 @@
 // Exposure of a frame: I(x) = sum_t weight_t(line of x) B_t(x), where B_t is the blurred image of time sample t, and
 // lines are rows, or with SCAN_COLUMNS columns. Host: clsco/passes/accumulate.py, for frames of several time samples.
 //
-// Kahan's sum: `lost` is what rounding has added to `sum` so far, which the next time sample takes back. However many
-// there are, a pixel is off by the rounding of its weights and of one sum. SUMMED_PIXELS of a row at a time took it
+// Kahan summation: `lost` is what rounding has added to `sum` so far, and is subtracted with the next time sample. For
+// any number of these, a pixel has the error of its weights and of one sum. SUMMED_PIXELS of a row at a time took it
 // from 1.6 to 0.4 ns per pixel.
 
 #include "common/geometry.clh"
@@ -13,9 +13,9 @@
 #define WEIGHT(x, row) weight
 #endif
 
-// Adds the plane of a time sample, whose channels are `apart` apart, its first pixel at `start`, and its rows `pitch`.
-// In: begins, 1 for the first plane of a frame, which nothing is read of yet; weights float (rows) or (columns). In and
-// out: sum and lost, float (channels, height, columns), to whose rows from `top` on the plane belongs.
+// Adds the plane of a time sample: its channels are `apart` floats apart, its first pixel is at `start`, its rows are
+// `pitch` long. In: begins, 1 for the first plane of a frame, which overwrites sum and lost; weights float (rows) or
+// (columns). In and out: sum and lost, float (channels, height, columns), where the plane begins in row `top`.
 __kernel void accumulate(const int begins, const int rows, const int columns, const int channels,
                          __global const float *restrict plane, const int apart, const int start, const int pitch,
                          __global const float *restrict weights, const int top, const int height,

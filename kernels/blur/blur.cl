@@ -10,10 +10,10 @@
 //           1 / scale
 //   total   float (CHANNELS, rows, pitch), out: the same as floats; `pad` columns on both sides of a row are scratch
 //
-// scatter adds taps one by one in fixed point: any device, any order, the same bits; the oracle of the other methods.
-// The host picks it on a GPU where objects occlude each other; elsewhere it picks `gather` (cpu/gather.cl) on
-// processors, `tiles` (tiles.cl) on GPUs, and `convolve` (convolve.cl) for frames of one radius. renormalize and
-// prepare_sources serve all of them.
+// scatter adds taps one by one in fixed point: the same bits on any device and in any order; it is the oracle of the
+// other methods. The host picks it on a GPU for occluders, rims or ellipses, and if taps are few; else it picks
+// `gather` (cpu/gather.cl) on processors, `tiles` (tiles.cl) on GPUs, and `convolve` (convolve.cl) for frames of one
+// radius. renormalize and prepare_sources serve all of them.
 
 #include "common/geometry.clh"
 #include "common/sources.clh"
@@ -48,7 +48,7 @@ static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t 
 #define VISIBILITY_VALUE
 #endif
 
-// Adds one source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, if any.
+// Adds one source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, 0 for none.
 static void scatter_source(const grid_t grid, spread_t spread, float4 source, float v, float scale, int row,
                            int column, __global fixed_t *sums VISIBILITY_ARGUMENT)
 {
@@ -152,8 +152,8 @@ static float share_inside(const grid_t grid, spread_t spread, float4 source, int
     return sum;
 }
 
-// border = "renormalize": no radiance is lost over the border of the frame; there is no apron then.
-// In and out: value, sub_value.
+// Divides radiance by the share of a source's weights in the frame (border = "renormalize"), so that none is lost over
+// the border; there is no apron then. In and out: value, sub_value.
 __kernel void renormalize(const grid_t grid, const psf_t psf, __global const float *source,
                           __global float *value, __global const int2 *intervals,
                           __global const float *coefficients
@@ -212,7 +212,7 @@ typedef real map_t;
 #define ALL_THERE(at) (LOAD_EIGHT_BYTES(valid + (at)) == 0x0101010101010101ul)
 #endif
 
-// Difference of the radius to the neighbors along one axis: central, one-sided at an edge, else 0.
+// Difference of the radius per px along one axis: central, one-sided at an edge, 0 without neighbors.
 static real difference(MAPS, int at, int step, bool before, bool after)
 {
     before = before && IS_THERE(at - step);
@@ -227,7 +227,7 @@ static real difference(MAPS, int at, int step, bool before, bool after)
 #if RIMS && OCCLUDED
 #define OF_RIMS , const lens_t lens, __global real *restrict depth
 #define RIM_VALUES , lens, depth
-// Record of a source, marked where rims cut its light, and none where they leave nothing. Out: its inverse depth.
+// Record of a source, marked if rims cut its light, and with a negative coordinate if they block it. Out: depth.
 static float4 behind_rims(const grid_t grid, const psf_t psf, float4 record, real radius, int x, int y OF_RIMS)
 {
     const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
@@ -241,8 +241,8 @@ static float4 behind_rims(const grid_t grid, const psf_t psf, float4 record, rea
     return record;
 }
 
-// Share of the light of the lens that rims let through to each pixel of the frame, whatever is before it: that of its
-// own point in focus. For depth layers. In: lens_cells. Out: open float (rows, columns).
+// Share of the lens's light that rims let through to each pixel of the frame from its point in focus, whatever the
+// scene has there. For depth layers. In: lens_cells. Out: open float (rows, columns).
 __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, __constant float *lens_cells,
                          __global float *open)
 {
@@ -302,10 +302,9 @@ static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y O
     return record;
 }
 
-// Sources from a map of signed radii, px, instead of from a surface. In: coc real, valid uchar (0 or 1), both
-// (height, width); with PREPARE = 2 coc float, and no valid: an image, all of whose pixels are there. Out: source, and
-// with rims depth.
-// TAP_LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
+// Makes sources from a map of signed radii, px, instead of surfaces. In: coc real, valid uchar (0 or 1), both (height,
+// width); with PREPARE = 2, for an image without gaps, coc float and no valid. Out: source, and with rims depth.
+// TAP_LANES at a time, in loops that compilers vectorize if all of them and their neighbors are valid.
 __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source OF_RIMS)
 {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
@@ -325,7 +324,7 @@ __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global
             put_source(source, plane, at + i, record_of(grid, psf, MAPS_VALUE, x + i, y RIM_VALUES));
         return;
     }
-    // Pointers, and one slope after the other, are what the compiler makes whole vectors of.
+    // The compiler vectorizes loops over such pointers that compute one slope each.
     __global const map_t *restrict here = coc + at;
     __global float *restrict coordinate = source + at;
     #pragma unroll

@@ -1,20 +1,20 @@
 // Blur with one radius for all sources and no tilt: a plain convolution, I(x) = sum_d w(d) L(x - d). Host:
 // clsco/passes/convolve.py, which picks it for frames of one blur radius.
 //
-// A PSF is the sum of two parts, which clsco/optics/stencil.py finds. What is the same everywhere inside of a disc is a
-// union of rectangles, taken from sums over rectangles (sum_across, sum_down) in whole numbers: what is added and taken
-// away again cancels to the last bit, and no sum depends on where a strip begins. All other weights are runs, one below
-// the other, which columns -dx and dx of the PSF have in common; a run keeps its weights in registers, and the sources
-// that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
-// Common columns and runs took R6 from 7.2 to 2.5 ns per pixel, sums over rectangles R20 from 39 to 11 and R60 from 250
-// to 29 (docs/lessons.md).
+// A PSF is the sum of two parts (clsco/optics/stencil.py). The first is constant on a union of rectangles inside of a
+// disc: its light comes from a table of integer sums over rectangles (sum_across, sum_down), where what is added and
+// subtracted again cancels to the last bit, and no sum depends on where a strip begins. All other weights are in runs
+// down a column, which columns -dx and dx of the PSF share; a run keeps its weights, and the sources that they meet, in
+// registers while it moves down the image. Separable Gaussians are two such PSFs, one after the other. Shared columns
+// and runs took R6 from 7.2 to 2.5 ns per pixel, sums over rectangles R20 from 39 to 11 and R60 from 250 to 29
+// (docs/lessons.md).
 
 #include "common/geometry.clh"
 
 #define CONVOLVED_VECTORS (CONVOLVED_COLUMNS / WIDE_LANES)  // in each row of a work-item
-#define RUNS_IN_ONE_SUM 32  // runs that a float adds up before it goes into another sum
+#define RUNS_IN_ONE_SUM 32  // runs that are added up in one float
 
-// Sums of up to 64 bits, of which the lower ones may be left out; unsigned, as they run over. Differences do not.
+// Types of sums of 64 bits, or of 32 without the lowest bits. Unsigned, as sums may overflow; differences do not.
 #if WIDE_SUMS
 #define LOWER_BITS 0
 typedef ulong sum_t;
@@ -38,9 +38,8 @@ typedef uint16 sums_t;
 // Contraction changes no bit from run to run.
 #pragma OPENCL FP_CONTRACT ON
 
-// Sums along each row: of a pixel's radiance and all that is to the left of it, in units of 1 / scale. Those of 32 bits
-// are the upper bits: it is not pixels that are rounded, but sums, so that no error adds up along a row.
-// In: value float (height, width) from `start` on; out: sums (height, width).
+// Sums along each row: radiance of a pixel and of all pixels to the left of it, in units of 1 / scale. Sums of 32 bits
+// omit lower bits: sums are rounded and not pixels, so that no error adds up along a row.
 __kernel void sum_across(const int height, const int width, __global const float *value, const int start,
                          const float scale, __global sum_t *sums)
 {
@@ -62,7 +61,7 @@ __kernel void sum_across(const int height, const int width, __global const float
     }
 }
 
-// Sums of these down each column: of all that is to the left of a pixel or above, itself included.
+// Sums of these down each column: over all pixels up to the row and the column of a pixel.
 __kernel void sum_down(const int height, const int width, __global sum_t *sums)
 {
     const int x = get_global_id(0) * CONVOLVED_VECTORS * WIDE_LANES;
@@ -83,13 +82,14 @@ __kernel void sum_down(const int height, const int width, __global sum_t *sums)
     }
     if (vectors == CONVOLVED_VECTORS)
         return;
-    for (int y = 1; y < height; ++y)  // columns that fill no vector
+    for (int y = 1; y < height; ++y)  // columns after the last whole vector
         for (int column = x + vectors * WIDE_LANES; column < width; ++column)
             sums[y * width + column] += sums[(y - 1) * width + column];
 }
 
-// Adds a run of `count` weights, a constant, to a vector in each of some rows. left, right: what the first weight meets
-// in the first row, dx columns to either side. Loops end at a constant, or the compiler keeps the arrays in memory.
+// Adds a run of `count` weights (a constant at compile time) to a vector in each of `rows` rows. left, right: the
+// sources that the first weight meets in the first row, dx columns to either side. Loops end at a constant, or the
+// compiler keeps the arrays in memory.
 INLINE void add_run(const int count, __global const float *weights, __global const float *left,
                     __global const float *right, const int pitch, int rows, float16 *part)
 {
@@ -120,8 +120,7 @@ INLINE void add_run(const int count, __global const float *weights, __global con
     }
 }
 
-// Radiance of the rectangles for one row of a tile: pairs of sums (dy, dx), one that is added and one that is taken
-// away.
+// Radiance of the rectangles for one row of a tile. pairs: positions (dy, dx) of a sum to add and of a sum to subtract.
 INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t *sums, int pitch, float share,
                            float16 *row)
 {
@@ -141,7 +140,7 @@ INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t
         row[v * CONVOLVED_ROWS] = AS_RADIANCE(inside[v]) * share;
 }
 
-// Prefetches the first reads of the next tile to the right, which would wait for memory line by line otherwise.
+// Prefetches the first reads of the next tile to the right, which otherwise wait for memory line by line.
 INLINE void prefetch_tile(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
                           int vectors)
 {
@@ -154,12 +153,12 @@ INLINE void prefetch_tile(__global const float *value, __global const sum_t *sum
 }
 
 // Each work-item makes CONVOLVED_ROWS rows of CONVOLVED_VECTORS vectors of a frame (rows, columns).
-//   value   float, rows of `pitch`, pixel (0, 0) at start + origin. What is within reach of the PSF is there, too, and
+//   value   float, rows of `pitch`, pixel (0, 0) at start + origin; has all pixels within reach of the PSF, and
 //           WIDE_LANES more columns
-//   runs    (dx, first dy, number of weights, where in `weights` they are)
+//   runs    (dx, first dy, number of weights, place of the first in `weights`)
 //   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: radiance of one unit
 //   target  pixel (0, 0) at target_start, rows of target_pitch.
-//   half_width, half_height: of what the runs reach
+//   half_width, half_height: reach of the runs, px
 __kernel void convolve(const int rows, const int columns, __global const float *value, const int start,
                        const int origin, const int pitch, __global const int4 *runs, const int run_count,
                        __global const float *weights, __global sum_t *sums, __global const int4 *pairs,

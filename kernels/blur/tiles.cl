@@ -3,9 +3,9 @@
 //
 //   source, value, sub_source, sub_value, intervals, coefficients, total: as in blur.cl
 //
-// The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up
-// one source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those
-// that reach its own pixel: no sums by atomics, same bits. Sources have no occluders here.
+// The group walks the sources around its tile row by row, a chunk at a time. Each work-item looks up one source of the
+// chunk, and stores it in local memory if it reaches the tile; then each adds, in the order of the sources, those that
+// reach its own pixel: the same bits in every run, without atomics. Sources have no occluders here.
 
 #include "common/geometry.clh"
 #include "common/sources.clh"
@@ -13,11 +13,11 @@
 
 #pragma OPENCL FP_CONTRACT ON
 
-#define CHUNK (GROUP_COLUMNS * GROUP_ROWS)  // sources, one for each work-item; as many taps are added up one by one
+#define CHUNK (GROUP_COLUMNS * GROUP_ROWS)  // sources, one for each work-item; sums have as many taps
 #define WORD 32
 
-// Sources of a chunk: a bit for each that reaches the tile, and of those the place on the grid, where the weights are,
-// what else of the record is needed (sources.clh), and the radiance (`light`).
+// Sources of a chunk: a bit for each source that reaches the tile, and for these the position on the grid, the address
+// of weights, the rest of the record that is needed (sources.clh), and the radiance (`light`).
 typedef struct {
     uint reaching[CHUNK / WORD];
     int x[CHUNK], y[CHUNK];
@@ -36,7 +36,7 @@ typedef struct {
     int left, right, top, bottom;
 } tile_t;
 
-// Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
+// Stores source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
 static void note_source(const grid_t grid, const psf_t psf, __global const float *source,
                         __global const float *value, __global const int2 *intervals, __global const float *coefficients,
                         tile_t tile, int x, int y, int i, __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
@@ -114,7 +114,7 @@ static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, 
     add_source_tap(chunk->spread[i], dx, dy, s, light, sum);
 }
 
-// One work-item per pixel, in groups of a tile. Out: added to total.
+// One work-item per pixel, in groups of a tile. In and out: total.
 __attribute__((reqd_work_group_size(GROUP_COLUMNS, GROUP_ROWS, 1)))
 __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *source, __global const float *value,
                     __global const int2 *intervals, __global const float *coefficients, const int pitch, const int pad,
@@ -126,15 +126,15 @@ __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *so
     const int x = column + grid.guard, y = row + grid.above;
     const int left = x - (int)get_local_id(0), top = y - (int)get_local_id(1);
     const tile_t tile = {left, left + GROUP_COLUMNS - 1, top, top + GROUP_ROWS - 1};
-    // Beyond the grid as well, where nothing is: chunks, and so bits, are the same whatever the width of the apron.
+    // Chunks go beyond the grid, where nothing is, so that they, and all bits, do not depend on the width of the apron.
     const int first_x = tile.left - psf.reach, across = GROUP_COLUMNS + 2 * psf.reach;
     const int first_y = tile.top - psf.reach, down = GROUP_ROWS + 2 * psf.reach;
     float sum[CHANNELS], over[CHANNELS];
     for (int k = 0; k < CHANNELS; ++k)
-        sum[k] = over[k] = 0;  // not as {0}, of which PoCL 3.0 makes garbage where there are two channels
-    // Those beyond the frame's end help to look up sources as well.
+        sum[k] = over[k] = 0;  // not as {0}, for which PoCL 3.0 makes wrong code with two channels
+    // Work-items beyond the end of the frame look up sources, too.
     for (int start = 0; start < across * down; start += CHUNK) {
-        barrier(CLK_LOCAL_MEM_FENCE);  // all are done with the chunk before
+        barrier(CLK_LOCAL_MEM_FENCE);  // all are done with the previous chunk
         if (item < CHUNK / WORD)
             chunk.reaching[item] = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -151,7 +151,7 @@ __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *so
                 const int lowest = WORD - 1 - (int)clz(left_over & -left_over);
                 add_source(grid, psf, x, y, word * WORD + lowest, &chunk, part SUBPIXEL_VALUES);
             }
-        for (int k = 0; k < CHANNELS; ++k) {  // by Kahan: around wide PSFs there are thousands of chunks
+        for (int k = 0; k < CHANNELS; ++k) {  // Kahan summation, as wide PSFs have thousands of chunks
             const float more = part[k] - over[k], next = sum[k] + more;
             over[k] = (next - sum[k]) - more;
             sum[k] = next;

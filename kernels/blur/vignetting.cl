@@ -1,10 +1,10 @@
-// Vignetting: I(x) = T(x) B(x), where B is the blurred image and T the share of the light of the middle that a pixel
-// gets. Host: clsco/passes/vignetting.py, for each time sample of a lens that darkens the frame.
+// Vignetting: I(x) = T(x) B(x), where B is the blurred image and T the light of a pixel relative to that of the middle.
+// Host: clsco/passes/vignetting.py, for each time sample of a lens that darkens the frame.
 
 #include "common/geometry.clh"
 
-// Darkens a plane, whose channels are `apart` apart, its first pixel at `start`, and its rows `pitch`. In: share float
-// (frame_rows, columns), of the frame, of which the plane begins with row `top`. In and out: plane.
+// Darkens a plane, in the layout of accumulate.cl. In: share float (frame_rows, columns), of the whole frame, of which
+// row `top` is the first of the plane. In and out: plane.
 __kernel void vignette(const int rows, const int columns, const int channels, __global float *restrict plane,
                        const int apart, const int start, const int pitch, __global const float *restrict share,
                        const int top)

@@ -1,13 +1,13 @@
 // The biharmonic equation in holes: conjugate gradients with a preconditioner of splines at all sizes
-// (clsco/inpainting/biharmonic.py has the method and its sources). Unknowns are in lists: `list` holds their pixels,
-// row by row, `index` (rows, columns) their places in the list, -1 at pixels that are none. Vectors are (count,
+// (clsco/inpainting/biharmonic.py has the method and its sources). Unknown pixels are in lists: `list` has their
+// numbers, row by row; `index` (rows, columns) has their places in the list, -1 for known pixels. Vectors are (count,
 // CHANNELS). Sums have a fixed order. One work-item per unknown unless said otherwise.
 
 #include "common/geometry.clh"
 
 __constant int STEP_Y[4] = {-1, 1, 0, 0}, STEP_X[4] = {0, 0, -1, 1};
 
-// Value of a known pixel of an image, or of an unknown one of a vector; the other pointer is 0.
+// Value of a known pixel of `image`, or of an unknown one of `vector`, else 0; the other pointer is 0.
 static inline real value_at(__global const float *image, __global const real *vector, int place, int at, int c)
 {
     if (image)
@@ -50,7 +50,7 @@ static void biharmonic(const int rows, const int columns, __global const float *
     }
 }
 
-// Residual of the solution 0. In: image (rows, columns, CHANNELS), used where it is known. Out: residual.
+// Residual of the solution 0. In: image (rows, columns, CHANNELS), of which known pixels are used. Out: residual.
 __kernel void start_residual(const int rows, const int columns, __global const float *image, __global const int *index,
                              __global const int *list, const int count, __global real *residual)
 {
@@ -63,7 +63,7 @@ __kernel void start_residual(const int rows, const int columns, __global const f
         residual[entry * CHANNELS + c] = -result[c];
 }
 
-// The biharmonic operator. In: direction. Out: image of it.
+// Applies the biharmonic operator. In: direction. Out: applied.
 __kernel void apply_biharmonic(const int rows, const int columns, __global const real *direction,
                                __global const int *index, __global const int *list, const int count,
                                __global real *applied)
@@ -94,7 +94,7 @@ __kernel void add_products(__global const real *a, __global const real *b, const
         partial[get_global_id(0) * CHANNELS + c] = sum[c];
 }
 
-// Their sum, one work-item per channel. Out: row `slot` of sums (3, CHANNELS).
+// Adds up these sums, one work-item per channel. Out: row `slot` of sums (3, CHANNELS).
 __kernel void add_partials(__global const real *partial, const int count, const int slot, __global real *sums)
 {
     const int c = get_global_id(0);
@@ -106,8 +106,8 @@ __kernel void add_partials(__global const real *partial, const int count, const 
     sums[slot * CHANNELS + c] = sum;
 }
 
-// A step along the direction, as far as the energy falls. In: sums, of residual x preconditioned residual in row `now`,
-// of direction x applied in row 2; a channel that is solved stays. In and out: solution, residual.
+// A step along the direction, to the minimum of the energy. In: sums, of residual x preconditioned residual in row
+// `now`, of direction x applied in row 2; a solved channel does not change. In and out: solution, residual.
 __kernel void take_step(__global const real *sums, const int now, __global const real *direction,
                         __global const real *applied, const int count, __global real *solution,
                         __global real *residual)
@@ -123,8 +123,8 @@ __kernel void take_step(__global const real *sums, const int now, __global const
     }
 }
 
-// The next direction, conjugate to all former ones. In: sums of residual x preconditioned residual, of before in row
-// `now` and of this step in the other of rows 0 and 1; preconditioned. In and out: direction.
+// The next direction, conjugate to all former ones. In: sums of residual x preconditioned residual, the former one in
+// row `now` and that of this step in the other of rows 0 and 1; preconditioned. In and out: direction.
 __kernel void turn_direction(__global const real *sums, const int now, __global const real *preconditioned,
                              const int count, __global real *direction)
 {
@@ -139,7 +139,7 @@ __kernel void turn_direction(__global const real *sums, const int now, __global 
     }
 }
 
-// Weight of a coarse pixel's spline at the fine pixel i, along an axis of so many fine pixels: quadratic B-splines are
+// Weight of a coarse pixel's spline at fine pixel i, along an axis of `size` fine pixels: quadratic B-splines are
 // refined by 1/4, 3/4, 3/4, 1/4, and mirrored at the border.
 static inline real refinement(int coarse, int i, int size)
 {

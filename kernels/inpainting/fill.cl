@@ -1,5 +1,5 @@
-// Missing pixels: which there are, and adaptive interpolation (thesis, 4.3.5). fill_mean_median.cl
-// has the other way of filling them. Twin: clsco/reference/inpainting/fill.py.
+// Missing pixels: which there are, and filling by adaptive interpolation, AIT (thesis, 4.3.5); fill_mean_median.cl has
+// the other method. Twin: clsco/reference/inpainting/fill.py.
 //
 // On the padded grid, row-major:
 //   value    float (CHANNELS, height, width): radiance
@@ -7,21 +7,21 @@
 //   valid    uchar: 1 known or filled, else 0
 //   status   uchar: 0 known or not missing, 1 filled, 2 missing
 //   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
-//   grown    the same after a sweep; where they differ, the sweep has made lines longer
+//   grown    the same after a sweep, which may have extended lines
 //   list     int per missing pixel, in any order: its number
-//   far      float per missing pixel of the grid, with FILL_FAR: largest inverse depth of neighbors that may serve it
+//   far      float per missing pixel of the grid, with FILL_FAR: largest inverse depth of neighbors to fill it from
 //   object   uchar, with SEVERAL: which object is visible, 255 for none
-//   counters ints: COUNTER_LEFT (entries of list), COUNTER_FILLED (by the sweep) and COUNTER_DONE (by all sweeps:
-//            entries of done), and those of them inside the frame
+//   counters ints: COUNTER_LEFT (entries of list) and COUNTER_FILLED (by the sweep), the same inside the frame, and
+//            COUNTER_DONE (by all sweeps: entries of done)
 //
-// A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it reads what
-// was known before it, in any order.
+// A sweep writes only to missing pixels, which are not read until settle_sweep has made them valid: so it reads only
+// what was known before it, in any order.
 //
-// FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
-// known pixels on opposite sides of a missing one gives the depth of its surface: that of the farther of the two. Known
-// neighbors that are more than FAR_SLACK nearer than that do not serve, and a pixel that has only such ones waits for
-// others to be filled, until nothing else can be. In the gap that a growing surface leaves, at most WIDEST_GAP px to
-// each side, both sides are near, and serve; in a wider hole between two near things what lies farther behind serves.
+// FILL_FAR: a surface that a moving edge uncovers lies behind the edge, and is filled from the farther side only. The
+// nearest pair of known pixels on opposite sides of a missing one determines its depth: that of the farther of the two.
+// Neighbors that are nearer than this by more than FAR_SLACK are not used, and a pixel that has only such ones waits
+// until nothing else can be filled. In the gap that a growing surface leaves, at most WIDEST_GAP px to each side, both
+// sides are near, and used; in a wider hole between two near things the surface farther behind is used.
 
 #include "common/geometry.clh"
 #include "inpainting/estimate.clh"
@@ -50,9 +50,9 @@ static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, in
 }
 
 #if FILL_FAR
-// Bound on the inverse depth of neighbors that may serve a missing pixel. Of the row, the column and the two diagonals
-// the one decides that meets valid pixels on both sides first, that is within the fewest steps; in a wide hole between
-// two sides that are equally deep the pair whose surface is the farthest at the pixel.
+// Bound on the inverse depth of neighbors that a missing pixel may be filled from. It is determined by the line (row,
+// column or diagonal) that has valid pixels on both sides within the fewest steps; in a wide hole with equally deep
+// sides by the line whose depth, interpolated at the pixel, is the farthest.
 static float far_bound(const grid_t grid, __global const uchar *valid, __global const real *w, int x, int y)
 {
     int ends[8], steps[8];
@@ -87,7 +87,7 @@ static float far_bound(const grid_t grid, __global const uchar *valid, __global 
     return FAR_SLACK * found;
 }
 
-// True if a valid pixel may serve one with this bound.
+// True if a pixel is valid, and not nearer than a bound.
 static bool serves(__global const uchar *valid, __global const real *w, int at, float bound)
 {
     return valid[at] && (float)w[at] <= bound;
@@ -114,8 +114,8 @@ __kernel void find_spans(const grid_t grid, __global const uchar *valid, __globa
     spans[line] = grown[line] = first < length ? (int2)(first, last) : (int2)(INT_MAX, -1);
 }
 
-// Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
-// FILL_CHUNK columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list,
+// Lists the unknown pixels between the first and last valid one of their row, or else of their column, FILL_CHUNK
+// columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list,
 // COUNTER_LEFT and COUNTER_LEFT_INSIDE.
 __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, const int count,
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
@@ -160,7 +160,7 @@ __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, co
 }
 
 #if FILL_AIT || FILL_MEAN_MEDIAN
-// Makes lines reach to a pixel on them.
+// Extends a line in `grown` to the pixel at `index` on it.
 static void reach(__global int2 *grown, __global const int2 *spans, int line, int index)
 {
     const int2 span = spans[line];
@@ -170,8 +170,8 @@ static void reach(__global int2 *grown, __global const int2 *spans, int line, in
         atomic_max((__global int *)(grown + line) + 1, index);
 }
 
-// Ends a sweep: what it filled becomes valid, the rest is listed again. In: list of `count`, status, spans. Out: valid,
-// grown, left (as list), counters, done (list of what all sweeps filled).
+// Ends a sweep: pixels that it filled become valid, the others are listed again. In: list of `count`, status, spans.
+// Out: valid, grown, left (as list), counters, done (list of what all sweeps filled).
 __kernel void settle_sweep(const grid_t grid, __global const int *list, const int count,
                            __global const int2 *spans, __global int2 *grown, __global const uchar *status,
                            __global uchar *valid, __global int *left, __global int *counters
@@ -215,8 +215,8 @@ __kernel void settle_sweep(const grid_t grid, __global const int *list, const in
 #endif
 }
 
-// Lists what is missing since lines have grown, one line per work-item. A pixel within the span of its row is left to
-// the row. In: `count` surfaces, valid, w, grown. In and out: spans, status, far, list, COUNTER_LEFT and
+// Lists pixels that are missing since lines have grown, one line per work-item. A pixel within the span of its row is
+// left to the row. In: `count` surfaces, valid, w, grown. In and out: spans, status, far, list, COUNTER_LEFT and
 // COUNTER_LEFT_INSIDE.
 __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, const int count,
                          __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
@@ -236,7 +236,7 @@ __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, cons
     const bool is_row = line < grid.height;
     for (int i = now.x + 1; i < now.y; ++i) {
         if (i >= before.x && i < before.y)
-            i = before.y;  // what lies between is listed, or was
+            i = before.y;  // pixels between have been listed
         const int x = is_row ? i : line - grid.height, y = is_row ? line : i, at = y * grid.width + x;
         const int2 row = grown[y];
         const bool listed = is_row ? status[at] == 2 : x > row.x && x < row.y;
@@ -270,11 +270,11 @@ static int2 between_valid(__global const uchar *valid, int at, int step, int ind
     return (int2)(before, before < 0 ? -1 : nearest_valid(valid, at, step, length - 1 - index));
 }
 
-// One sweep of AIT. Inside: the mean of the first opposite pair of valid neighbors, else a copy of the first valid
-// neighbor. On the outermost rows and columns: linear between the nearest valid pixels of the row, else of the column;
-// with FILL_FAR a copy of the farther one where the other may not serve a pixel of its depth. The object is that of the
-// first pixel that serves. In: list of `count`, valid; minimum, far: with 0 any neighbor serves. In and out: value, w,
-// coc, status, object.
+// One sweep of AIT. Inside: the mean of the first opposite pair of usable neighbors, else a copy of the first usable
+// one. On the outermost rows and columns: linear between the nearest valid pixels of the row, else of the column; with
+// FILL_FAR a copy of the farther one if their depths differ by more than FAR_SLACK. The object is that of the first
+// pixel used. In: list of `count`, valid; minimum, far: with 0 any valid neighbor is usable. In and out: value, w, coc,
+// status, object.
 __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int *list, const int count,
 #if FILL_FAR
                        const int minimum, __global const float *far,

@@ -1,11 +1,10 @@
 // Missing pixels of warped frames: mean/median filling (thesis, chapter 5). fill.cl has the planes and the lists;
-// mean_median.cl does the same to images with a mask. Twin:
-// clsco/reference/inpainting/fill_mean_median.py.
+// mean_median.cl does the same to images with a mask. Twin: clsco/reference/inpainting/fill_mean_median.py.
 
 #include "common/geometry.clh"
 
 #if FILL_MEAN_MEDIAN
-// FILL_LANES pixels of a list, with the neighbors that serve them.
+// FILL_LANES pixels of a list, with the neighbors that they may be filled from; minimum: 0 to ignore `far`.
 static around_t look_around(const grid_t grid, __global const uchar *valid, __global const int *list, int entries,
                             int median_wins
 #if FILL_FAR
@@ -15,7 +14,7 @@ static around_t look_around(const grid_t grid, __global const uchar *valid, __gl
 {
     around_t around;
     for (int lane = 0; lane < FILL_LANES; ++lane) {
-        // The last pixel fills up the last vector.
+        // The last vector is filled up with the last pixel.
         const int at = list[MIN((int)get_global_id(0) * FILL_LANES + lane, entries - 1)];
         const int x = at % grid.width, y = at / grid.width;
         const bool inner = x > 0 && y > 0 && x < grid.width - 1 && y < grid.height - 1;
@@ -38,7 +37,7 @@ static around_t look_around(const grid_t grid, __global const uchar *valid, __gl
     return around;
 }
 
-// Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
+// Writes the estimates of all planes, except for lanes with fewer than `minimum` neighbors.
 static void write_estimates(const grid_t grid, const lens_t lens, const around_t around, int minimum,
                             __global const float *value_in, __global const real *w_in, __global float *value_out,
                             __global real *w_out, __global real *coc)
@@ -68,9 +67,9 @@ static void write_estimates(const grid_t grid, const lens_t lens, const around_t
 #define BOUNDED_BY(w, far, minimum)
 #endif
 
-// Stage 1: one sweep, FILL_LANES entries per work-item. Bit k of median_wins: of k neighbors the median is the better
-// estimator; a pixel needs `minimum` of them, with FILL_FAR and 0 any single one. The object is that of the first one.
-// In: list of `count`, valid, far. In and out: value, w, coc, status, object.
+// Stage 1: one sweep, FILL_LANES entries per work-item. Bit k of median_wins: with k neighbors the median is the better
+// estimator. A pixel needs `minimum` neighbors; 0, with FILL_FAR, stands for one at any depth. It gets the object of
+// its first neighbor. In: list of `count`, valid, far. In and out: value, w, coc, status, object.
 __kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global const int *list, const int count,
                                const int median_wins, const int minimum,
 #if FILL_FAR
@@ -102,7 +101,7 @@ __kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global co
 }
 
 // Stage 2: one round of the 3x3 median without the center over the filled pixels, FILL_LANES entries per work-item; a
-// pixel that no neighbor serves stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels.
+// pixel without usable neighbors stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels.
 // Out: the same of the filled pixels, coc.
 __kernel void smooth_median(const grid_t grid, const lens_t lens, __global const int *done, const int count,
 #if FILL_FAR

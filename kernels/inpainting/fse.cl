@@ -1,14 +1,14 @@
-// Texture across holes: frequency-selective extrapolation (clsco/inpainting/fse.py has the method and its sources).
-// A work-item fills a block of FSE_BLOCK x FSE_BLOCK px from the window of FSE_SIDE x FSE_SIDE px around it, FSE_BEFORE
-// of them before the block: the weighted spectrum of what is there is taken apart into waves, the strongest first. On a
-// processor its arrays stay in the first cache. Twin: clsco/reference/inpainting/fse.py.
+// Texture across holes: frequency-selective extrapolation (clsco/inpainting/fse.py has the method and its sources). A
+// work-item fills a block of FSE_BLOCK x FSE_BLOCK px from the window of FSE_SIDE x FSE_SIDE px around it, which begins
+// FSE_BEFORE px before the block: the window's weighted spectrum is decomposed into waves, the strongest first. On a
+// processor the arrays stay in the first-level cache. Twin: clsco/reference/inpainting/fse.py.
 
 #include "common/geometry.clh"
 #include "inpainting/lanes.clh"
 
 #define HALF (FSE_SIDE / 2)
 #define PIXELS (FSE_BLOCK * FSE_BLOCK)
-#define PITCH (FSE_SIDE + HALF)  // a spectrum's columns -HALF to FSE_SIDE - 1, so that a shifted one is read in a row
+#define PITCH (FSE_SIDE + HALF)  // columns -HALF to FSE_SIDE - 1 of a spectrum, so that shifted ones are contiguous
 
 // Contraction changes no bit from run to run, and halves the time of the loops below.
 #pragma OPENCL FP_CONTRACT ON
@@ -72,7 +72,7 @@ static void transform(const float *window, __global const float *cosines, __glob
     }
 }
 
-// The same spectrum (FSE_SIDE, PITCH) with its columns -HALF to FSE_SIDE - 1: that of a real window is its own mirror.
+// The same spectrum with its columns -HALF to FSE_SIDE - 1, (FSE_SIDE, PITCH): that of a real window is its own mirror.
 static void unfold(const float *re, const float *im, const float *middle_re, const float *middle_im, float *all_re,
                    float *all_im)
 {
@@ -90,12 +90,12 @@ static void unfold(const float *re, const float *im, const float *middle_re, con
     }
 }
 
-// Values of the blocks of a list, (count, PIXELS, CHANNELS).
-// In: value (rows, columns, CHANNELS), about 0 to 1, and its weight (rows, columns), 0 where there is none; window
-// (FSE_SIDE, FSE_SIDE), what a value counts by its place; preference (FSE_SIDE, HALF), what the energy of a wave
-// counts, 0 for waves that are others' mirrors; cosines, sines: see transform; list (count, 2), row and column of the
-// blocks' first pixels. step: part of a wave's amplitude that is taken at a time; waves_per_contrast: waves per
-// standard deviation, at least `fewest` and at most `most`.
+// Computes the values of the blocks of a list, filled (count, PIXELS, CHANNELS).
+// In: value (rows, columns, CHANNELS), about 0 to 1, and its weight (rows, columns), 0 if unknown; window (FSE_SIDE,
+// FSE_SIDE), factor of a value's weight by its place; preference (FSE_SIDE, HALF), factor of a wave's energy, 0 for
+// waves that are others' mirrors; cosines, sines: see transform; list (count, 2), row and column of the blocks' first
+// pixels. step: part of a wave's amplitude that is taken at a time; waves_per_contrast: waves per standard deviation,
+// at least `fewest` and at most `most`.
 __kernel void extrapolate_blocks(const int rows, const int columns, __global const float *value,
                                  __global const float *weight, __global const float *window,
                                  __global const float *preference, __global const float *cosines,
@@ -150,7 +150,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
         q_re[c] = q_im[c] = 0;
     int u = 0, v = 0;
     for (int wave = 0; wave < waves; ++wave) {
-        // Take the wave (u, v) and its mirror out of the residual, and find the strongest that is left.
+        // Subtract the wave (u, v) and its mirror from the residual, and find the strongest that is left.
         float8 strongest = -1;
         int8 where = 0;
         for (int a = 0; a < FSE_SIDE; ++a) {
@@ -204,8 +204,8 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
         filled[entry * CHANNELS * PIXELS + k] = block[k];
 }
 
-// Takes over the values of the blocks of a list, (count, PIXELS, CHANNELS), where pixels are not known, and lets them
-// count as `trust` from now on. In and out: value (rows, columns, CHANNELS), weight (rows, columns), 1 where known.
+// Copies the values of the blocks of a list, filled (count, PIXELS, CHANNELS), to pixels that are not known, and sets
+// their weight to `trust`. In and out: value (rows, columns, CHANNELS), weight (rows, columns), 1 where known.
 __kernel void settle_blocks(const int rows, const int columns, __global const float *filled, __global const int2 *list,
                             const int count, const float trust, __global float *value, __global float *weight)
 {

@@ -1,19 +1,19 @@
 // Images with a mask: mean/median filling of their holes and blending of their border (thesis, chapter 5). The device
-// holds what is in and around holes only. fill_mean_median.cl does the same to warped frames. Twin:
+// has only the pixels in and around holes. fill_mean_median.cl does the same to warped frames. Twin:
 // clsco/reference/inpainting/mean_median.py.
 //
-// Missing pixels and all beside them are numbered in the order of rows, `slots` of them; around the image is a frame of
-// pixels, too. So the numbers of the eight neighbors of a missing pixel follow one another in each row.
+// Missing pixels and all their neighbors are numbered row by row, `slots` of them, including a frame of pixels around
+// the image. So the eight neighbors of a missing pixel have consecutive numbers in each row.
 //   value      float (CHANNELS, slots): infinite beyond the image, and where nothing has been filled yet
-//   found      the same: what a sweep or a round makes of them
-//   beside     int2 (slots): of missing pixels, the numbers of those above and below
-//   near       int (slots): how many valid neighbors a missing pixel has; of the others more than 8
-//   lists      int (minimum, missing): list k - 1 has the missing pixels that have come to k valid neighbors, one after
-//              another; the last one those that had more in the beginning, too
-//   state      int2 (minimum + 1): sweeps and filled pixels; and of each list what has been swept, and where it ends
+//   found      the same: results of a sweep or a round
+//   beside     int2 (slots): for missing pixels, the numbers of the pixels above and below
+//   near       int (slots): number of valid neighbors of a missing pixel; for other pixels more than 8
+//   lists      int (minimum, missing): list k - 1 has the missing pixels that have reached k valid neighbors, one after
+//              another; the last list also has those that had more in the beginning
+//   state      int2 (minimum + 1): numbers of sweeps and of filled pixels; for each list how much is swept, and its end
 //
-// A sweep takes the new entries of the last list that has any: those of the list for k < minimum are there when no
-// missing pixel has more than k valid neighbors. Some may have been filled since, and stay.
+// A sweep takes the new entries of the last list that has any: list k - 1, k < minimum, is only used while no missing
+// pixel has more than k valid neighbors. Entries that have been filled since are skipped.
 
 #include "common/geometry.clh"
 #include "inpainting/estimate.clh"
@@ -25,8 +25,8 @@
 #endif
 
 #define UNKNOWN(v) ((v) == (real)INFINITY)
-// Values of the neighbors of all lanes in the plane of a channel; row: their own numbers in the middle, those above and
-// below.
+// Sets `near` to the values of all lanes' neighbors in the plane of a channel; row: numbers of the pixels above the
+// lanes' own ones, of these, and below.
 #define GATHER_NEAR(plane) \
     { \
         float8 in_row[3][3]; \
@@ -57,7 +57,7 @@ static void count_near(around_t *around, const real8 *near, int median_wins)
     around->by_median = (real8)EACH(by_median);
 }
 
-// Finds values for FILL_LANES missing pixels of a list from the `first` on, before `end`; the last one fills up the
+// Finds values for FILL_LANES missing pixels of a list, from `first` on and before `end`; the last pixel fills up the
 // vector.
 static void fill_vector(const int slots, __global const int *list, int first, int end, int median_wins,
                         __global const int2 *beside, __global const float *value, __global float *found)
@@ -81,7 +81,7 @@ static void fill_vector(const int slots, __global const int *list, int first, in
     }
 }
 
-// Settles an entry that a sweep has taken: it gets its value, and its missing neighbors come into the next list.
+// Settles an entry of a sweep: the pixel gets its value, and its missing neighbors are added to their next lists.
 static void settle_entry(const int slots, int at, __global const int2 *beside, int missing, int minimum,
                          __global const float *found, __global float *value, __global int *near, __global int *lists,
                          __global int *state)
@@ -101,8 +101,8 @@ static void settle_entry(const int slots, int at, __global const int2 *beside, i
     }
 }
 
-// Stage 1: one sweep over what the lists have from `begin` to before `end`, FILL_LANES per work-item. Bit k of
-// median_wins: of k neighbors the median is the better estimator. In: lists, beside, value. Out: found.
+// Stage 1: one sweep over entries begin..end - 1 of `lists`, FILL_LANES per work-item. Bit k of median_wins: with k
+// neighbors the median is the better estimator. In: lists, beside, value. Out: found.
 __kernel void fill_holes(const int slots, const int begin, const int end, const int median_wins,
                          __global const int *lists, __global const int2 *beside, __global const float *value,
                          __global float *found)
@@ -112,8 +112,8 @@ __kernel void fill_holes(const int slots, const int begin, const int end, const 
         fill_vector(slots, lists, first, end, median_wins, beside, value, found);
 }
 
-// Ends such a sweep; ALONE it is a single work-item. In: beside; missing, their number; found. In and out: value, near,
-// lists, state.
+// Ends such a sweep, with ALONE by a single work-item. In: beside; missing, number of missing pixels; found. In and
+// out: value, near, lists, state.
 __kernel void settle_holes(const int slots, const int begin, const int end, __global const int2 *beside,
                            const int missing, const int minimum, __global const float *found, __global float *value,
                            __global int *near, __global int *lists, __global int *state)
@@ -122,8 +122,8 @@ __kernel void settle_holes(const int slots, const int begin, const int end, __gl
         settle_entry(slots, lists[i], beside, missing, minimum, found, value, near, lists, state);
 }
 
-// Stage 1 sweep after sweep by a single work-group, which takes less than launches for few pixels, while no sweep has
-// more than `most` entries, until there have been `limit` sweeps. Buffers as above.
+// Stage 1 by a single work-group, which for few pixels takes less time than a launch per sweep: sweeps until one would
+// have more than `most` entries, or there have been `limit` sweeps. Buffers as above.
 __kernel void sweep_holes(const int slots, const int most, const int limit, const int median_wins,
                           __global const int2 *beside, const int missing, const int minimum, __global float *found,
                           __global float *value, __global int *near, __global int *lists, __global int *state)
@@ -152,7 +152,7 @@ __kernel void sweep_holes(const int slots, const int most, const int limit, cons
     }
 }
 
-// The median of neighbors, those that are infinite not counted; sorts them.
+// The median of the neighbors that are not infinite; sorts them.
 static real8 median_of(real8 *near)
 {
     SORT(real8, near)
@@ -166,7 +166,7 @@ static real8 median_of(real8 *near)
     return (real)0.5 * (near[3] + near[4]);
 }
 
-// One of `runs` missing pixels that follow one another, or FILL_LANES of the others: see smooth_holes.
+// Smooths number `id` of the runs of missing pixels, or of the vectors of single ones: see smooth_holes.
 static void smooth_vector(const int slots, int id, __global const int2 *run, int runs, __global const int *single,
                           int singles, __global const int2 *beside, __global const float *value,
                           __global float *found)
@@ -206,10 +206,10 @@ static void smooth_vector(const int slots, int id, __global const int2 *run, int
     }
 }
 
-// Stage 2: rounds of the 3x3 median without the center over missing pixels, all of which are filled; one round, or any
-// number by a single work-item. Of work-items those before `runs` take one of `run`: the number of its first pixel, and
-// how many follow one another, up to FILL_LANES; the others FILL_LANES of `single`, numbers of `singles` pixels. In:
-// beside. In and out: value, found, to and fro; the first round writes `found`.
+// Stage 2: rounds of the 3x3 median without the center over missing pixels, all of which are filled; several rounds
+// only by a single work-item. Work-items before `runs` take one entry of `run` each: number of its first pixel, and of
+// its consecutive pixels, up to FILL_LANES; the others take FILL_LANES of the `singles` pixels in `single`. In: beside.
+// In and out: value, found, written in turn; the first round writes `found`.
 __kernel void smooth_holes(const int slots, const int rounds, __global const int2 *run, const int runs,
                            __global const int *single, const int singles, __global const int2 *beside,
                            __global float *value, __global float *found)
@@ -220,17 +220,17 @@ __kernel void smooth_holes(const int slots, const int rounds, __global const int
             smooth_vector(slots, id, run, runs, single, singles, beside, n % 2 ? found : value, n % 2 ? value : found);
 }
 
-// Sorts the middle one of nine into its place, with the fewest exchanges.
+// Sorts the median of nine into its place, with the fewest exchanges.
 #define MIDDLE(T, s) \
     ORDER(T, s[1], s[2]) ORDER(T, s[4], s[5]) ORDER(T, s[7], s[8]) ORDER(T, s[0], s[1]) ORDER(T, s[3], s[4]) \
     ORDER(T, s[6], s[7]) ORDER(T, s[1], s[2]) ORDER(T, s[4], s[5]) ORDER(T, s[7], s[8]) ORDER(T, s[0], s[3]) \
     ORDER(T, s[5], s[8]) ORDER(T, s[4], s[7]) ORDER(T, s[3], s[6]) ORDER(T, s[1], s[4]) ORDER(T, s[2], s[5]) \
     ORDER(T, s[4], s[7]) ORDER(T, s[4], s[2]) ORDER(T, s[6], s[4]) ORDER(T, s[4], s[2])
 
-// Stage 3, of the known pixels around holes: Sobel's gradient and the 3x3 median, FILL_LANES pixels per work-item;
-// beyond the image its edge goes on. In: list of `count` pixels of value (height, width, CHANNELS), all of which are
-// known or filled. Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended
-// (count, CHANNELS), the medians.
+// Stage 3, for the known pixels around holes: Sobel's gradient and the 3x3 median, FILL_LANES pixels per work-item;
+// edge pixels of the image are repeated beyond it. In: list of `count` pixels of value (height, width, CHANNELS), all
+// of which are known or filled. Out: steepness (count), the largest square of a gradient's magnitude among the
+// channels; blended (count, CHANNELS), the medians.
 __kernel void blend_border(const grid_t grid, __global const int *list, const int count,
                            __global const float *value, __global float *steepness, __global float *blended)
 {

@@ -6,7 +6,7 @@
 
 #if FILL_MEAN_MEDIAN
 
-// The value of WIDTH pixels, or with IMAGE as many values of pixels whose channels are side by side.
+// Places of WIDTH values: of one channel of as many pixels, or with IMAGE of pixels whose channels are side by side.
 #if IMAGE
 #define STEP CHANNELS  // from pixel to pixel
 #define PLACE(c, y, x) (((y) * width + (x)) * CHANNELS + (c) * WIDTH)
@@ -17,7 +17,7 @@
 #define PIXEL(c, lane) (lane)
 #endif
 
-// Vectors of values, of their exact differences, and of sums of products; PRODUCTS adds up what of them is in one lane.
+// Types of vectors of values, of their exact differences, and of sums of products; PRODUCTS adds those in one lane.
 #if CODES  // of 8 bits
 #define WIDTH CODE_LANES
 typedef uchar element_t;
@@ -29,7 +29,7 @@ typedef uchar16 whole_t;
 #define ELEMENTS(p) LOAD(uchar, 16, p)
 #define WHOLE_AT(p) LOAD(uchar, 16, p)
 #define WHOLE(v) SHORTS(v)
-#define STEPS ((long)(scale * scale))  // in a product of codes
+#define STEPS ((long)(scale * scale))  // units in a product of codes
 #define PRODUCTS(a, b) PAIRED_PRODUCTS(a, b)
 #else
 #define WIDTH 8
@@ -41,7 +41,7 @@ typedef uchar8 whole_t;
 #if HAS_FP64
 typedef double part_t;
 typedef double8 parts_t;
-// Half a unit and more in the last place rounds to the nearest, as rint does.
+// Adding 1.5 x 2^52 and subtracting it rounds to the nearest integer, as rint does.
 #define ROUNDER 6755399441055744.0
 #define WHOLE(v) ((parts_t)EACH((v) * scale) + ROUNDER - ROUNDER)
 #else
@@ -54,14 +54,14 @@ typedef parts_t sums_t;
 #define STEPS 1
 #endif
 
-// Stage 0: sums over all pixels of a row with eight valid neighbors, and all channels, from which the host has the
-// squared errors of mean and median of all 163 subsets of k = 4..8 neighbors. With d the sorted differences of the
-// neighbors to the center and C binomial coefficients, the subsets of k have
+// Stage 0: sums over all pixels of a row with eight valid neighbors, and over all channels, from which the host
+// computes the squared errors of mean and median of all 163 subsets of k = 4..8 neighbors. With d the sorted
+// differences of the neighbors to the center and C binomial coefficients, the subsets of k have
 //   of means    (C(6, k-2) (sum d)^2 + C(6, k-1) sum d^2) / k^2,
 //   of medians  for odd k = 2 m + 1  C(i, m) C(7-i, m) times d_i^2, for all i,
 //               for even k = 2 m + 2  C(i, m) C(7-j, m) times ((d_i + d_j) / 2)^2, for all i < j.
-// Values times `scale` are rounded to whole numbers before, which differ by 2^16 at most, so that sums are exact in
-// any order; CODES are so already. One work-item per SCORED_COLUMNS columns, WIDTH values at once. In: value (CHANNELS,
+// Values times `scale` are first rounded to integers that differ by 2^16 at most, so that sums are exact in any order;
+// CODES are integers already. One work-item per SCORED_COLUMNS columns, WIDTH values at once. In: value (CHANNELS,
 // height, width), with IMAGE (height, width, CHANNELS); valid (height, width); both must be readable WIDTH pixels
 // beyond their end. Out: sums (height, segments, SCORE_SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j
 // over i < j for m = 1, 2, 3; number of pixels times channels.

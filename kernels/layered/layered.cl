@@ -7,18 +7,19 @@
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
 //   value    float (CHANNELS - 1, height, width): radiance
 //   coc      real: signed blur radius in px
-//   valid    uchar: whether there is surface
+//   valid    uchar: 1 where there is a surface
 //   layer    uchar: 1 is the nearest, 0 no surface
 //   seed     uchar: at an edge, the layer that is extrapolated behind the pixel, else 0
 //   offset   int: rows to the nearest seed of the same column, NO_SEED for none
 //   hidden   uchar: the layer that is extrapolated behind the pixel, else 0
-//   edge     uchar: whether an edge is so near that coverage counts; radiance from elsewhere simply adds up
-// and of the layer that is being blurred
-//   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and how
-//            far they are known, 0 to 1
+//   edge     uchar: 1 if an edge is so near that coverage matters; radiance of other pixels is simply added
+// and for the layer that is being blurred
+//   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and the
+//            degree to which they are known, 0 to 1
 //   layer_value float (CHANNELS, height, width): radiance and coverage; layer_coc, layer_valid: as coc and valid
-// All is whole numbers, or sums in a fixed order: the same bits every time. Seeds of 64 pixels of a row at once took
-// reach_hidden from 31 to 11 ns per pixel, vectors `push` from 14 to 4, columns of 16 column_seeds from 8 to 2.
+// All steps use integers, or sums in a fixed order: the same bits every time. Seeds of 64 pixels of a row at once took
+// reach_hidden from 31 to 11 ns per pixel, vectors took `push` from 14 to 4, 16 columns at once column_seeds from 8 to
+// 2.
 
 #include "common/geometry.clh"
 
@@ -40,9 +41,9 @@ static int bin_of(real coc, real low, int bins)
     return at < 0 ? 0 : at < bins ? (int)at : bins - 1;
 }
 
-// One row or column per work-item. In and out: latest int (DISCONTINUITY_CLASSES, bins): of discontinuities of a class,
-// beyond DISCONTINUITY 2^class, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it
-// the largest sum of the two radii of a discontinuity, without their signs, px, rounded up.
+// One row or column per work-item. In and out: latest int (DISCONTINUITY_CLASSES, bins): for discontinuities of class
+// k, larger than DISCONTINUITY 2^k, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after
+// it the largest sum of the two |radii| at a discontinuity, px, rounded up.
 __kernel void find_discontinuities(const grid_t grid, const real low, const int bins, const int far,
                                    __global const real *coc, __global const uchar *valid, __global int *latest)
 {
@@ -110,7 +111,7 @@ __kernel void seed_hidden(const grid_t grid, __global const real *coc, __global 
     seed[at] = found;
 }
 
-// `count` columns from x on, up to SEED_COLUMNS.
+// Offsets to seeds for `count` columns from x on, up to SEED_COLUMNS.
 static inline void seeds_of(const grid_t grid, __global const uchar *seed, __global int *offset, int x,
                             const int count)
 {
@@ -133,7 +134,7 @@ static inline void seeds_of(const grid_t grid, __global const uchar *seed, __glo
         }
 }
 
-// SEED_COLUMNS columns per work-item; of two seeds the upper one. In: seed. Out: offset.
+// SEED_COLUMNS columns per work-item; of two seeds at the same distance the upper one counts. In: seed. Out: offset.
 __kernel void column_seeds(const grid_t grid, __global const uchar *restrict seed, __global int *restrict offset)
 {
     const int x = get_global_id(0) * SEED_COLUMNS;
@@ -143,8 +144,8 @@ __kernel void column_seeds(const grid_t grid, __global const uchar *restrict see
         seeds_of(grid, seed, offset, x, grid.width - x);
 }
 
-// Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately; whether there are
-// any.
+// Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately. Returns False if
+// no seed is near the run.
 static bool flag_near(__global const int *offset, int begin, int end, int width, int far, __global uchar *flags)
 {
     const int first = MAX(begin - far, 0), stop = MIN(end + far, width);
@@ -170,9 +171,9 @@ static bool flag_near(__global const int *offset, int begin, int end, int width,
     return true;
 }
 
-// Squared distance of each pixel of a run to the nearest seed, deep^2 + 1 for none within `deep` px, and the number of
-// columns to it. Of two at the same distance the nearer column's counts, of two such columns the left one's.
-// offset: of the first pixel; of all columns up to `deep` px away there are some.
+// Squared distance of each pixel of a run to the nearest seed (best), deep^2 + 1 for none within `deep` px, and the
+// number of columns to it (away). Of two at the same distance the one in the nearer column counts, of two such columns
+// the left one. offset: of the run's first pixel; columns up to `deep` px beyond the run must exist.
 static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away)
 {
     for (int i = 0; i < REACH_PIXELS; ++i) {
@@ -194,7 +195,7 @@ static inline void nearest_seeds(__global const int *offset, int deep, int *rest
     }
 }
 
-// The same for a pixel near the left or right end of a row.
+// The same for pixel x of a row, near the row's left or right end.
 static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
 {
     int2 found = {deep * deep + 1, 0};
@@ -206,7 +207,7 @@ static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
     return found;
 }
 
-// A run of a row per work-item. deep: px, the farthest seed. In: layer, seed, offset. Out: hidden, edge.
+// A run of a row per work-item. deep: px, largest distance of a seed. In: layer, seed, offset. Out: hidden, edge.
 __kernel void reach_hidden(const grid_t grid, const int deep, __global const uchar *layer,
                            __global const uchar *seed, __global const int *offset, __global uchar *hidden,
                            __global uchar *edge)
@@ -253,8 +254,8 @@ __kernel void open_depth_layer(const grid_t grid, const int which, __global cons
     pyramid[KNOWN * plane + at] = known;
 }
 
-// PUSH_PIXELS pixels of a row y of the coarser level, of planes of `plane` px, amid the row. from: in the finer one's
-// first row, before the first pixel under them.
+// `push` for PUSH_PIXELS pixels of row y of the coarser level that are not at the row's ends; plane: px of that level.
+// from: in the finer level's first row, one pixel before the first one under them.
 static inline void push_some(__global const float *from, int fine_rows, int fine_columns, int y, int plane, int last,
                              __global float *to)
 {
@@ -280,9 +281,9 @@ static inline void push_some(__global const float *from, int fine_rows, int fine
     STORE(float, 4, last ? (total > 0 ? whole : none) : MIN(GROWTH * total, whole), to + KNOWN * plane);
 }
 
-// PUSH_PIXELS pixels of the coarser level (rows, columns) per work-item: means of what is known, under a tent of 4 x 4
-// pixels of the finer one (fine_rows, fine_columns). fine, coarse: where the levels are in the pyramid; last: there is
-// no coarser one, so what is known in part is taken as it is.
+// PUSH_PIXELS pixels of the coarser level (rows, columns) per work-item: means of known pixels under a tent of 4 x 4
+// pixels of the finer level (fine_rows, fine_columns). fine, coarse: places of the levels in the pyramid; last: 1 for
+// the coarsest level, where partly known pixels count as known.
 __kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
                    const int coarse, const int last, __global float *pyramid)
 {
@@ -317,15 +318,15 @@ __kernel void push(const int fine_rows, const int fine_columns, const int rows, 
     }
 }
 
-// Places of the four pixels of a coarser level around one of the finer level, and the shares of those that are known:
-// of the nearest and the others along a row, and the same in the other row.
+// Four pixels of a coarser level around one of the finer level: the nearest and its neighbor in one row, and the same
+// in the other row. place: their indices; share: their weights, 0 if they are not known; sum: of the weights.
 typedef struct {
     int4 place;
     float4 share;
     float sum;
 } around_t;
 
-// known: plane of the coarser level (rows, columns), of 0 and 1. Pixel (y, x) of the finer one.
+// Pixels of the coarser level (rows, columns) around pixel (y, x) of the finer one; known: plane of the coarser level.
 static around_t around(__global const float *known, int rows, int columns, int y, int x)
 {
     const int row = y / 2, other_row = y % 2 ? MIN(row + 1, rows - 1) : MAX(row - 1, 0);
@@ -338,15 +339,15 @@ static around_t around(__global const float *known, int rows, int columns, int y
     return near;
 }
 
-// Mean of what is known there; 0 where nothing is.
+// Weighted mean of the known pixels in `near`; 0 if there are none.
 static float between(__global const float *plane, around_t near)
 {
     const float4 radiance = {plane[near.place.x], plane[near.place.y], plane[near.place.z], plane[near.place.w]};
     return near.sum > 0 ? dot(near.share, radiance) / near.sum : 0;
 }
 
-// One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser one.
-// Arguments as for push; coarse is pulled already, or the last one.
+// One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser level,
+// which is pulled before, or the last one. Arguments as for push.
 __kernel void pull(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
                    const int coarse, __global float *pyramid)
 {
@@ -391,7 +392,7 @@ __kernel void take_depth_layer(const grid_t grid, const int which, const int row
     layer_coc[at] = between(behind + RADIUS * rows * columns, near);
 }
 
-// Leaves only the sources near edges, or only the others. In: edge. In and out: source.
+// Keeps only the sources near edges (near_edges = 1), or only the others. In: edge. In and out: source.
 __kernel void keep_sources(const grid_t grid, const int near_edges, __global const uchar *edge,
                            __global float *source)
 {
@@ -403,10 +404,10 @@ __kernel void keep_sources(const grid_t grid, const int near_edges, __global con
         source[at] = -1;
 }
 
-// Adds a blurred layer behind those before. It gets the room that they have left, all of it: at a cut through a
-// continuous surface the two coverages add up to that of the whole, and nothing is lost. In: blurred float (CHANNELS,
-// rows, from_pitch), with scratch columns as the total of blur.cl; with RIMS open, as of blur.cl, in place of 1. In and
-// out: covered float (rows, columns), total.
+// Adds a blurred layer behind the previous ones, weighted by the coverage that these leave: at a cut through a
+// continuous surface, the two coverages add up to that of the whole, and no light is lost. In: blurred float (CHANNELS,
+// rows, from_pitch), with scratch columns as the total of blur.cl; with RIMS open, from open_share, the largest
+// coverage, else 1. In and out: covered float (rows, columns), total.
 __kernel void composite(const grid_t grid, const int from_pitch, const int from_pad,
                         __global const float *blurred, __global float *covered,
 #if RIMS

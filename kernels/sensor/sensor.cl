@@ -10,7 +10,7 @@
 #include "common/geometry.clh"
 #include "sensor/noise.clh"
 
-// Vector of floats, of which the first n are read.
+// Vector of the first n floats at p, and 0 in further lanes.
 static inline float16 first_lanes(__global const float *p, int n)
 {
     if (n >= NOISE_LANES)
@@ -22,13 +22,13 @@ static inline float16 first_lanes(__global const float *p, int n)
                      v[15]);
 }
 
-// Mean electrons of pixels, without those of the dark: no light is less than none, and NaN is none.
+// Mean electrons of pixels from light: negative light and NaN count as no light.
 static inline float16 photoelectrons(float16 light, float16 scale)
 {
     return light > 0.0f ? light * scale : 0.0f;
 }
 
-// Codes of electrons that pixels have collected, and of what the read-out adds to them.
+// Codes for the electrons that pixels have collected and those that the read-out adds.
 static inline int16 codes_of(float16 electrons, float16 added, const sensor_t sensor)
 {
     float16 code = sensor.gain * (electrons + added) + (sensor.black + 0.5f);
@@ -37,9 +37,9 @@ static inline int16 codes_of(float16 electrons, float16 added, const sensor_t se
     return CONVERT16(int, code);
 }
 
-// Reads a plane out, which is as that of accumulate.cl, from row `top` of the frame on; camera: twice the number of the
-// frame, and 1 more for a right eye. Out: code (planes, rows, padded), and saturated, 1 where the full well or the
-// largest code was reached. padded: columns in whole vectors, which are written.
+// Reads out a plane, in the layout of accumulate.cl, from row `top` of the frame on; camera: twice the number of the
+// frame, plus 1 for a right eye. Out: code (planes, rows, padded), and saturated, 1 where the full well or the largest
+// code was reached. padded: columns rounded up to whole vectors, all of which are written.
 __kernel void sense(const int rows, const int columns, const int top, const int padded, const uint camera,
                     __global const float *restrict plane, const int apart, const int start, const int pitch,
                     const sensor_t sensor, __global const float *restrict reciprocals,

@@ -1,12 +1,12 @@
-// Rays through all pixels of frame and apron as a lens that is not thin sees them, for the kernels of trace.cl: once
-// for all time samples in which it does not change. Twin: clsco/optics/distortion.py and lens.py. Host:
+// Stores the rays through all pixels of frame and apron, bent by a lens that is not thin, for the kernels of trace.cl:
+// once for all time samples in which the lens does not change. Twin: clsco/optics/distortion.py and lens.py. Host:
 // clsco/passes/bend.py.
 //
 //   slopes real2 (height, width): of the rays, where the image is distorted
 //   bends  float (height, width, BENDS): see `kept_bend`
 //
-// Newton's method, root and divisions in double took 108 ns per pixel of `cast` and `aim`, and 17 without distortion;
-// what is read instead takes 8 and 5 (docs/lessons.md).
+// Newton's method, square root and divisions in double took 108 ns per pixel of `cast` and `aim`, and 17 without
+// distortion; reading stored values takes 8 and 5 (docs/lessons.md).
 
 #include "common/geometry.clh"
 

@@ -1,17 +1,18 @@
-// Merges sources that are blurred widely and hidden in part: one in the place of MERGED_SIDE x MERGED_SIDE, where
-// these show one surface. For frames with a tolerance (clsco/plan/approximation.py has the
-// error); the reference has all sources. Host: clsco/passes/trace.py.
+// Merges partly hidden sources of wide blurs: one source stands for MERGED_SIDE x MERGED_SIDE that show one surface.
+// For frames with a tolerance (clsco/plan/approximation.py has the error); not in the reference. Host:
+// clsco/passes/trace.py.
 //
 //     sum over the block of L_s w(x - x_s; R) V_s  ->  (sum of L_s) w(x - middle; R') V,   R'^2 = R^2 - added
 //
-// R' gives the light the variance that it had, and V has edges as soft as the block is wide. What is left is that discs
-// on a lattice do not add up to a plane: 2 H(1 / MERGED_SIDE) of the radiance. Spans take time by hidden sources.
+// R' keeps the variance of the light, and V has edges as soft as the block is wide. The error that remains is that
+// discs on a lattice do not add up to a plane: 2 H(1 / MERGED_SIDE) of the radiance, H their transfer function. The
+// time of spans is proportional to the number of hidden sources.
 
 #include "trace/trace.cl"
 
 #if MERGED
 #define REACH (MERGED_SIDE / 2)
-#define MERGED_CHANGE (real)0.03  // of |R| from the middle to the others, at most
+#define MERGED_CHANGE (real)0.03  // largest relative difference of R from the middle to the others
 
 // True if the middle of a block of pixels can stand for all of them: sources of one surface, of nearly one radius.
 static bool is_alike(const grid_t grid, const lens_t lens, __global const real *depth, __global const uchar *label,
@@ -30,9 +31,9 @@ static bool is_alike(const grid_t grid, const lens_t lens, __global const real *
     return true;
 }
 
-// One source in the place of the MERGED_SIDE x MERGED_SIDE around it, where these are partly hidden and blurred by
-// `least` px or more: with their radiance, and a radius that keeps the variance of their light. added: variance of
-// their places over that of a blur of 1 px. Blocks are those of the frame, whatever strip they are in. In and out:
+// Merges each block of MERGED_SIDE x MERGED_SIDE alike sources whose middle is partly hidden and blurred by `least` px
+// or more: the middle source stands for all, with a radius that keeps the variance of their light. added: variance of
+// their positions, in units of that of a blur of 1 px. Blocks are aligned to the frame, whatever the strip. In and out:
 // source.
 __kernel void merge(const grid_t grid, const lens_t lens, const psf_t psf, __global const real *depth,
                     __global const uchar *label, const float least, const float added, __global float *source)

@@ -2,15 +2,15 @@
 // C w^2 + 2 B w + A = 0 (common/geometry.clh); the blur radius is R = blur_scale (focus_power - w) (2.33). Twin:
 // clsco/reference/trace/trace.py. Host: clsco/passes/trace.py, for all scenes of analytic surfaces.
 //
-// Sources lie on the frame, or a strip of its rows, and on the apron of what reaches it, (height, width), row-major.
+// Planes cover the frame, or a strip of its rows, and an apron of sources that reach it: (height, width), row-major.
 //   source  planes, see common/sources.clh
 //   value   float (CHANNELS, height, width): radiance
-//   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
+//   label   uchar (height, width): 0 no surface, else root and object of the hit (`nearest_surface`), and bit EDGE
 //   depth   real (height, width): inverse depth
-//   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
-//           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of an object has where
-// Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
-// the prepass from 31 to 6 and 20 per lens.
+//   texture float (textures, CHANNELS, frame_rows, columns), by number in surface_t; then mipmaps of textures that lie
+//           on surfaces, float (sides, rows, columns, CHANNELS) per level, which begin where texture_map_t says
+// Square roots and floors as single instructions took a plane from 36 to 12 ns per pixel; casting once for all lenses
+// of a sweep took the prepass from 31 to 6 ns, plus 20 per lens.
 
 #include "common/geometry.clh"
 #include "common/visibility_test.clh"
@@ -19,11 +19,11 @@
 #include "trace/small.clh"
 #include "trace/still.clh"
 
-#define EDGE 128  // of a label: behind an odd number of surfaces, or more than what is hit may be in the pixel
+#define EDGE 128  // bit of a label: the hit is behind an odd number of surfaces, or the pixel may show more
 
-// Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
-// hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2; small: of a small surface. In and
-// out: label, statistics. bend, seen_bend: of the two rays.
+// Record of the source at a hit; its coordinate is negative if none of its light reaches the lens. Radius and tilt are
+// those of the hit; visibility is tested on seen_ray, at inverse depth seen_w. bend, seen_bend: of the two rays;
+// subpixel: 1 for one of SUBPIXELS^2 sources; small: True on a small surface. In and out: label, statistics.
 static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t *surfaces, const group_t group,
                             const psf_t psf, real3 ray, bend_t bend, real w, real3 seen_ray, bend_t seen_bend,
                             real seen_w, int subpixel, bool small, uchar *label, __global int *statistics)
@@ -73,9 +73,9 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     return record;
 }
 
-// Radiance of a hit on a pixel's ray, times its part of the pixel, to a plane of `values` per channel; 0 without one.
-// share: what light leaves of it; sources: per axis of a pixel. Returns what `surface_texture` does, 0 of a projected
-// one.
+// Writes the radiance of a hit, times its `part` of the pixel, to a plane of `values` per channel; 0 without a hit.
+// share: of the texture that light leaves; sources: per axis of a pixel. Returns what `surface_texture` does, 0 for a
+// projected one.
 static float take_radiance(const grid_t grid, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
                            int column, int sources, float share, float part,
                            __global const float *texture OF_TEXTURE_MAPS, __global float *values, int plane)
@@ -97,9 +97,9 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
     return 0;
 }
 
-// Hits of the rays through all pixels of frame and apron with the nearest object of occlusion group `group`, for all
-// lenses, or for one by which sources are told apart. Out: value, depth, label. With textures on surfaces value has a
-// plane more, of texels per pixel as `surface_texture` gives them.
+// Casts rays through all pixels of frame and apron at the objects of an occlusion group, for all lenses; with DIVIDED
+// for one lens, which determines the still sources. Out: value, depth, label. With textures on surfaces, value has one
+// more plane: the result of `surface_texture`.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                    __global real *depth, __global uchar *label
@@ -132,7 +132,7 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
 }
 
 #if SEVERAL
-// True if a hit is outside of the extent of an object, low and high x, y of rays and inverse depth.
+// True if a hit is outside an object's extent: low and high x and y of rays, and inverse depth.
 static bool is_beyond(__constant real *extent, real3 ray, real w)
 {
     return !(ray.x >= extent[0] && ray.x <= extent[1] && ray.y >= extent[2] && ray.y <= extent[3] &&
@@ -140,9 +140,9 @@ static bool is_beyond(__constant real *extent, real3 ray, real w)
 }
 #endif
 
-// Sources of the hits for one lens. In: depth, label, and with textures on surfaces value, as `cast` leaves them; and
-// extents of objects as they were predicted. Out: source, which is 0 where the blur needs none, statistics, with these
-// textures share, and of labels the EDGE.
+// Makes the sources of all hits for one lens. In: depth, label, and with textures on surfaces value, from `cast`;
+// extents, as predicted for each object. Out: source, a null pointer if the blur needs none; statistics; with textures
+// on surfaces share; the bit EDGE of labels.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
                   __global int *statistics
@@ -199,9 +199,9 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 
 #if SUBPIXELS
 // Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE, and
-// more to those with small surfaces, run by run of TAP_LANES pixels. Slots come in any order; what is in them does not.
-// A pixel that has some from a run with less room keeps them. In: label. Out: marks of source, pixels (slots): index p
-// of the pixel, of one that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
+// more slots to pixels with small surfaces; a work-item has a run of TAP_LANES pixels. The order of slots varies, their
+// contents do not. A pixel that got slots in a launch with less capacity keeps them. In: label. Out: marks of source;
+// pixels (slots), index p of the pixel, or -1 - 2 p if it is only DETAILED, -2 - 2 p if only FINE; statistics.
 __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
 {
@@ -244,8 +244,8 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     }
 }
 
-// Hits of the rays through the middles of SUBPIXELS x SUBPIXELS cells of every marked pixel with what is not small.
-// Out, per slot and cell in row-major order: sub_label uchar, before any visibility test, sub_depth real.
+// Casts rays through the middles of SUBPIXELS x SUBPIXELS cells of every marked pixel at all surfaces that are not
+// small. Out, per slot and cell in row-major order: sub_label uchar, without EDGE; sub_depth real.
 __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                               __global const int *pixels, const int capacity, __global uchar *sub_label,
                               __global real *sub_depth, __global const int *statistics)
@@ -271,9 +271,9 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
     }
 }
 
-// Point sources of these cells, of the part that their surfaces cover where an outline is beside them, see outline.clh.
-// In: source, sub_label, sub_depth. Out: sub_source float4 (coordinate, tilt right, tilt down, WHOLE ... PARTLY_LIMB),
-// sub_value float (CHANNELS, slots, SUBPIXELS^2).
+// Makes point sources of these cells, beside outlines of the part of a cell that its surface covers, see outline.clh.
+// In: source, sub_label, sub_depth. Out: sub_source float4 (coordinate, tilt right, tilt down, mark), sub_value float
+// (CHANNELS, slots, SUBPIXELS^2), sub_depth.
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                               const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global const float *source,
@@ -297,13 +297,13 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     if (outlined)
         cell_coverage(grid, lens, surfaces, row, column, labels, &coverage);
 #if DIVIDED
-    // Sources of a pixel that is not still are not: they may be there at some time samples alone.
+    // Sources of a pixel that is not still are not still: they may exist only at some time samples.
     const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
 #endif
     for (int sub = 0; sub < EACH; ++sub) {
         const int id = slot * EACH + sub, cell = CELL_AROUND(sub);
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
-        const uchar hit = outlined ? coverage.label[cell] : sub_label[id];  // of empty cells as well
+        const uchar hit = outlined ? coverage.label[cell] : sub_label[id];  // empty cells may have one, too
         uchar root = hit;
         real3 ray = middle;
         real w = sub_depth[id];
@@ -317,7 +317,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                 uchar there;
                 int object;
                 const real moved_w = nearest_surface(surfaces, group, moved, &there, &object);
-                // Beside a corner it may be another surface.
+                // Beside a corner, the moved ray may hit another surface.
                 ray = there == root ? moved : ray;
                 w = there == root ? moved_w : w;
                 root = there == root || hit == sub_label[id] ? root : 0;
@@ -344,7 +344,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
 }
 
 #if TEXTURED
-// The same of the pixels that are marked for their textures alone, see detail.clh.
+// Makes the point sources of pixels that are marked for their textures alone, see detail.clh.
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                            const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __global const int *pixels, const int capacity, __global const float *source,
@@ -403,7 +403,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         note_radius(statistics, radius);
         float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
 #if TILT
-        // In its own pixel a source is visible from all of the lens until its disc reaches over the border.
+        // In its own pixel, a source is visible from all of the lens until its disc crosses the pixel's border.
         record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
 #if ELLIPSES
         record.yz += ellipse_tilt(grid, bend);
@@ -438,9 +438,9 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     }
 }
 
-// Radiance after neighbors have exchanged what makes squares of what textures on surfaces show, see mapping.clh. Only
-// pixels with one source take part, which are at least 2 px from other objects. In: value, share, marks of source. Out:
-// sharper, as value.
+// Radiance after the exchange between neighbors that compensates for sources that are squares, for textures on
+// surfaces, see footprint.clh. Only pixels with one source take part, which are at least 2 px from other objects. In:
+// value, share, marks of source. Out: sharper, as value.
 __kernel void sharpen(const grid_t grid, __global const float *value, __global const float *share,
                       __global float *source, __global float *sharper)
 {
@@ -470,8 +470,8 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
 #endif
 #endif
 
-// The pinhole image of occlusion group `group`, for `layered` occlusion. Out: value as in trace; coc real, signed
-// R in px, and valid uchar, (height, width); statistics.
+// Makes the pinhole image of an occlusion group, for `layered` occlusion. Out: value, as above; coc real, signed R in
+// px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                       __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                           __global real *coc, __global uchar *valid, __global int *statistics OF_SLOPES OF_BENDS)

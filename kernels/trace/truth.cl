@@ -1,12 +1,12 @@
-// The ground truth of a frame: what rays of a pinhole meet at pixel centers, at the middle of the exposure. Twin:
+// The ground truth of a frame: what pinhole rays through pixel centers meet, at the middle of the exposure. Twin:
 // ground_truth of clsco/reference/trace/truth.py. Host: clsco/passes/truth.py, for all scenes of analytic surfaces.
-// Outputs, `by_rays` in clsco/frame/outputs.py and in its order, are null where nobody wants them: one program makes
-// any of them.
+// Outputs are those with `by_rays` in clsco/frame/outputs.py, in its order, each null if not requested: one program
+// makes any.
 
 #include "common/geometry.clh"
 #include "trace/texture.clh"
 
-// Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.
+// Image position of a hit in the pose `other`: column, row, and the hit's depth there over its depth here.
 static NOINLINE real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other,
                                   real3 ray, real w)
 {
@@ -21,13 +21,14 @@ static bool outside_frame(const grid_t grid, real3 at)
              at.y < grid.frame_rows - (real)0.5);
 }
 
-// True if a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
+// True if a surface at inverse depth `seen` hides a point whose inverse depth is w here and w / ratio there.
 static bool covered(real seen, real ratio, real w)
 {
     return w * (1 + (REAL_IS_DOUBLE ? (real)1e-6 : (real)1e-5)) < seen * ratio;
 }
 
-// True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces; step: between rays.
+// True if surfaces hide a point, or if it is outside of the frame. there: its image position and depth ratio; w: its
+// inverse depth; step: slope between neighboring rays.
 static NOINLINE bool occluded_among(__constant surface_t *surfaces, const grid_t grid, real step,
                                     const group_t group, real3 there, real w)
 {
@@ -40,12 +41,11 @@ static NOINLINE bool occluded_among(__constant surface_t *surfaces, const grid_t
 
 // Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
 // nothing), coc signed px (0: nothing), mask, object (-1: nothing), normal, flow px to the pose `next`, hidden (the
-// point is not visible from the pinhole in the reference pose, and its texture is what that sees), sharp radiance, uv
-// (right and up from the lower left corner of the texture, in images of it); of a stereo pair disparity px and occluded
-// (the point is not visible in the other view); flow_backward px to the pose `previous`, and flow_occluded (the
-// point is not visible in the next frame). `still` are the surfaces in the reference pose, `opposite` those in the
-// frame of the other view, in poses `there`, and `following` those in the next frame; to_left: 1 for the right view, -1
-// for the left one.
+// point is not visible in the reference pose, so that its texture shows what hides it there), sharp radiance, uv (right
+// and up from the lower left corner of the texture, in images of it). For stereo pairs: disparity px, and occluded (the
+// point is not visible in the other view). flow_backward: px to the pose `previous`; flow_occluded: the point is not
+// visible in the next frame. Surfaces: `still` in the reference pose, `opposite` in the frame of the other view, in
+// poses `there`, and `following` in the next frame. to_left: 1 for the right view, -1 for the left one.
 __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surface_t *surfaces,
                            __constant surface_t *still, __constant pose_t *next, const group_t group,
                            __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __constant surface_t *opposite,

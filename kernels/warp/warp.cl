@@ -6,17 +6,17 @@
 //            surface
 //   target   int per source: pixel of the padded grid that it moves to, -1 for none
 //   moved    real per source: its inverse depth after the move, 1/mm, 0 for none
-//   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
-//   object   uchar per source, with SEVERAL: which object it belongs to, 0 where there is none
+//   winner   int per pixel of the padded grid: lowest number of the nearest sources moved there, NO_WINNER for none
+//   object   uchar per source, with SEVERAL: number of its object, 0 where there is none
 //
 // The source in a pixel is the nearest of all surfaces there in the reference pose; it moves with its object. `count`
-// objects have a surface, a pose and a texture each. Those in `members` are analytic; the others are depth maps
-// (MAPPED), whose surface_t has only the center.
+// objects have a surface, a pose and a texture each. Those in the bit mask `members` are analytic; the others are depth
+// maps (MAPPED), whose surface_t has only the center.
 //
-// Depths are compared as floats, so that rounding in the last digit of a double decides nothing: of equal ones the
-// first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
-// in their order, without atomics: 5.3 -> 1.0 ns per pixel against atomics, which elsewhere find the same winners in
-// two passes. Targets by one floor and one division, vectorized: 42 -> 2.6 ns (docs/lessons.md).
+// Depths are compared as floats, so that rounding in the last digit of a double decides nothing; of equal ones the
+// first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and goes through the sources that move
+// there in their order, without atomics: 5.3 -> 1.0 ns per pixel; elsewhere atomics find the same winners in two
+// passes. Targets by one floor and one division, vectorized: 42 -> 2.6 ns (docs/lessons.md).
 
 #include "common/geometry.clh"
 
@@ -24,7 +24,7 @@
 // cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUNDING).
 #define ROUNDING ((real)(0.5 + 0.5 / 4096))
 #define NO_OBJECT 255
-#define EDGE_PX 1         // from the frame's edge in the reference pose: beyond that pixel the image goes on outside
+#define EDGE_PX 1         // px from the frame's edge in the reference pose, within which a source is at the edge
 #define SAME_DEPTH 1.02f  // relative: neighbors in the reference pose that differ by less are one surface
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
@@ -75,8 +75,8 @@ __kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, 
 #endif
 }
 
-// Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface in the
-// reference pose. Gives the lowest and highest target, (INT_MAX, -1) for none.
+// Moves the sources of object k in columns begin..end - 1 of a row by its pose, about the center of its surface in the
+// reference pose. Returns the lowest and highest target, (INT_MAX, -1) for none.
 static inline int2 move_sources(const grid_t grid, __constant surface_t *surface, __constant pose_t *pose, int row,
                                 int begin, int end, __global const real *restrict rest, __global int *restrict target,
                                 __global real *restrict moved
@@ -85,8 +85,8 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
 #endif
 )
 {
-    // With the ray r, R r + w offset is the moved point times w. Component by component, and the divisions taken out:
-    // PoCL vectorizes no loop that computes with vectors.
+    // For a ray r, R r + w (across, up, away) is the moved point times w. Computed by components, and with few
+    // divisions: PoCL vectorizes no loop that computes with vectors.
     __constant real *R = pose->rotation, *center = surface->rest;
     const real3 turn = turned(R, load3(center)), shifted = load3(center) + load3(pose->shift);
     const real across = shifted.x - turn.x, up = shifted.y - turn.y;
@@ -98,7 +98,7 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
     const real R_x = R[0], R_y = R[3], R_z = R[6];
     const real middle = (real)0.5 * (grid.columns - 1);
     const real inverse_step = 1 / grid.step;
-    // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
+    // Positions on the padded grid, plus 1, so that those before its first pixel are below 1.
     const real right = middle + (grid.guard + 1) + ROUNDING;
     const real down = (real)0.5 * (grid.rows - 1) + (grid.guard + 1) + ROUNDING;
     const real first = 1, bottom = grid.height + 1, edge = grid.width + 1;
@@ -182,7 +182,7 @@ __kernel void reproject_targets(const grid_t grid, __constant surface_t *surface
 
 #if OWNED
 // The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner;
-// with FILL_FAR depth, as reproject_depth gives it.
+// with FILL_FAR depth, as by reproject_depth.
 __kernel void reproject_nearest(const grid_t grid, __global const int *target, __global const real *moved,
                                 __global const int2 *bounds, const int band, __global int *winner
 #if FILL_FAR
@@ -218,8 +218,8 @@ __kernel void reproject_nearest(const grid_t grid, __global const int *target, _
 #endif
 }
 #else
-// Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of
-// the padded grid, 0 to begin with; floats > 0 keep their order as ints.
+// Largest inverse depth of all sources moved to each pixel. In: target, moved. In and out: depth, bits of a float per
+// pixel of the padded grid, 0 to begin with; floats > 0 keep their order as ints.
 __kernel void reproject_depth(const grid_t grid, __global const int *target, __global const real *moved,
                               __global int *depth)
 {
@@ -230,7 +230,7 @@ __kernel void reproject_depth(const grid_t grid, __global const int *target, __g
         atomic_max(depth + target[i], as_int((float)moved[i]));
 }
 
-// Lowest source that brings it. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
+// Lowest source with that inverse depth. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
 __kernel void reproject_winner(const grid_t grid, __global const int *target, __global const real *moved,
                                __global const int *depth, __global int *winner)
 {
@@ -244,7 +244,7 @@ __kernel void reproject_winner(const grid_t grid, __global const int *target, __
 #endif
 
 #if FILL_FAR
-// The first winner that is nearer than `bound`, in steps of (right, down) from a pixel; -1 for none.
+// First pixel in steps of (right, down) from a pixel whose winner is nearer than `bound`; -1 for none.
 static int nearer_pixel(const grid_t grid, __global const int *depth, int x, int y, int right, int down,
                         float bound)
 {
@@ -259,8 +259,8 @@ static int nearer_pixel(const grid_t grid, __global const int *depth, int x, int
     return -1;
 }
 
-// True if a winner is visible only through a surface that has grown: on opposite sides are nearer ones that were
-// neighbors in the reference pose, on one surface, which was closed between them.
+// True if a winner is visible only through a gap in a surface that has grown: nearer winners on opposite sides were
+// neighbors on one surface in the reference pose, which had no gap between them.
 static bool shows_through(const grid_t grid, __global const int *depth, __global const int *winner, int x, int y)
 {
     const float bound = SAME_DEPTH * as_float(depth[y * grid.width + x]);
@@ -279,8 +279,8 @@ static bool shows_through(const grid_t grid, __global const int *depth, __global
     return false;
 }
 
-// Leaves out what only shows through another surface, ITEM_PIXELS pixels per work-item. In: depth, winner. Out: valid
-// uchar per pixel of the padded grid, what is known.
+// Discards winners that only show through another surface, ITEM_PIXELS pixels per work-item. In: depth, winner. Out:
+// valid uchar per pixel of the padded grid, 1 if known.
 __kernel void reproject_gaps(const grid_t grid, __global const int *restrict depth, __global const int *winner,
                              __global uchar *restrict valid)
 {
@@ -291,7 +291,7 @@ __kernel void reproject_gaps(const grid_t grid, __global const int *restrict dep
     __global const int *line = depth + y * grid.width;
     for (int x = begin; x < end; ++x)
         valid[y * grid.width + x] = line[x] > 0;
-    // Most segments lie amid one surface. Floats > 0 keep their order as ints, whose extrema PoCL vectorizes.
+    // Most runs lie in one surface. Floats > 0 keep their order as ints, whose extrema PoCL vectorizes.
     int lowest = INT_MAX, highest = 0;
     for (int x = begin; x < end; ++x)
         lowest = MIN(lowest, line[x] > 0 ? line[x] : INT_MAX);
@@ -307,10 +307,10 @@ __kernel void reproject_gaps(const grid_t grid, __global const int *restrict dep
 }
 #endif
 
-// Gathers the winners' values. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its
-// own; moved, winner, object. Out, on the padded grid: value float (CHANNELS, height, width), radiance; w real,
-// inverse depth in 1/mm; coc real, signed radius in px; valid uchar, there is a winner; status uchar, 0; seen uchar,
-// with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR valid is from reproject_gaps, and
+// Gathers the winners' values. In: texture float (textures, CHANNELS, rows, columns), by number in surface_t; moved,
+// winner, object. Out, on the padded grid: value float (CHANNELS, height, width), radiance; w real, inverse depth in
+// 1/mm; coc real, signed radius in px; valid uchar, 1 with a winner; status uchar, 0; seen uchar, with SEVERAL, the
+// winner's object. Without a winner all are 0, and seen is NO_OBJECT. With FILL_FAR valid is from reproject_gaps, and
 // winners of other pixels do not count.
 __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global const float *texture,
                                __global const real *moved, __global const int *winner,
@@ -355,7 +355,7 @@ static int line_start(const grid_t grid, int line)
     return first + (line < grid.rows ? line * grid.width : line - grid.rows);
 }
 
-// Number of the source in a pixel of the frame that is valid, or else of the outermost valid pixel of its row.
+// Number of the source in a pixel of the frame if that is valid, or else in the nearest valid pixel of its row.
 static int outermost_source(const grid_t grid, __global const int *winner, __global const uchar *valid, int at)
 {
     const int column = at % grid.width - grid.guard;
@@ -368,10 +368,10 @@ static int outermost_source(const grid_t grid, __global const int *winner, __glo
     return 0;
 }
 
-// Marks what shows the outside of the frame in the reference pose: pixels of the frame beyond the outermost known one
-// of their line, which was within EDGE_PX of the frame's edge on that side. Lines from `first` on, up to `end`, first
-// all rows and then all columns, where what is marked counts as known, with the source of its row's outermost one. In:
-// winner, valid. Out: status 1, or 2 where nothing is filled; it begins with 0.
+// Marks pixels that show the outside of the frame in the reference pose: those beyond the outermost known pixel of
+// their line, if that one was within EDGE_PX of the frame's edge on that side. Lines first..end - 1, all rows before
+// all columns; for columns marked pixels count as known, with the source of their row's nearest valid pixel. In:
+// winner, valid. Out: status 1, or 2 if nothing is filled; it begins with 0.
 __kernel void mark_entered(const grid_t grid, const int first, const int end, __global const int *winner,
                            __global const uchar *valid, __global uchar *status)
 {
@@ -396,7 +396,7 @@ __kernel void mark_entered(const grid_t grid, const int first, const int end, __
     }
 }
 
-// Radius of the blur of a pixel that has taken the inverse depth of another one.
+// Blur radius of pixel `at`, which has got its inverse depth from pixel `from`.
 static real copied_radius(const grid_t grid, const lens_t lens, __global const real *w, __global const real *coc,
                           int at, int from)
 {
@@ -407,9 +407,9 @@ static real copied_radius(const grid_t grid, const lens_t lens, __global const r
 #endif
 }
 
-// Mirrors the image into what has entered the frame, about the outermost valid pixels of a line: lines from `first` on,
-// up to `end`, first all rows and then all columns. In and out, on the padded grid: value, w, coc, valid, status, seen;
-// what no line reaches has status 2 after the columns.
+// Mirrors the image into what has entered the frame, about the outermost valid pixels of a line: lines first..end - 1,
+// all rows before all columns. In and out, on the padded grid: value, w, coc, valid, status, seen; after the columns,
+// pixels that no line reaches have status 2.
 __kernel void fill_entered(const grid_t grid, const int first, const int end, const lens_t lens,
                            __global float *value, __global real *w, __global real *coc, __global uchar *valid,
                            __global uchar *status
@@ -449,9 +449,9 @@ __kernel void fill_entered(const grid_t grid, const int first, const int end, co
     }
 }
 
-// A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
-// out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
-// take what is in their mirror image.
+// Continues the image of depth maps outside of the frame, where they have no data, by its mirror image, as textures
+// are. In and out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that
+// are not valid get the values of their mirror image.
 __kernel void extend_border(const grid_t grid, const lens_t lens, __global float *value, __global real *w,
                             __global real *coc, __global uchar *valid)
 {
@@ -473,7 +473,8 @@ __kernel void extend_border(const grid_t grid, const lens_t lens, __global float
 }
 #endif
 
-// Keeps the range of the radii of a time sample. In: coc, valid, as in reproject_gather. In and out: statistics.
+// Extends the range of |radii| in statistics by those of a time sample. In: coc, valid, as in reproject_gather. In and
+// out: statistics.
 __kernel void note_radii(const grid_t grid, __global const real *coc, __global const uchar *valid,
                          __global int *statistics)
 {

@@ -5,8 +5,8 @@
 //   total   float (CHANNELS, rows, pitch), in and out: the irradiance of the frame, or a strip of it, at a time
 //           sample, so far; occlusion groups add up here. `pad` columns on both sides of a row are scratch, so that a
 //           vector of taps may reach beyond
-//   part    the same, 0 at first: what some rows of sources add, on its way to total. Summing thousands of equal taps
-//           in one float accumulates a systematic rounding error: 1.4e-5 of white at R60 without, 1.2e-6 with it
+//   part    the same, 0 at first: sums over some rows of sources, which are added to total. Summing thousands of equal
+//           taps in one float accumulates a systematic rounding error: 1.4e-5 of white at R60, and 1.2e-6 by parts
 //   ends    double (bands, BAND, columns + 1, END_PLANES), in and out: 0 at first and in the end, see spans.clh
 //
 // Each work-item owns a band of BAND output rows and walks the sources that reach it in a fixed order, whole vectors of
@@ -39,7 +39,7 @@ INLINE float8 tilts(spread_t s, float4 source, float8 x, float y)
 }
 #endif
 
-// Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
+// Adds rows -up..down of one source to `out`, the address of its first tap in its own row.
 INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
@@ -83,7 +83,7 @@ INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, i
 #define HIDDEN_VALUE(visibility)
 #define FREE_TAPS(w, s, first, dy) (w)
 #endif
-// Adds rows -up..down of an ellipse with all channels, `planes` apart in `out`. visibility: its occluders, if any;
+// Adds rows -up..down of an ellipse with all channels, `planes` apart in `out`. visibility: its occluders, 0 for none;
 // light: radiance of each channel.
 static NOINLINE void add_ellipse_rows(spread_t s, HIDDEN_ARGUMENT int up, int down, const float *light, float4 source,
                                       __global float *out, int planes, int pitch)
@@ -113,7 +113,7 @@ static NOINLINE void add_ellipse_rows(spread_t s, HIDDEN_ARGUMENT int up, int do
 #if OCCLUDED && ELLIPSES
 #define add_occluded_rows add_ellipse_rows
 #elif OCCLUDED
-// The same for all channels, `planes` apart in `out`, for a source with occluders that is not wide.
+// Adds rows -up..down of a source with occluders and a narrow lens, with all channels, `planes` apart in `out`.
 INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
                               const float *light, float4 source, __global float *out, int planes, int pitch)
 {
@@ -147,8 +147,8 @@ INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int
 }
 #endif
 
-// Moves what has come to rows first..last from part, `apart` between its planes and `shift` from a row's place in
-// total.
+// Moves rows first..last from part to total. apart: distance between planes of part; shift: from a row's place in total
+// to that in part.
 static void settle(int first, int last, int apart, int shift, int plane, int pitch, __global float *part,
                    __global float *total)
 {
@@ -161,17 +161,16 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 
 #define SOURCE_BLOCK WIDE_LANES  // sources of a row that are classified at once
 
-// Work in vectors of taps, roughly: of a block that has no other sources, of one that is hidden in part, and for each
-// of its vectors.
+// Approximate work in vectors of taps: of a block of sources, of a partly hidden source, and for each of its vectors.
 #define BLOCK_WORK 32
 #define HIDDEN_WORK 256
 #define HIDDEN_TAPS 16
-#define OTHERS (1 << 30)  // in `position`: there are sources that do not fit in
+#define OTHERS (1 << 30)  // flag in `position`: there are single sources
 #define DONE INT_MAX
 
-// Adds to rows first..end - 1 of the frame the radiance of all sources that do not fit in, from the `walked`-th block
-// of them on; returns how many are walked then, DONE where there is no more. apart: of planes of part; shift: from a
-// row of the frame to that of part; ends: of the band; others: as of the kernel.
+// Adds to rows first..end - 1 of the frame the light of all single sources, from the `walked`-th block of sources on;
+// returns the number of blocks walked then, DONE if these are all. apart: distance between planes of part; shift: from
+// a row of the frame to that of part; ends: of the band; further arguments: as of the kernel.
 static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global const float *source,
                                __global const float *value, __global const int2 *intervals,
                                __global const float *coefficients, __global const outline_t *outlines, int first,
@@ -188,7 +187,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
     const int from = MAX(first - psf.reach, -grid.above), to = MIN(end + psf.reach, grid.height - grid.above);
     const int blocks = (grid.width + SOURCE_BLOCK - 1) / SOURCE_BLOCK;
     int left = budget.y, block_first = walked % blocks;
-    bool added = walked > 0;  // anything to `part` since it was settled
+    bool added = walked > 0;  // True if something was added to part since it was settled
     for (int y = from + walked / blocks; y < to; ++y, block_first = 0) {
     const int line = (y + grid.above) * grid.width, place = shift + y * pitch - grid.guard + pad;
 #if SPANS
@@ -319,11 +318,11 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
     return DONE;
 }
 
-// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the radiance that reaches them,
-// row by row of sources. budget: with 0 all of it; else of sources that fit in so many steps of columns, and then, by
-// the launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been
-// walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
-// work-item, of which every `part_rows` rows of sources the sum goes on to total; with 0 rows it is total. scratch: see
+// Each work-item adds all light that reaches a band of BAND rows to `total`, row by row of sources; `start` is the band
+// of the first work-item. budget: 0 for all at once; else a launch adds grouped sources of up to budget.x steps of
+// columns, and later ones single sources, up to budget.y vectors of taps. position: progress of each work-item, 0 at
+// first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each work-item,
+// which are added to total after every `part_rows` rows of sources; part is total if part_rows is 0. scratch: see
 // columns.clh, zeros as well.
 __kernel void gather(const grid_t grid, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
