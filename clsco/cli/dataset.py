@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -191,25 +192,29 @@ def status(data: str) -> None:
     help="Samples, spread over the set, that are rendered again.",
 )  # fmt: skip
 @click.option("--device", metavar="NAME", help="Where to render them.")
+@click.option("--draw", metavar="MODULE:FUNCTION", help="The function that made the set, where scenes have arrays.")
 @base_option
 @quiet_option
-def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) -> None:
+def verify(data: str, sample: int, device: str | None, draw: str | None, base: Path, quiet: bool) -> None:
     """Check a set: hashes of all files and arrays, and samples rendered again, bit by bit.
 
     Prints a line for each finding; if there are any, the exit status is 1.
     """
     from clsco.data.sets import open_set
     from clsco.data.storage import open_storage
-    from clsco.data.verify import chosen_samples, hold_arrays, verify_files, verify_samples
+    from clsco.data.verify import chosen_samples, drawn_again, hold_arrays, verify_files, verify_samples
 
     with closing(open_storage(data)) as storage:
         there = open_set(storage)
+        if draw is not None:
+            sys.path.insert(0, str(Path.cwd()))  # where a user's own modules lie
+        drawn = None if draw is None else drawn_again(there, draw, base)
         with progress(len(there.shards) + sample, quiet, "checks") as advance:
             findings = verify_files(there, advance)
             chosen = chosen_samples(there, sample)
-            left_out = hold_arrays(there, chosen)
+            left_out = hold_arrays(there, chosen) if drawn is None else []
             chosen = [number for number in chosen if number not in left_out]
-            findings += verify_samples(there, chosen, device, advance, base)
+            findings += verify_samples(there, chosen, device, advance, base, drawn)
     for finding in findings:
         echo(finding)
     if findings:
@@ -249,8 +254,11 @@ def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | 
 def open_data(data: str, sheet: Path | None) -> None:
     """Report what a set contains: samples, splits, arrays, and how to load it."""
     from clsco.cli.tables import print_tables, table
+    from clsco.data.card import loading_lines
     from clsco.data.dataset import open as opened
     from clsco.data.dataset import record_sheet
+    from clsco.data.sets import open_set
+    from clsco.data.storage import open_storage
     from clsco.files.images import write_png
 
     records = opened(data)
@@ -259,14 +267,15 @@ def open_data(data: str, sheet: Path | None) -> None:
         (name, about["dtype"], " x ".join(map(str, about["shape"])), about["unit"], about["convention"])
         for name, about in card.get("arrays", {}).items()
     ]
+    with closing(open_storage(data)) as storage:
+        loading = loading_lines(storage, open_set(storage).identity, card["files"])
     place = json.dumps(data)[:-1]
-    loading = {name: code.replace('"DATA', place) for name, code in card.get("load", {}).items()}
     splits = ", ".join(f"{sum(count for _, count in files)} of {name}" for name, files in card["files"].items() if name)
     about = f"{len(records)} samples{f' ({splits})' if splits else ''}, {card['identity']['format']}"
     print_tables(
         f"{click.format_filename(data)}: {about}",
         table("Arrays", ("array", "type", "shape", "unit", "what it is"), rows),
-        *(f"{package}: {code}" for package, code in loading.items()),
+        *(line.replace('"DATA', place) for line in loading),
     )
     if sheet is not None:
         write_png(sheet, record_sheet(records[:SHOWN]))

@@ -34,8 +34,7 @@ def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, 
     counts = {split: sum(count for _, count in own) for split, own in by_split.items()}
     samples = range(*card["samples"])
     total = sum(counts.values())
-    largest = sorted(by_split, key=lambda split: -counts[split])  # that to learn from
-    first = _describe_sample(storage, identity, [file for split in largest for file, count in by_split[split] if count])
+    first = _describe_sample(storage, identity, _largest_first(by_split))
     source = f"distribution {identity.distribution[:16]}, seed {identity.seed}, clsco {identity.version}"
     card["license"] = card.get("license") or "unspecified"
     card |= {
@@ -57,6 +56,21 @@ class _SampleDescription:
     file: str = "SPLIT/000000"
     key: str = "000000000"
     arrays: Mapping[str, Any] = field(default_factory=dict)
+
+
+def loading_lines(storage: Storage, identity: Identity, by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
+    """Code that loads a set, a line for each package; by_split: files of each split with their numbers of samples.
+
+    It is written from names in the set that were checked, not copied from its card. Raises FileError.
+    """
+    first = _describe_sample(storage, identity, _largest_first(by_split))
+    return [f"{package}: {code}" for package, code in _loading(identity.format, first).items()] if first.arrays else []
+
+
+def _largest_first(by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
+    """Files with samples, those of the largest split first, which is the one to learn from."""
+    splits = sorted(by_split, key=lambda split: -sum(count for _, count in by_split[split]))
+    return [file for split in splits for file, count in by_split[split] if count]
 
 
 def _describe_sample(storage: Storage, identity: Identity, files: Sequence[str]) -> _SampleDescription:

@@ -217,6 +217,22 @@ class Dataset(Sequence[Record]):
         rank[shuffled(seed, "shards", len(rank), epoch)] = np.arange(len(rank))
         return self._view(span=span[order][np.argsort(rank[shard[order]], kind="stable")])
 
+    def stacked(self) -> Dataset:
+        """A view of records with the variants of each array stacked, as `Record.stacked` gives them.
+
+        Returns
+        -------
+        Dataset
+
+        Examples
+        --------
+        >>> import clsco.data
+        >>> stack = clsco.data.open("STACKS").stacked()[0]  # of focal stacks of five
+        >>> stack["color"].shape, stack["depth"].shape
+        ((5, 9, 12, 3), (9, 12))
+        """
+        return self.map(stacked)
+
     def to_torch(self) -> Dataset:
         """A view of dictionaries of PyTorch tensors.
 
@@ -262,19 +278,25 @@ class Dataset(Sequence[Record]):
         self._shards.close()
 
 
+def stacked(record: Record) -> Record:
+    """`Record.stacked` as a function, which spawned workers import."""
+    return record.stacked()
+
+
 def tensors_of(record: Record) -> dict[str, Any]:
     """Arrays of a record as PyTorch tensors, see `Dataset.to_torch`."""
     torch = import_module("torch")
     tensors = {}
     for name, array in record.items():
+        inner = array.ndim - bool(record.meta["arrays"][name].get("stacked"))
         if name.rpartition(".")[2] in PICTURES:
             array = record.radiance(name)
-            array = array[..., None] if array.ndim == 2 else array
+            array, inner = (array[..., None], 3) if inner == 2 else (array, inner)
         elif array.dtype.kind in "iu":
             array = array.astype(np.int64)
         elif array.dtype.kind == "f":
             array = array.astype(np.float32)
-        tensors[name] = torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0) if array.ndim == 3 else array))
+        tensors[name] = torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, -3) if inner == 3 else array))
     return tensors
 
 

@@ -8,7 +8,7 @@ import json
 import os
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,13 @@ from clsco.data.folder import Folder
 from clsco.data.tables import DistributionTables, read_tables
 from clsco.errors import ClscoError, SceneError
 from clsco.resources import read_regular
-from clsco.scene.changes import dump, table_at
+from clsco.scene.changes import MAX_VARIANTS, VARIANT, dump, table_at
 from clsco.scene.faults import at_most
-from clsco.scene.file import MAX_FILE_BYTES, SceneLike, absolute, scene_of
+from clsco.scene.file import MAX_FILE_BYTES, absolute, scene_of
 from clsco.scene.model import Scene
+from clsco.scene.quantities import as_python
 from clsco.scene.sensor import NOISE_SEEDS
-from clsco.scene.sweep import exposed_again
+from clsco.scene.sweep import Sweep, exposed_again, load_sweep, parse_sweep
 from clsco.scene.text import shown
 from clsco.scene.toml import toml_text
 
@@ -186,8 +187,9 @@ def _digest(tables: DistributionTables, splits: Splits, folder: Folder) -> str:
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()
 
 
-DrawScene = Callable[[np.random.Generator, int], SceneLike]
-"""Takes a generator and the number of the sample, and gives its scene."""
+DrawScene = Callable[[np.random.Generator, int], Any]
+"""Takes a generator and the number of the sample, and gives its scene or the scenes of its variants; or a pair of these
+and a mapping of parameters."""
 
 
 @dataclass(frozen=True)
@@ -227,10 +229,10 @@ class ScriptedDistribution:
         rng = np.random.Generator(np.random.Philox(key=[seed, number]))
         try:
             drawn = self.function(rng, number)
-            scene = scene_of(drawn)
-            if scene.sensor is not None and "noise_seed" not in scene.sensor.model_fields_set:
-                scene = exposed_again(scene, _noise_seed(seed, number))
-            table = self._table(scene)
+            content, parameters = drawn if isinstance(drawn, tuple) and len(drawn) == 2 else (drawn, {})
+            sweep = _sweep_of(content, _noise_seed(seed, number))
+            tables = [self._table(scene) for scene in sweep.scenes]
+            parameters = json.loads(json.dumps(dict(parameters), default=as_python, allow_nan=False))
         except ClscoError as error:
             messages = [f"{message} (sample {number}, seed {seed})" for message in str(error).splitlines()]
             raise SceneError(at_most(self.where, messages)) from error
@@ -238,7 +240,8 @@ class ScriptedDistribution:
             text = f"{self.where}: must give a scene; got {error!r} (sample {number}, seed {seed})"
             raise SceneError(text) from error
         split = self.splits[position][0] if self.splits else ""
-        return Sample(number, split, 1, {}, table, ("",), (absolute(scene, self.folder),))
+        scenes = tuple(absolute(scene, self.folder) for scene in sweep.scenes)
+        return Sample(number, split, 1, parameters, _joined_table(tables), sweep.labels, scenes)
 
     def _table(self, scene: Scene) -> dict[str, Any]:
         """Content of a scene file with paths in the folder; an array is replaced by its description."""
@@ -255,6 +258,40 @@ class ScriptedDistribution:
         if not whole.is_relative_to(self.folder):
             raise SceneError(f"texture: files must lie in {self.folder}; got {path}")
         return whole.relative_to(self.folder).as_posix()
+
+
+def _sweep_of(content: Any, noise_seed: int) -> Sweep:
+    """Scenes of what a function gives: a scene, a list of scenes, or a file or mapping with several values.
+
+    noise_seed: of the first scene, for sensors that have none; each further variant is another exposure. Raises
+    SceneError.
+    """
+    if isinstance(content, list):
+        sweep = Sweep(tuple(f"v{k:02d}" for k in range(len(content))), tuple(map(scene_of, content)))
+    elif isinstance(content, Sweep):
+        sweep = content
+    elif isinstance(content, str | os.PathLike):
+        sweep = load_sweep(content)
+    else:
+        sweep = parse_sweep(content) if isinstance(content, Mapping) else Sweep(("",), (scene_of(content),))
+    if not 1 <= len(sweep.scenes) <= MAX_VARIANTS:
+        raise SceneError(f"scene: must be 1 to {MAX_VARIANTS} variants; got {len(sweep.scenes)}")
+    seeds = [scene.sensor.noise_seed for scene in sweep.scenes if scene.sensor is not None]
+    first = sweep.scenes[0].sensor
+    added = noise_seed if first is not None and "noise_seed" not in first.model_fields_set else 0
+    alike = len(set(seeds)) < len(seeds)
+    scenes = [exposed_again(scene, added + alike * k) for k, scene in enumerate(sweep.scenes)]
+    return replace(sweep, scenes=tuple(scenes))
+
+
+def _joined_table(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Content of one scene file from that of each variant: sections that all share, and [[variant]] with the others."""
+    first, *others = tables
+    if not others:
+        return first
+    shared = {name: value for name, value in first.items() if all(table.get(name) == value for table in others)}
+    own = [{name: value for name, value in table.items() if name not in shared} for table in tables]
+    return {**shared, VARIANT: own}
 
 
 def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None = None) -> ScriptedDistribution:

@@ -10,8 +10,10 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from decimal import Decimal, localcontext
+from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
@@ -143,23 +145,24 @@ def shuffled(seed: int, name: str, count: int, turn: int) -> NDArray[np.int64]:
 Splits = tuple[tuple[str, float], ...]
 SplitsLike = Mapping[str, float] | Sequence[tuple[str, float]] | str | None
 MAX_SPLITS = 32
+MOST_BLOCK = 1000  # samples among which each split has exactly its share
 TAKEN = (PARTS, LOG, UNSPLIT, CONFLICT)  # by folders that sets have besides
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 def splits_of(splits: SplitsLike) -> Splits:
-    """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05"; None or "": no splits.
+    """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05" or "train=80,test=20"; None or "": no splits.
 
     Raises SceneError: names must be valid for folders and differ, also without regard to case; shares must be positive
-    and add up to 1.
+    and add up to 1, or be integers.
     """
     if not splits:
         return ()
     pairs: list[tuple[Any, Any]]
     if isinstance(splits, str):
-        pairs = [_parsed_split(part) for part in splits.split(",")]
+        pairs = _shares([_parsed_split(part) for part in splits.split(",")])
     else:
-        pairs = list(splits.items() if isinstance(splits, Mapping) else splits)
+        pairs = _shares(list(splits.items() if isinstance(splits, Mapping) else splits))
     if len(pairs) > MAX_SPLITS:
         raise SceneError(f"split: must be at most {MAX_SPLITS} splits; got {len(pairs)}")
     messages, seen = [], set()
@@ -181,11 +184,18 @@ def splits_of(splits: SplitsLike) -> Splits:
     return tuple((name, float(share)) for name, share in pairs)
 
 
+def _shares(pairs: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+    """Names and shares; numbers of samples, if all are integers, become shares."""
+    if not all(type(share) is int and share > 0 for _, share in pairs):
+        return pairs
+    return [(name, share / sum(each for _, each in pairs)) for name, share in pairs]
+
+
 def _parsed_split(part: str) -> tuple[str, float]:
     """Parse a split from NAME=SHARE."""
     name, _, share = part.partition("=")
     try:
-        return name.strip(), float(share)
+        return name.strip(), int(share) if share.strip().isdecimal() else float(share)
     except ValueError:
         raise SceneError(f"split: must be NAME=SHARE,..., like train=0.9,test=0.1; got {shown(part)}") from None
 
@@ -197,8 +207,30 @@ def positions(splits: Splits, place: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def split_of(splits: Splits, seed: int, number: int) -> int:
-    """Position of a sample's split, from a hash of seed and number alone."""
-    return int(positions(splits, unit(stream_words(seed, number, "split", 1, attempt=0)))[0])
+    """Position of a sample's split, from seed and number alone.
+
+    Each block of consecutive numbers has exactly its share of each split, in random order: with 80 and 20 %, one of
+    five. A block is as short as the shares, rounded to fractions of at most 1000, allow.
+    """
+    if not splits:
+        return 0
+    ends = _split_ends(splits)
+    block, place = divmod(number, ends[-1])
+    return bisect_right(ends, int(_split_order(seed, ends[-1], block)[place]))
+
+
+@lru_cache(maxsize=16)
+def _split_ends(splits: Splits) -> tuple[int, ...]:
+    """Numbers of samples of a block in the first split, the first two, and so on."""
+    shares = [Fraction(share).limit_denominator(MOST_BLOCK) for _, share in splits]
+    size = min(math.lcm(*(share.denominator for share in shares)), MOST_BLOCK)
+    ends = [math.floor(sum(shares[: k + 1]) * size + Fraction(1, 2)) for k in range(len(shares) - 1)]
+    return (*ends, size)
+
+
+@lru_cache(maxsize=16)
+def _split_order(seed: int, size: int, block: int) -> NDArray[np.int64]:
+    return shuffled(seed, "split", size, block)
 
 
 def of_files(splits: Splits, digests: Sequence[str]) -> NDArray[np.int64]:

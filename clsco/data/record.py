@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,21 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.errors import SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.color import exr_color
 from clsco.files.images import WRITERS, save_image, write_npz
 from clsco.files.ranges import check_values
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import Frame
 from clsco.frame.notebook import codes_to_show, html_to_show
-from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES, OUTPUTS
+from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES, OF_THE_IMAGE, OUTPUTS
 from clsco.frame.truth_files import FLOATS, parse_types, to_float16
+from clsco.plan.predict import without_lens
 
 if TYPE_CHECKING:
     from clsco.data.distribution import Sample
+    from clsco.scene.model import Scene
 
 CODES = {"uint8": 8, "uint16": 16}
 PICTURES = ("color", "sharp")  # arrays that can be stored as codes
+OF_THE_LENS = frozenset(FILE_NAMES[name] for name in (*OF_THE_IMAGE, "blur_radius", "throughput"))
+_VARIANT = re.compile(r"v\d{2,}")
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
 _OF_FRAMES = (
     "frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities",
@@ -45,8 +50,8 @@ class Record(Mapping[str, NDArray[Any]]):
         Number of the sample in nine digits.
     arrays : mapping of str to ndarray
         By name in files, such as "color" or "coc". With several frames "f0003.depth", with a stereo pair "left.color",
-        with variants "v01.color", with all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
-        floats.
+        with variants "v01.color", with all three "v01.f0003.left.color". Variants that differ only in lens and sensor
+        share other arrays, such as "depth" and "mask". Images are codes, uint8 or uint16, or linear floats.
     meta : mapping
         Content of the sample's JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with
         dtype, shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
@@ -131,7 +136,8 @@ class Record(Mapping[str, NDArray[Any]]):
             write_npz(path, self.arrays)
         else:
             prefix = name.removesuffix(name.rpartition(".")[2])
-            known = [each.get("chromaticities", ()) for each in self.meta["frames"] if each["prefix"] == prefix]
+            frames = [each for each in self.meta["frames"] if each["prefix"].endswith(prefix)]
+            known = [each.get("chromaticities", ()) for each in frames]
             writer = WRITERS.get(Path(path).suffix.lower())
             values = self.radiance(name) if writer is None or writer.floats else self._light(name)
             save_image(path, values, color=exr_color(next(iter(known), ())))
@@ -156,6 +162,33 @@ class Record(Mapping[str, NDArray[Any]]):
         ndarray of float32, (rows, columns[, 3])
         """
         return decode(self[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
+
+    def stacked(self) -> Record:
+        """The record with the arrays of its variants stacked: "color" (variants, rows, columns[, 3]) instead of
+        "v00.color", "v01.color".
+
+        Returns
+        -------
+        Record
+            Arrays that variants share, such as "depth", stay as they are. Without variants, the record itself.
+
+        Raises
+        ------
+        FileError
+            Arrays of the variants differ in size or type.
+        """
+        arrays, about = dict[str, NDArray[Any]](), dict[str, Any]()
+        for name in self.arrays:
+            variant, _, rest = name.partition(".")
+            if not _VARIANT.fullmatch(variant):
+                arrays[name], about[name] = self.arrays[name], self.meta["arrays"][name]
+            elif rest not in arrays:
+                layers = [array for each, array in self.arrays.items() if _without_variant(each) == rest != each]
+                if len({(layer.shape, layer.dtype) for layer in layers}) > 1:
+                    raise FileError(f"record {self.key}: {rest} must be alike in all variants; got several sizes")
+                arrays[rest] = np.stack(layers)
+                about[rest] = {**self.meta["arrays"][name], "shape": list(arrays[rest].shape), "stacked": True}
+        return Record(self.key, arrays, {**self.meta, "arrays": about}) if arrays.keys() != self.arrays.keys() else self
 
     def _light(self, name: str) -> NDArray[np.float32]:
         """`radiance` of what codes can show: an image. Raises SceneError for other arrays."""
@@ -230,6 +263,9 @@ def make_record(
                 arrays[whole], about[whole] = _stored(where, name, array, types.get(name), scene.image.transfer)
             known = {name: frame.metadata[name] for name in _OF_FRAMES if name in frame.metadata}
             described.append({"prefix": "".join(f"{part}." for part in parts), "eye": frame.eye, **known})
+    first, *others = map(_without_blur, sample.scenes)
+    if others and all(other == first for other in others):
+        _share(arrays, about)
     meta = {
         "number": sample.number,
         "seed": seed,
@@ -243,6 +279,31 @@ def make_record(
         "frames": described,
     }
     return Record(f"{sample.number:09d}", arrays, meta)
+
+
+def _without_blur(scene: Scene) -> Scene:
+    """The scene without its lens, PSF and sensor: equal for scenes whose rays meet the same surfaces."""
+    return without_lens(scene).model_copy(update={"psf": None, "aperture": None})
+
+
+def _without_variant(name: str) -> str:
+    """The name of an array without "v01."."""
+    variant, _, rest = name.partition(".")
+    return rest if _VARIANT.fullmatch(variant) else name
+
+
+def _share(arrays: dict[str, NDArray[Any]], about: dict[str, dict[str, Any]]) -> None:
+    """Store arrays that do not depend on the lens, and are equal in all variants, once: "depth" for "v00.depth"."""
+    groups: dict[str, list[str]] = {}
+    for name in arrays:
+        groups.setdefault(_without_variant(name), []).append(name)
+    for rest, (first, *others) in groups.items():
+        if rest.rpartition(".")[2] in OF_THE_LENS:
+            continue
+        if all(array_sha256(arrays[name]) == array_sha256(arrays[first]) for name in others):
+            arrays[rest], about[rest] = arrays[first], about[first]
+            for name in (first, *others):
+                del arrays[name], about[name]
 
 
 def _stored(

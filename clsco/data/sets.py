@@ -149,7 +149,7 @@ def open_set(storage: Storage) -> DataSet:
 
 
 def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
-    """The card of the stored set if `new` may resume it, {} for an empty storage.
+    """The card of the stored set if `new` may resume it, {} for an empty storage, or a set of which nothing was made.
 
     Raises SceneError: the stored set is another one or has more samples, resuming was not asked for, or the folder has
     other files.
@@ -161,13 +161,25 @@ def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
         return {}
     data_set = open_set(storage)
     if not resumes:
-        raise SceneError(f"{where}: must hold no data set, unless it is continued with resume; got one")
+        if any(_made_some(data) for _, data in data_set.parts()):
+            raise SceneError(f"{where}: must hold no data set, unless it is continued with resume; got one")
+        for key in data_set.part_keys():
+            storage.remove(key)
+        return {}
     faults = data_set.identity.differences(new.identity.record())
     if data_set.samples.stop > new.samples.stop:
         faults.append(f"count must be at least {data_set.samples.stop}, as in the set; got {new.samples.stop}")
     if faults:
         raise SceneError([f"{where}: {fault}" for fault in faults])
     return data_set.about
+
+
+def _made_some(part: bytes) -> bool:
+    """True if a shard has samples, by its part of the manifest; also if that is damaged."""
+    try:
+        return parsed_part(part).made > 0
+    except FileError:
+        return True
 
 
 @dataclass(frozen=True, repr=False)

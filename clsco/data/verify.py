@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from clsco import __version__
 from clsco.data.build import located
 from clsco.data.containers import container_named
-from clsco.data.distribution import Sample
+from clsco.data.distribution import Sample, ScriptedDistribution, scripted
 from clsco.data.manifest import Merged, parsed_part, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
@@ -58,12 +59,35 @@ def verify_files(data_set: DataSet, advance: Advance) -> list[str]:
     return findings
 
 
+def drawn_again(data_set: DataSet, name: str, folder: Path) -> ScriptedDistribution:
+    """The distribution of the function "module:function" that made a set; folder: base of texture paths.
+
+    Raises SceneError: it cannot be imported, or is not the function of the set.
+    """
+    try:
+        function = resolve_name(name) if ":" in name else None
+    except Exception as error:  # the module may raise anything
+        raise SceneError(f"draw: must be MODULE:FUNCTION that Python can import; got {name}: {error!r}") from error
+    if not callable(function):
+        raise SceneError(f"draw: must be MODULE:FUNCTION that Python can import; got {name}")
+    drawn = scripted(function, data_set.identity.splits or None, folder)
+    if drawn.digest != data_set.identity.distribution:
+        raise SceneError(f"draw: must be the function that made the set, from the same source; got {name}")
+    return drawn
+
+
 def verify_samples(
-    data_set: DataSet, numbers: Sequence[int], device: str | None, advance: Advance, folder: Path
+    data_set: DataSet,
+    numbers: Sequence[int],
+    device: str | None,
+    advance: Advance,
+    folder: Path,
+    drawn: ScriptedDistribution | None = None,
 ) -> list[str]:
     """Render samples again, and list those that differ, one line each.
 
-    folder: folder of the distribution file, base of texture paths.
+    folder: folder of the distribution file, base of texture paths. drawn: from `drawn_again`, draws the samples again;
+    None to use the scenes that the set has.
     """
     chosen = choose(device, "device")
     if numbers and device_family(chosen) != data_set.identity.device_family:
@@ -75,7 +99,7 @@ def verify_samples(
     findings: list[str] = []
     for number in numbers:
         try:
-            findings += _verify_sample(data_set, number, renderer, folder)
+            findings += _verify_sample(data_set, number, renderer, folder, drawn)
         except ClscoError as error:
             findings += [f"sample {number}: must be rendered again; got {text}" for text in str(error).splitlines()]
         advance()
@@ -130,19 +154,23 @@ def _differing(hashes: Mapping[str, str], others: Mapping[str, str]) -> list[str
     return sorted(name for name in hashes.keys() | others.keys() if hashes.get(name) != others.get(name))
 
 
-def _verify_sample(data_set: DataSet, number: int, renderer: SampleRenderer, folder: Path) -> Iterator[str]:
+def _verify_sample(
+    data_set: DataSet, number: int, renderer: SampleRenderer, folder: Path, drawn: ScriptedDistribution | None
+) -> Iterator[str]:
     rows, _ = data_set.lines(number // data_set.identity.shard_size)
     row = next((row for row in rows if row["number"] == number), None)
     if row is None:
         return  # it failed, or its shard is missing, which is a finding already
     record = _stored(data_set, row)
-    meta = record.meta
-    sweep = parse_sweep(located(meta["scene"], folder), f"sample {number}")
-    sample = Sample(
-        number, meta["split"], meta["attempts"], dict(meta["parameters"]), dict(meta["scene"]),
-        sweep.labels, sweep.scenes,
-    )  # fmt: skip
-    identity = data_set.identity
+    meta, identity = record.meta, data_set.identity
+    if drawn is None:
+        sweep = parse_sweep(located(meta["scene"], folder), f"sample {number}")
+        sample = Sample(
+            number, meta["split"], meta["attempts"], dict(meta["parameters"]), dict(meta["scene"]),
+            sweep.labels, sweep.scenes,
+        )  # fmt: skip
+    else:
+        sample = drawn.draw(identity.seed, number)
     again = make_record(sample, identity.seed, renderer.render(sample), identity.arrays, dict(identity.types))
     for name in _differing(again.sha256(), record.sha256()):
         yield f"{row['file']}: sample {number}: {name} must be what is rendered again, bit by bit; got other values"

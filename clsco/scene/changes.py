@@ -14,6 +14,9 @@ from clsco.scene.faults import parsed
 from clsco.scene.spread import APERTURE_KEYS, MODEL_KEYS, ApertureShape, SpreadModel
 from clsco.scene.text import brief, shown
 
+MAX_VARIANTS = 4096
+MOST_JOINED = 8  # depth of tables that are joined; deeper nesting is rejected later
+VARIANT = "variant"  # array of tables: keys that differ from the rest of the file, in each of several scenes
 # (key, its new value or None for any, key of the file that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.f_number", None, "camera.aperture_diameter"),
@@ -100,6 +103,37 @@ def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
         else:
             node = node[key]
     return None
+
+
+def variant_tables(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Content of the scene file of each [[variant]] by itself; [] without any, or if they are no tables or too many."""
+    tables, shared = data.get(VARIANT), {key: value for key, value in data.items() if key != VARIANT}
+    if not isinstance(tables, list) or len(tables) > MAX_VARIANTS or not all(isinstance(t, Mapping) for t in tables):
+        return []
+    return [_changed(shared, table) for table in tables]
+
+
+def _changed(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of a scene file with the values of `table`, which displace those that contradict them.
+
+    Tables are joined key by key; a table for a list changes its entries by number, as "object.0.radius" does; other
+    values are replaced.
+    """
+    copy = {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
+    for section, keys in table.items():
+        for key, value in keys.items() if isinstance(keys, Mapping) else ():
+            displace(copy, f"{section}.{key}", value)
+    return cast("dict[str, Any]", _joined(copy, table))
+
+
+def _joined(old: Any, new: Any, depth: int = 0) -> Any:
+    if not isinstance(new, Mapping) or depth == MOST_JOINED:
+        return new
+    if isinstance(old, list) and new.keys() <= {str(number) for number in range(len(old))}:
+        return [_joined(entry, new[str(k)], depth + 1) if str(k) in new else entry for k, entry in enumerate(old)]
+    if not isinstance(old, Mapping):
+        return new
+    return {**old, **{key: _joined(old.get(key), value, depth + 1) for key, value in new.items()}}
 
 
 def displace(data: dict[str, Any], key: str, value: Any) -> None:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
 from clsco.resources import read_regular
-from clsco.scene.changes import override
+from clsco.scene.changes import VARIANT, override, variant_tables
 from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
 from clsco.scene.model import AnyShape, Aperture, Camera, ObjectMotion, Psf, Scene
 from clsco.scene.spread import misfit
@@ -109,6 +109,8 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
         elif section in ("object", "group"):
             for index, item in enumerate(items(mapping, section)):
                 search(item.get("motion"), ObjectMotion, (section, index, "motion"))
+        elif section == VARIANT:
+            swept.append(((section,), table))
     return swept
 
 
@@ -148,6 +150,8 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
     """Copy of a scene file's content with other file names; name: returns the new one from location and old name."""
+    if tables := variant_tables(data):
+        return {VARIANT: [relocated(table, name) for table in tables]}
     copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
         copy["aperture"] = dict(aperture)

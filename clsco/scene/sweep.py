@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from clsco.errors import SceneError
+from clsco.scene.changes import MAX_VARIANTS, VARIANT, variant_tables
 from clsco.scene.faults import at_most
 from clsco.scene.file import (
     MAX_OUTPUTS,
@@ -28,6 +29,7 @@ from clsco.scene.sensor import NOISE_SEEDS
 from clsco.scene.text import key_name, shown
 
 RANGE = ("from", "to", "steps")
+DIOPTERS = "diopters"  # spacing of a range: equal steps of 1 / value
 DEEPEST = 8  # deepest nesting of tables and lists, more than a range of an object's velocities needs
 
 
@@ -90,8 +92,10 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     -----
     Keys of [camera], [motion], [sequence], [camera.motion], [object.motion] and [group.motion] may be a list of values,
     or a range { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range
-    of vectors. Several such keys give all combinations, the first key of the file changing slowest. Each variant is a
-    separate exposure: the sensor's noise_seed is 1 higher than in the previous variant, unless noise_seed is swept.
+    of vectors. With spacing = "diopters", a range has equal steps of 1 / value. Several such keys give all
+    combinations, the first key of the file changing slowest. For values that change together, each table [[variant]]
+    has the keys that differ from the rest of the file; labels then begin with "v00", "v01". Each variant is a separate
+    exposure: the sensor's noise_seed is 1 higher than in the previous variant, unless it is given for each.
 
     Examples
     --------
@@ -151,6 +155,37 @@ def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep
     [2.0, 4.0]
     """
     mapping = _listed(table_of(mapping, where))
+    if isinstance(mapping, Mapping) and VARIANT in mapping:
+        return _parse_variants(mapping, where)
+    return _parse_lists(mapping, where)
+
+
+def _parse_variants(mapping: Mapping[str, Any], where: str) -> Sweep:
+    """Scenes of a file with [[variant]]: those of each variant, one variant after the other."""
+    tables = mapping[VARIANT]
+    if not (whole := variant_tables(mapping)):
+        raise SceneError(f"{where}: variant: must be 1 to {MAX_VARIANTS} tables, [[variant]]; got {shown(tables)}")
+    faults, labels, scenes = list[str](), list[str](), list[Scene]()
+    for number, table in enumerate(whole):
+        try:
+            sweep = _parse_lists(table, "")
+        except SceneError as error:
+            faults += [f"variant[{number}]: {message.removeprefix(': ')}" for message in error.messages]
+            continue
+        if len(scenes) + len(sweep.scenes) > MAX_OUTPUTS:
+            faults.append(f"variant: must give at most {MAX_OUTPUTS} scenes in all; got more")
+            break
+        labels += [f"v{number:02d}__{label}" if label else f"v{number:02d}" for label in sweep.labels]
+        has_seed = isinstance(sensor := tables[number].get("sensor"), Mapping) and "noise_seed" in sensor
+        later = 0 if has_seed else len(scenes)
+        scenes += [exposed_again(scene, later) for scene in sweep.scenes]
+    if faults:
+        raise SceneError(at_most(where, faults))
+    return Sweep(tuple(labels), tuple(scenes))
+
+
+def _parse_lists(mapping: Any, where: str) -> Sweep:
+    """Scenes of a file in which keys have lists or ranges of values."""
     if not isinstance(mapping, Mapping) or not (swept := swept_keys(mapping)):
         return Sweep(("",), (parse_scene(mapping, where),))
     faults: list[str] = []
@@ -175,7 +210,7 @@ def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep
 
 def exposed_again(scene: Scene, number: int) -> Scene:
     """The scene with the sensor noise of another exposure, `number` exposures later."""
-    if scene.sensor is None:
+    if scene.sensor is None or number == 0:
         return scene
     seed = (scene.sensor.noise_seed + number) % NOISE_SEEDS
     return scene.model_copy(update={"sensor": scene.sensor.model_copy(update={"noise_seed": seed})})
@@ -266,19 +301,18 @@ def _values(name: str, values: Any, faults: list[str]) -> tuple[Any, ...]:
 
 def _range(name: str, table: Mapping[str, Any], faults: list[str]) -> tuple[Any, ...]:
     """Values of a range; if it is invalid, () and messages appended to `faults`."""
-    before = len(faults)
-    for key in table:
-        if key not in RANGE:
-            faults.append(f"{name}.{key_name((key,))}: a range has from, to and steps; got {shown(table[key])}")
-    for key in RANGE:
-        if key not in table:
-            faults.append(f"{name}.{key}: must be given; got nothing")
-        elif key == "steps":
-            if type(table[key]) is not int or not 2 <= table[key] <= MAX_OUTPUTS:
-                faults.append(f"{name}.steps: must be an integer between 2 and {MAX_OUTPUTS}; got {shown(table[key])}")
-        elif not all(_is_finite(value) for value in _components(table[key])):
-            faults.append(f"{name}.{key}: must be a finite number, or a list of them; got {shown(table[key])}")
-    if len(faults) > before:
+    inverse = table.get("spacing") == DIOPTERS
+    own = [
+        f"{name}.{key_name((key,))}: a range has from, to and steps; got {shown(table[key])}"
+        for key in table
+        if key not in (*RANGE, "spacing")
+    ]
+    own += [f"{name}.{key}: must be given; got nothing" for key in RANGE if key not in table]
+    for key, value in table.items():
+        if rule := _range_rule(key, value, inverse):
+            own.append(f"{name}.{key}: {rule}; got {shown(value)}")
+    if own:
+        faults += own
         return ()
     start, end, steps = (table[key] for key in RANGE)
     if isinstance(start, list) != isinstance(end, list) or len(_components(start)) != len(_components(end)):
@@ -287,6 +321,9 @@ def _range(name: str, table: Mapping[str, Any], faults: list[str]) -> tuple[Any,
     if start == end:
         faults.append(f"{name}.to: must differ from from; got {shown(end)}")
         return ()
+    if inverse:
+        shares = [i / (steps - 1) for i in range(1, steps - 1)]
+        return (start, *(1.0 / ((1.0 - share) / start + share / end) for share in shares), end)
     values = []
     for i in range(steps):
         pairs = zip(_components(start), _components(end), strict=True)
@@ -295,16 +332,30 @@ def _range(name: str, table: Mapping[str, Any], faults: list[str]) -> tuple[Any,
     return tuple(values)
 
 
+def _range_rule(key: str, value: Any, inverse: bool) -> str:
+    """The rule that the value of a range's key violates, "" if none; inverse: True for equal steps of 1 / value."""
+    if key == "steps" and not (type(value) is int and 2 <= value <= MAX_OUTPUTS):
+        return f"must be an integer between 2 and {MAX_OUTPUTS}"
+    if key == "spacing" and not inverse:
+        return f'must be "{DIOPTERS}"'
+    if key in ("from", "to") and inverse and not (_is_number(value) and value > 0):
+        return "must be a positive number in a range of diopters"
+    if key in ("from", "to") and not inverse and not all(_is_finite(entry) for entry in _components(value)):
+        return "must be a finite number, or a list of them"
+    return ""
+
+
 def _components(value: Any) -> list[Any]:
     """Components of a vector, or the number itself."""
     return value if isinstance(value, list) else [value]
 
 
 def _is_finite(value: Any) -> bool:
-    """True if a value is a number whose differences are finite."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < 1e300  # so that differences are finite as well
+    return _is_number(value) and abs(value) < 1e300  # so that differences are finite as well
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _between(low: float, high: float, step: int, last: int) -> float:

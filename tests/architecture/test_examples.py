@@ -50,6 +50,7 @@ def test_a_class_with_methods_has_an_example(name: str) -> None:
 def test_examples_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if module.startswith("clsco.data"):
         make_set(tmp_path / "DATA", "npz")
+        make_set(tmp_path / "STACKS", "npz", count=1, variants=5)
     monkeypatch.chdir(tmp_path)
     runner = doctest.DocTestRunner(optionflags=doctest.IGNORE_EXCEPTION_DETAIL)
     for test in examples(import_module(module)):

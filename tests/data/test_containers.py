@@ -68,7 +68,7 @@ def test_prefixes_grays_halves_and_missing_arrays(form: str, tmp_path: Path) -> 
     records = [made] if form in ONE_SHAPE else [made, record(2, (4, 6), ("depth",))]
     found = list(CONTAINERS[form].read(written(tmp_path, form, records)))
     assert list(map(same, found, records)) == [True] * len(records)
-    assert found[0]["v01.f0001.left.depth"].dtype == np.float16
+    assert found[0]["f0001.left.depth"].dtype == np.float16
 
 
 def test_one_shape_for_all_where_columns_need_it(tmp_path: Path) -> None:

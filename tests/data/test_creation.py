@@ -40,10 +40,67 @@ def draw(rng: np.random.Generator, sample: int) -> clsco.Scene:
     return clsco.Scene(camera=camera, objects=(ball,))
 
 
+def draw_stack(rng: np.random.Generator, sample: int) -> tuple[Any, dict[str, Any]]:
+    """A focal stack of two, as a list of scenes, a mapping with lists, or [[variant]]; with what was drawn."""
+    radius = np.float64(rng.uniform(20, 30))
+    content: dict[str, Any] = {"camera": {"resolution": [24, 16], "pixel_pitch": 0.2}, "sensor": {}}
+    content["object"] = [{"shape": "sphere", "center": [0, 0, 280], "radius": radius, "texture": "dots.png"}]
+    if sample % 3 == 0:
+        scene = clsco.parse_scene(content)
+        return [scene.replace("camera.focus_distance", u) for u in (230, 300)], {"radius": radius}
+    if sample % 3 == 1:
+        content["camera"]["focus_distance"] = [230, 300]
+    else:
+        content["variant"] = [{"camera": {"focus_distance": 230}}, {"camera": {"focus_distance": 300, "f_number": 4}}]
+    return content, {"radius": radius}
+
+
 def draw_badly(rng: np.random.Generator, sample: int) -> dict[str, Any]:
     """A scene of every other sample; the others end in an error of Python, or leave the folder."""
     texture = "bricks" if sample % 2 else "../dots.png"
     return {"camera": {"resolution": [24, 16]}, "object": [{"shape": "plane", "texture": [texture][sample // 3]}]}
+
+
+def test_a_function_gives_variants_and_parameters(place: Path) -> None:
+    clsco.data.make(draw_stack, "stacks", count=6, truth="depth,raw", workers=1, format="npz", splits="a=1,b=2")
+    data = clsco.data.open("stacks")
+    assert sum(len(clsco.data.open("stacks", name)) for name in "ab") == len(data) == 6
+    assert len(clsco.data.open("stacks", "a")) == 2
+    for record in data:
+        number = record.meta["number"]
+        assert set(record) == {"v00.color", "v01.color", "v00.raw", "v01.raw", "depth"}
+        assert record.meta["parameters"]["radius"] == record.meta["scene"]["object"][0]["radius"]
+        assert len(record.meta["labels"]) == len(record.meta["scene"].get("variant", [0, 0])) == 2
+        scenes = clsco.parse_sweep(record.meta["scene"] | {"object": [{"shape": "plane"}]}).scenes
+        assert [scene.camera.focus_distance for scene in scenes] == [230, 300]
+        seeds = [scene.sensor.noise_seed for scene in scenes if scene.sensor is not None]
+        assert seeds[1] == seeds[0] + 1  # two exposures, not a copy
+        assert np.abs(record["v00.raw"].astype(int) - record["v01.raw"]).max() > 3, number
+    stack = data.stacked()[0]
+    assert stack["color"].shape == (2, 16, 24)
+    assert stack["depth"].shape == (16, 24)
+    run = CliRunner().invoke(main, ["dataset", "verify", "stacks"])
+    assert run.output == "stacks: 6 samples as recorded, 6 rendered again\n"
+    assert not clsco.data.remake("stacks", distribution=draw_stack, workers=1)
+    shown = CliRunner().invoke(main, ["dataset", "show", "stacks", "2"])
+    (place / "shown.toml").write_text(shown.output)
+    assert len(clsco.load_sweep("shown.toml").scenes) == 2
+
+
+def test_samples_with_arrays_are_verified_by_their_function(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clsco.data.make(draw, "one", count=3, truth="depth", workers=1)
+    monkeypatch.setattr(sys, "path", [str(Path(__file__).parents[2]), *sys.path])
+    words = ["dataset", "verify", "one", "--draw"]
+    run = CliRunner().invoke(main, [*words, "tests.data.test_creation:draw"])
+    assert run.output == "one: 3 samples as recorded, 3 rendered again\n"
+    for name, rule in (
+        ("tests.data.test_creation:draw_badly", "draw: must be the function that made the set, from the same source"),
+        ("tests.data.nothing:draw", "draw: must be MODULE:FUNCTION that Python can import"),
+        ("draw", "draw: must be MODULE:FUNCTION that Python can import"),
+    ):
+        run = CliRunner().invoke(main, [*words, name])
+        assert run.exit_code == 1
+        assert rule in run.output
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from PIL import Image
 from clsco.data.build import located
 from clsco.data.compile import Parameter
 from clsco.data.distribution import Distribution, Sample, draw_value
-from clsco.data.draws import split_of
+from clsco.data.draws import split_of, splits_of
 from clsco.errors import SceneError
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.toml import toml_text
@@ -287,7 +287,9 @@ def distribution_digest(path: Path) -> str:
 def test_splits_do_not_depend_on_the_count_and_have_their_shares(load: Load) -> None:
     splits = (("train", 0.9), ("val", 0.05), ("test", 0.05))
     places = [split_of(splits, 3, number) for number in range(5000)]
-    assert np.abs(np.bincount(places) / len(places) - [0.9, 0.05, 0.05]).max() < 0.01
+    for first in range(0, 5000, 20):
+        assert np.bincount(places[first : first + 20]).tolist() == [18, 1, 1]
+    assert len({tuple(places[first : first + 20]) for first in range(0, 5000, 20)}) > 100
     distribution = load(ALL, splits=dict(splits))
     assert [distribution.draw(3, k).split for k in range(30)] == [splits[k][0] for k in places[:30]]
 
@@ -363,6 +365,17 @@ def test_keys_that_follow_give_what_is_wanted(load: Load) -> None:
         assert sample.parameters["sequence.interval"] == scene.sequence.interval
 
 
+def test_numbers_of_samples_are_shares_as_well() -> None:
+    for given in ("train=80,test=20", {"train": 4, "test": 1}, {"train": 0.8, "test": 0.2}):
+        splits = splits_of(given)
+        assert splits == (("train", 0.8), ("test", 0.2))
+        assert sum(split_of(splits, 1, number) for number in range(100)) == 20
+    thirds = splits_of({"a": 1, "b": 1, "c": 1})
+    assert np.bincount([split_of(thirds, 1, number) for number in range(99)]).tolist() == [33, 33, 33]
+    odd = splits_of({"a": 0.123456, "b": 0.876544})
+    assert 120 <= sum(split_of(odd, 1, number) == 0 for number in range(1000)) <= 127
+
+
 @pytest.mark.parametrize(
     ("given", "rule"),
     [
@@ -374,8 +387,6 @@ def test_keys_that_follow_give_what_is_wanted(load: Load) -> None:
     ],
 )  # fmt: skip
 def test_bad_splits_are_refused(given: Any, rule: str) -> None:
-    from clsco.data.draws import splits_of
-
     with pytest.raises(SceneError, match=rule):
         splits_of(given)
 

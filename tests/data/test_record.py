@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from clsco.data.record import array_sha256, make_record, parse_stored
+from clsco.data.record import Record, array_sha256, make_record, parse_stored
 from clsco.errors import FileError, SceneError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
@@ -37,18 +38,46 @@ def test_arrays_of_one_frame() -> None:
     [
         ([frame(1, index=3), frame(1, index=4)], 1, ["f0003.depth", "f0004.depth"]),
         ([frame(1, eye="left"), frame(1, eye="right")], 1, ["left.depth", "right.depth"]),
-        ([frame(1)], 2, ["v00.depth", "v01.depth"]),
+        ([frame(1)], 2, ["v00.color", "v01.color", "depth"]),
         (
             [frame(1, index=n, eye=eye) for n in (0, 1) for eye in ("left", "right")],
             2,
-            [f"v0{v}.f000{n}.{eye}.depth" for v in (0, 1) for n in (0, 1) for eye in ("left", "right")],
+            [f"v0{v}.f000{n}.{eye}.color" for v in (0, 1) for n in (0, 1) for eye in ("left", "right")]
+            + [f"f000{n}.{eye}.depth" for n in (0, 1) for eye in ("left", "right")],
         ),
     ],
 )
 def test_names_have_what_there_is_several_of(frames: list[object], variants: int, names: list[str]) -> None:
-    made = make_record(drawn(1, variants), 0, [frames] * variants, ("depth",))  # type: ignore[list-item]
+    wanted = ("depth",) if variants == 1 else ("color", "depth")
+    made = make_record(drawn(1, variants), 0, [frames] * variants, wanted)  # type: ignore[list-item]
     assert list(made.arrays) == names
-    assert [f"{each['prefix']}depth" for each in made.meta["frames"]] == names
+    prefixes = [each["prefix"] for each in made.meta["frames"]]
+    assert [f"{prefix}{wanted[0]}" for prefix in prefixes] == names[: len(prefixes)]
+
+
+def test_variants_share_what_does_not_depend_on_the_lens() -> None:
+    sample = drawn(1, 2)
+    nearer = replace(frame(1), depth=frame(2).depth)
+    apart = make_record(sample, 0, [[frame(1)], [nearer]], ("color", "depth", "mask"))
+    assert list(apart.arrays) == ["v00.color", "v00.depth", "v01.color", "v01.depth", "mask"]
+    moving: Any = sample
+    moving.scenes = tuple(scene.replace("object.0.radius", 20.0 + k) for k, scene in enumerate(sample.scenes))
+    others = make_record(sample, 0, [[frame(1)], [frame(1)]], ("color", "depth"))
+    assert "v01.depth" in others.arrays
+
+
+def test_variants_are_stacked() -> None:
+    made = make_record(drawn(1, 2), 0, [[frame(1)], [frame(2)]], ("color", "depth"))
+    whole = made.stacked()
+    assert whole["color"].shape == (2, *made["v00.color"].shape)
+    np.testing.assert_array_equal(whole["color"][1], made["v01.color"])
+    assert whole["depth"].ndim == (2 if "depth" in made.arrays else 3)
+    assert whole.meta["arrays"]["color"]["shape"] == list(whole["color"].shape)
+    assert whole.radiance("color").dtype == np.float32
+    assert record(7, wanted=("color",)).stacked().arrays.keys() == {"color"}
+    uneven = Record("000000001", {"v00.color": np.zeros((2, 2)), "v01.color": np.zeros((3, 2))}, {"arrays": {}})
+    with pytest.raises(FileError, match="record 000000001: color must be alike in all variants"):
+        uneven.stacked()
 
 
 def test_codes_note_what_they_clip() -> None:

@@ -16,6 +16,7 @@ import clsco
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, load_distribution
 from clsco.data.failures import failure_of
+from clsco.data.manifest import part_bytes, part_key
 from clsco.data.sets import DataSet, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch
 from clsco.data.storage import open_storage
@@ -131,6 +132,12 @@ def test_a_set_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     assert not check_resumable(wanted, resumes=False)
     wanted.write({"license": "CC0"})
     assert open_set(wanted.storage) == wanted or open_set(wanted.storage).identity == wanted.identity
+    failed = [{"number": number, "error": "e", "scene": None} for number in wanted.numbers(0)]
+    wanted.storage.write(part_key(0), part_bytes(0, wanted.identity.digest, wanted.numbers(0), {}, [], failed))
+    assert not check_resumable(wanted, resumes=False)  # of which nothing was made
+    assert not wanted.part_keys()
+    rows = [{"number": number} for number in wanted.numbers(0)]
+    wanted.storage.write(part_key(0), part_bytes(0, wanted.identity.digest, wanted.numbers(0), {}, rows, []))
     with pytest.raises(SceneError, match="must hold no data set, unless it is continued with resume; got one"):
         check_resumable(wanted, resumes=False)
     assert check_resumable(wanted, resumes=True)

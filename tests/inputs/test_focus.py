@@ -14,6 +14,7 @@ from clsco.scene.model import Background, Camera, DepthMap, Plane, Scene, Sphere
 from tests.scenes import scene_of
 
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
+FAR = "focus: must be on a surface beyond the focal length, "
 FOCUS_AT = "; a pixel or a share of the depths can be focused on)"
 
 
@@ -90,8 +91,7 @@ def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
     (scene_of(depth_map(depth=np.zeros((48, 64)), unit="coc")), Focus((0, 0)),
      'focus: depths must be known; got unit = "coc", whose radii say what is in focus'),
     (scene_of(depth_map(), camera={"focal_length": 350.0, "sensor_distance": 2000.0}), Focus((0, 0)),
-     "focus: must be on a surface beyond the focal length, 350 mm; got a depth of 300 mm (is it in another unit, such "
-     "as m?)"),
+     FAR + "350 mm; got a depth of 300 mm (is it in another unit, such as m?)"),
 ])  # fmt: skip
 def test_what_cannot_be_in_focus_is_refused(scene: Scene, focus: Focus, message: str) -> None:
     with pytest.raises(SceneError) as caught:

@@ -16,9 +16,11 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from clsco.scene.changes import MAX_VARIANTS, VARIANT
 from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE, holds_tables
 from clsco.scene.model import CameraMotion, ObjectMotion, Scene
 from clsco.scene.shapes import SHAPES
+from clsco.scene.sweep import DIOPTERS
 
 _END = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
 _RANGE_SCHEMA = {
@@ -29,9 +31,18 @@ _RANGE_SCHEMA = {
         "from": {"description": "First value.", **_END},
         "to": {"description": "Last value.", **_END},
         "steps": {"description": "Number of values.", "type": "integer", "minimum": 2, "maximum": MAX_OUTPUTS},
+        "spacing": {"description": "Equal steps of 1 / value instead of the value.", "const": DIOPTERS},
     },
     "required": ["from", "to", "steps"],
     "additionalProperties": False,
+}
+_VARIANTS_SCHEMA = {
+    "title": "Variants",
+    "description": "Scenes of one file: keys of each that differ from the rest of the file.",
+    "type": "array",
+    "items": {"type": "object"},
+    "minItems": 1,
+    "maxItems": MAX_VARIANTS,
 }
 
 
@@ -55,6 +66,7 @@ def generate_schema() -> dict[str, Any]:
                 choice = {"anyOf": [entry, several, {"$ref": "#/$defs/Range"}]}
                 definitions[model.__name__]["properties"][key] = about | choice
     definitions["Range"] = _RANGE_SCHEMA
+    schema["properties"][VARIANT] = _VARIANTS_SCHEMA
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": ["object"]}
 
 

@@ -274,6 +274,7 @@ def test_schema_documents_every_key() -> None:
         "sensor",
         "group",
         "object",
+        "variant",
     ]
     for definition in schema["$defs"].values():
         assert definition["additionalProperties"] is False

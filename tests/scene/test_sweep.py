@@ -72,6 +72,38 @@ def test_every_combination_comes_with_the_first_key_outermost() -> None:
     assert sweep.labels == tuple(f"samples_{samples}__f_number_{number:g}" for samples, number in wanted)
 
 
+def test_ranges_have_equal_steps_of_diopters() -> None:
+    sweep = parse_sweep(mapping("camera.focus_distance = { from = 250, to = inf, steps = 5, spacing = 'diopters' }"))
+    powers = [1 / (scene.camera.focus_distance or 1) for scene in sweep.scenes]
+    assert powers == pytest.approx([4e-3, 3e-3, 2e-3, 1e-3, 0])
+    assert sweep.labels[0] == "focus_distance_250"
+
+
+def test_variants_change_keys_together() -> None:
+    text = """
+    camera = { sensor_distance = 21.0, f_number = 2 }
+    sensor = { noise_seed = 7 }
+    [[variant]]
+    camera = { focus_distance = 250, normalization_distance = 260 }
+    object.0.name = "near"
+    [[variant]]
+    camera.focus_distance = [300, 400]
+    """
+    data = mapping(text)
+    sweep = parse_sweep(data)
+    assert sweep.labels == ("v00", "v01__focus_distance_300", "v01__focus_distance_400")
+    cameras = [scene.camera for scene in sweep.scenes]
+    assert [camera.focus_distance for camera in cameras] == [250, 300, 400]
+    assert [camera.normalization_distance for camera in cameras] == [260, 20, 20]
+    assert {camera.f_number for camera in cameras} == {2}
+    assert [scene.objects[0].name == "near" for scene in sweep.scenes] == [True, False, False]
+    seeds = [scene.sensor.noise_seed for scene in sweep.scenes if scene.sensor is not None]
+    assert seeds == [7, 8, 9]  # each is an exposure of its own
+    assert data == mapping(text)
+    own = parse_sweep({**data, "variant": [{"sensor": {"noise_seed": 3}}, {"sensor": {"noise_seed": 3}}]})
+    assert [scene.sensor.noise_seed for scene in own.scenes if scene.sensor is not None] == [3, 3]
+
+
 def test_vectors_are_swept_by_lists_and_ranges_of_vectors() -> None:
     text = """
     [camera]
@@ -134,6 +166,14 @@ camera.focus_distance = {from = 10, to = 40, steps = 4} ; camera.focal_length = 
 sequence.interval = [1, 2, 0.1] ; sequence.shutter = 0.5
     -> sequence.shutter: must be at most interval = 0.1 s; got 0.5 (with sequence.interval[2])
 sequence.frames = {from = 1, to = 2, steps = 3} -> sequence.frames[1]: must be an integer; got 1.5
+camera.f_number = {from = 1, to = 2, steps = 3, spacing = "even"}
+    -> camera.f_number.spacing: must be "diopters"; got "even"
+camera.focus_distance = {from = 100, to = [200], steps = 3, spacing = "diopters"}
+    -> camera.focus_distance.to: must be a positive number in a range of diopters; got [200]
+variant = 3 -> variant: must be 1 to 4096 tables, [[variant]]; got 3
+variant = [{camera.f_number = 3}, {camera.f_numbre = 3}]
+    -> variant[1]: camera.f_numbre: unknown key (did you mean f_number?); got 3
+variant = [{object.7.name = "a"}] -> variant[0]: object: must be an array of tables, [[object]]; got a table of 1 keys
 camera.f_number = {from = 1, to = 2} -> camera.f_number.steps: must be given; got nothing
 camera.f_number = {from = 1, to = 2, steps = 1} -> camera.f_number.steps: must be an integer between 2 and 4096; got 1
 camera.f_number = {from = nan, to = 2, steps = 3}

@@ -187,7 +187,7 @@ def test_pipes_and_growth_among_the_files_of_the_folder(tmp_path: Path) -> None:
 
 
 def test_data_sets_and_folders_of_frames_are_not_searched(tmp_path: Path) -> None:
-    for name in ("scene.toml", "set/dataset.json", "set/train/one.json", "frames/frame_0000.json", "frames/deep/a.toml"):
+    for name in ("scene.toml", "set/dataset.json", "set/train/a.json", "frames/frame_0000.json", "frames/deep/a.toml"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
     assert listed(tmp_path, (".toml", ".json")) == ["scene.toml"]
