@@ -12,10 +12,7 @@ STATISTIC_LARGEST = 0
 STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
 STATISTIC_BEYOND = 3  # 1 if an object was hit outside of its predicted extent
-STATISTIC_OUTSIDE = 4  # 1 if a source predicted to be still is not (kernels/trace/still.clh)
-PLACE_NUMBERS = 10  # count of numbers that describe the place of an object at a time sample
 NARROW_IMAGE = 4  # px; a surface whose image is narrower counts as small (kernels/trace/small.clh)
-MOVING_MARGIN = 4  # px around moving objects, within which sources are not still
 
 # Bits of the feature CURVED (kernels/common/geometry.clh).
 CURVED_FIELD = 1

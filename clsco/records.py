@@ -29,9 +29,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     lens_t: see `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: number of the
     object's texture. texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see
     `clsco.optics.light.PlacedLight`. pose_t: see `clsco.optics.motion.Pose`; step: slope between neighboring rays at
-    the pose's time. exposure_t: see `clsco.optics.still.StillSplit`; still: 1 to make the still sources, 0 to make the
-    other sources, which are in the window left, top, right, bottom. group_t: see
-    `clsco.optics.visibility.OcclusionGroup`; count: number of objects in the scene.
+    the pose's time. group_t: see `clsco.optics.visibility.OcclusionGroup`; count: number of objects in the scene.
     psf_t: see `clsco.optics.psf_tables.PsfTable` for first, count, low, end, reach, stride, and, with the prefix sub_,
     those of sub-pixel sources; key to sub_steps: conversion of a blur radius to a table coordinate; lens_extent: radius
     of the pupil in lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column,
@@ -56,8 +54,6 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), least=(), outside=())
     light = [("members", "u8"), ("is_near", i), *_reals(real, x=(), y=(), z=(), ambient=())]
     pose = _reals(real, rotation=nine, shift=three, step=())
-    exposure = [("moving", "u8"), ("changing", "u8")]
-    exposure += [(name, i) for name in ("samples", "still", "left", "top", "right", "bottom")]
     group = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
@@ -69,8 +65,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     sensor += _reals("float", scale=(12,), prnu=(), dsnu=(), dark=(), leak=(), most=(), full_well=(), read_noise=())
     sensor += _reals("float", gain=(), black=(), largest=())
     fields = {"grid_t": grid, "lens_t": lens, "surface_t": surface, "texture_map_t": mapping}
-    fields |= {"light_t": light, "pose_t": pose, "exposure_t": exposure, "group_t": group, "psf_t": psf}
-    fields |= {"sensor_t": sensor}
+    fields |= {"light_t": light, "pose_t": pose, "group_t": group, "psf_t": psf, "sensor_t": sensor}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
 

@@ -47,7 +47,7 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
         with _bar(total, quiet, "frames", after_bar) as advance:
 
             def after_frame() -> None:
-                here.done, here.finished = 0, 0.0
+                here.done = 0
                 advance()
 
             yield after_frame
@@ -62,7 +62,7 @@ def position(here: Progress, done: float, total: int, elapsed: float) -> str:
     """
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
-    finished = (done + here.finished) / total
+    finished = (done + here.done / max(here.total, 1)) / total
     left = elapsed * (1.0 - finished) / finished if finished > 0.0 else 0.0
     parts = f"{here.doing}{share}", sample, f"{left:.0f} s left" if left >= 1.0 else ""
     return ", ".join(part for part in parts if part)

@@ -21,21 +21,18 @@ BY_HEIGHT: frozenset[Kind] = frozenset({"trace", "silhouettes"})
 """Passes whose time is proportional to the rows of a strip's source grid; for other passes, to the strip's rows."""
 
 GOLDEN = 0.618034  # multiples of this number modulo 1 are spread evenly
-_Part = tuple[Kind, bool | None]  # a kind of pass, and `Step.still` of its step
 
 
 @dataclass(frozen=True)
 class _FramePart:
-    """A step on a strip: its number, and the part of the strip that it renders.
+    """A step: a time sample on a strip, with its number and the part of the strip that it renders.
 
-    still: as in `clsco.engine.film.Step`; last: True for the last step of the strip, whose result also goes through the
-    passes in `ONCE_A_FRAME`.
+    last: True for the last step of the strip, whose result also goes through the passes in `ONCE_A_FRAME`.
     """
 
     strip: Strip
     number: int
     part: Strip
-    still: bool | None
     last: bool
 
 
@@ -107,11 +104,8 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
         film, spent, steps = _run_steps(renderer, index, seconds, clock)
         if not renderer.enlarge():
             break
-    seconds_by_kind: dict[Kind, float] = {}
     all_steps = _steps(Film(strip_plan, index))
-    for (kind, still), time in spent.items():
-        scale = _rows(all_steps, kind, still) / _rows(steps, kind, still)
-        seconds_by_kind[kind] = seconds_by_kind.get(kind, 0.0) + scale * time
+    seconds_by_kind = {kind: time * _rows(all_steps, kind) / _rows(steps, kind) for kind, time in spent.items()}
     if renderer.plan.truth:
         clock.lap()
         for _ in range(2):  # again if compiling the kernels may have taken much of the first run
@@ -156,21 +150,17 @@ class _Clock:
 def _steps(film: Film) -> list[_FramePart]:
     """All steps of a frame on all strips, in the order in which they are measured.
 
-    First comes the last step of each strip, which runs all passes, then the first step of each strip, which may be that
-    of still sources, then the others. In each round, the first few strips are spread evenly over the frame.
+    First comes the last step of each strip, which runs all passes, then the others. In each round, the first few strips
+    are spread evenly over the frame.
     """
     strips = sorted(film.strip_parts.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
     rounds = list[list[_FramePart]]()
     for strip, parts in strips:
-        first, *later = parts
-        last = later[-1:]
-        between = sorted(later[:-1], key=_spread)
-        for turn, number in enumerate((*last, first, *between)):
+        *earlier, last = parts
+        for turn, number in enumerate((last, *sorted(earlier, key=_spread))):
             if turn == len(rounds):
                 rounds.append([])
-            rounds[turn].append(
-                _FramePart(strip, number, parts[number], film.steps[number].still, number == [*parts][-1])
-            )
+            rounds[turn].append(_FramePart(strip, number, parts[number], number == last))
     return [step for steps in rounds for step in steps]
 
 
@@ -180,31 +170,29 @@ def _spread(number: int) -> float:
 
 def _run_steps(
     renderer: Renderer, index: int, seconds: float, clock: _Clock
-) -> tuple[Film, dict[_Part, float], list[_FramePart]]:
+) -> tuple[Film, dict[Kind, float], list[_FramePart]]:
     """Run steps for `seconds`; returns the film, the seconds of each kind of pass, and the steps that were measured.
 
-    Each kind of step runs once before it is measured, because its kernels are compiled at their first run.
+    The first step runs once before it is measured, because kernels are compiled at their first run.
     """
-    film, done, warm = renderer.begin(index), list[_FramePart](), set[bool | None]()
-    spent: dict[_Part, float] = {}
+    film, done, spent = renderer.begin(index), list[_FramePart](), dict[Kind, float]()
     for step in _steps(film):
 
         def note(kind: Kind, step: _FramePart = step) -> None:
             if step.last or kind not in ONCE_A_FRAME:
-                spent[kind, step.still] = spent.get((kind, step.still), 0.0) + clock.lap()
+                spent[kind] = spent.get(kind, 0.0) + clock.lap()
 
-        if step.still not in warm:
+        if not done:
             renderer.add(film, step.strip, step.number)
-            warm.add(step.still)
         clock.lap()
         renderer.add(film, step.strip, step.number, note)
         done.append(step)
-        if sum(spent.values()) > seconds and warm == {other.still for other in film.steps}:
+        if sum(spent.values()) > seconds:
             break
     return film, spent, done
 
 
-def _rows(steps: list[_FramePart], kind: Kind, still: bool | None) -> int:
-    """Number of rows that passes of a kind process in all steps with this value of `still`."""
-    parts = [step.part for step in steps if step.still == still and (step.last or kind not in ONCE_A_FRAME)]
+def _rows(steps: list[_FramePart], kind: Kind) -> int:
+    """Number of rows that passes of a kind process in these steps."""
+    parts = [step.part for step in steps if step.last or kind not in ONCE_A_FRAME]
     return sum(part.height if kind in BY_HEIGHT else part.rows for part in parts)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cache, partial
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,12 @@ from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.inputs.channels import select_channels
 from clsco.opencl.buffers import download
-from clsco.opencl.session import Progress, Session
+from clsco.opencl.session import Session
 from clsco.optics.exposure import line_times, middle_time
 from clsco.optics.lens import Lens
 from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.point_spread import exposure_factor
 from clsco.optics.sensor import camera_word
-from clsco.passes.blur import Events
 from clsco.passes.job import SceneJob
 from clsco.passes.pack import camera_grid, towards
 from clsco.passes.placed import PlacedScene
@@ -113,25 +111,23 @@ class Renderer:
             film.missing |= self.pixels.missing
         if statistics is not None:
             cl.enqueue_copy(self.session.queue, statistics, EMPTY_STATISTICS)
-        if self.plan.splits_still:
-            film.source_parts = self.scene.split_sources(film.times)
-        for number in range(len(film.steps)) if len(self.plan.strips) > 1 else ():
-            jobs = (self._job(film, strip, number) for strip, counts in film.strip_parts.items() if number in counts)
+        for number in range(len(film.times)) if len(self.plan.strips) > 1 else ():
+            jobs = (self._job(film, strip, number) for strip, parts in film.strip_parts.items() if number in parts)
             film.bounds[number] = self.space.find_layers(self.plan.passes, jobs)
         return film
 
-    def _job(self, film: Film, strip: Strip, count: int) -> SceneJob:
-        step, counts = film.steps[count], film.strip_parts[strip]
-        part, by_columns = counts[count], self.plan.scene.sequence.by_columns
-        weights = step.weights if by_columns else step.weights[part.inside]
-        sample, grid = self.scene.at(film.times[step.number]), self._grid(part)
+    def _job(self, film: Film, strip: Strip, number: int) -> SceneJob:
+        weights, parts = film.weights[number], film.strip_parts[strip]
+        part = parts[number]
+        if not self.plan.scene.sequence.by_columns:
+            weights = weights[part.inside]
+        sample, grid = self.scene.at(film.times[number]), self._grid(part)
         if self.plan.scene.zooms:
             grid = towards(grid, sample.camera)
-        stream = camera_word(film.index, self.plan.eye) if count == [*counts][-1] else None
+        stream = camera_word(film.index, self.plan.eye) if number == max(parts) else None
         return SceneJob(
-            strip=part, grid=grid, events=film.events, bounds=film.bounds.get(step.number), sample=sample,
-            weights=weights, is_first=count == next(iter(counts)), whole_strip=strip, noise_stream=stream,
-            part=film.source_parts.get(step.still),
+            strip=part, grid=grid, events=film.events, bounds=film.bounds.get(number), sample=sample, weights=weights,
+            is_first=number == min(parts), whole_strip=strip, noise_stream=stream,
         )  # fmt: skip
 
     def _grid(self, strip: Strip) -> Struct:
@@ -141,13 +137,13 @@ class Renderer:
             self.grids[strip] = camera_grid(reference_camera(plan.scene), plan.guard_px, self.scene.real, strip)
         return self.grids[strip]
 
-    def add(self, film: Film, strip: Strip, count: int, after: Callable[[Kind], None] | None = None) -> None:
-        """Run the passes of a step on a strip, and add the result to the film; count: number of the step; after: called
-        with the kind of each pass after the pass.
+    def add(self, film: Film, strip: Strip, number: int, after: Callable[[Kind], None] | None = None) -> None:
+        """Run the passes of a time sample on a strip, and add the result to the film; number: of the time sample;
+        after: called with the kind of each pass after the pass.
         """
-        job = self._job(film, strip, count)
+        job = self._job(film, strip, number)
         passes = (step for step in self.plan.passes if step.kind != "ground truth")
-        film.add(self.session, strip, count, self.space.run(passes, job, after))
+        film.add(self.session, strip, number, self.space.run(passes, job, after))
 
     def finish(self, film: Film) -> Frame:
         """The frame of a completed film; if the plan was too small, it is rendered again with a larger one."""
@@ -263,42 +259,20 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     """Expose frame `index` with several renderers, which have the same strips and time samples; returns their films."""
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
-    strip_parts, ends = films[0].strip_parts, list[float]()
-    still = [bool(films[0].steps[count].still) for counts in strip_parts.values() for count in counts]
     if {step.kind for step in plan.passes} <= {"ground truth"}:
         return films
-    for strip, counts in strip_parts.items():
-        for count in counts:
-            before = [film.events[-1:] for film in films]
+    strip_parts, done = films[0].strip_parts, 0
+    total = sum(map(len, strip_parts.values()))
+    for strip, parts in strip_parts.items():
+        for number in parts:
+            before = [event for film in films for _, event in film.events[-1:]]
             for renderer, film in zip(renderers, films, strict=True):
-                renderer.add(film, strip, count)
+                renderer.add(film, strip, number)
             if (progress := session.progress) is not None:
-                _keep_pace(before, progress, still, ends)
+                for event in before:  # of the time sample before the latest, so that cancellation is quick
+                    event.wait()
+                progress.done, progress.total = done, total
+            done += 1
         for film in films:
             film.read(session)
     return films
-
-
-def _keep_pace(before: Sequence[Events], progress: Progress, still: Sequence[bool], ends: list[float]) -> None:
-    """Wait for all steps except the latest, so that cancellation is quick, and update `progress`.
-
-    before: latest event of each film before the latest step; still: for each step of the frame, True if it is of still
-    sources; ends: completion times of earlier steps, s, to which the new one is appended.
-    """
-    for _, event in (latest for events in before for latest in events):
-        event.wait()
-    ends.append(perf_counter())
-    done = still[: len(ends) - 1]
-    progress.done, progress.total = done.count(False), still.count(False)
-    progress.finished = _finished_share(done, still, ends)
-
-
-def _finished_share(done: Sequence[bool], still: Sequence[bool], ends: Sequence[float]) -> float:
-    """Fraction of a frame's rendering time that has passed, if each remaining step takes the mean time of its kind,
-    still or not; 0 until steps of all kinds have been measured. done: `still` of the finished steps.
-    """
-    if not set(done) >= set(still):
-        return 0.0
-    durations = np.diff(ends)
-    mean = {kind: float(durations[np.array(done) == kind].mean()) for kind in set(still)}
-    return float(durations.sum()) / max(sum(mean[kind] for kind in still), 1e-9)

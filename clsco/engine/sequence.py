@@ -355,8 +355,7 @@ def _shares_rays(first: tuple[Plan, ...], second: tuple[Plan, ...]) -> bool:
     return all(
         casts_for_lenses(a)
         and casts_for_lenses(b)
-        and (a.blur, a.groups, a.silhouettes, a.samples, a.splits_still)
-        == (b.blur, b.groups, b.silhouettes, b.samples, b.splits_still)
+        and (a.blur, a.groups, a.silhouettes, a.samples) == (b.blur, b.groups, b.silhouettes, b.samples)
         for a, b in zip(first, second, strict=True)
     )
 

@@ -175,11 +175,10 @@ class BlurWorkspace(Workspace):
         prepare_sources(self._target, job.grid, self._blurred.struct, image.maps, source, job.events, rims)
         return (Sources(source, image.value, **behind),)
 
-    def blur(self, job: Job, _: Pass, sources: Sources | None, plane: Plane | None = None) -> Outputs:
+    def blur(self, job: Job, _: Pass, sources: Sources, plane: Plane | None = None) -> Outputs:
         if plane is None:
             self._blurred.begin(job.grid)
-        if sources is not None:
-            self._blurred.add(sources, job.events)
+        self._blurred.add(sources, job.events)
         return (self._blurred.plane(job.events),)
 
     def cluster(self, job: Job, step: Pass, image: Image) -> Outputs:
@@ -252,7 +251,7 @@ class PlaneWorkspace(BlurWorkspace):
     def trace(self, job: SceneJob, step: Pass) -> Outputs:
         return (self._for_blur(job, self.tracer.trace(job, step.group)),)
 
-    def silhouettes(self, job: SceneJob, step: Pass, sources: Sources | None) -> Outputs:
+    def silhouettes(self, job: SceneJob, step: Pass, sources: Sources) -> Outputs:
         return (self.tracer.silhouettes(job, step.group, sources),)
 
     def pinhole(self, job: SceneJob, _: Pass) -> Outputs:
@@ -276,9 +275,9 @@ class PlaneWorkspace(BlurWorkspace):
 
     count_missing = fill
 
-    def _for_blur(self, job: SceneJob, light: Image | Sources | None) -> Image | Sources | Plane | None:
+    def _for_blur(self, job: SceneJob, light: Image | Sources) -> Image | Sources | Plane:
         """Convert the output of a pass to the kind that `clsco.plan.image.light_of` names."""
-        if light is None or self.plan.blur not in ("none", "convolve"):
+        if self.plan.blur not in ("none", "convolve"):
             return light
         if self.plan.blur == "none":
             return padded_plane(job.grid, light.value, self.plan.channels)

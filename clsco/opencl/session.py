@@ -44,15 +44,12 @@ class Progress:
         Fraction of the latest launch that is done, 0 to 1.
     done, total : int
         Numbers of time samples, added up over all strips: finished, and of the whole frame.
-    finished : float
-        Fraction of the frame's rendering time that has passed, 0 while unknown.
     """
 
     doing: str = ""
     share: float = 0.0
     done: int = 0
     total: int = 0
-    finished: float = 0.0
 
 
 class Session:

@@ -12,7 +12,6 @@ from clsco.frame.strips import Strip
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.motion import Pose
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.still import StillSplit
 from clsco.passes.blur import Events
 from clsco.records import Struct
 from clsco.scene.model import Camera
@@ -72,25 +71,6 @@ class TimeSample:
     light: tuple[Struct, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class SourcePart:
-    """Part of the sources of an exposure: all still sources, or the moving sources of a time sample.
-
-    Attributes
-    ----------
-    split : StillSplit
-        Changes of all objects during the exposure.
-    places : Buffer
-        `split.places` on the device.
-    still : bool
-        True for the still sources.
-    """
-
-    split: StillSplit
-    places: cl.Buffer
-    still: bool
-
-
 @dataclass(frozen=True, kw_only=True)
 class SceneJob(Job):
     """The part of a scene's frame at a time sample that passes process.
@@ -101,13 +81,11 @@ class SceneJob(Job):
     weights : ndarray of float64, (rows,) or (columns,)
         Weights of the time sample in the rows of `strip`, or in all columns of the frame.
     is_first : bool
-        True for the first step on the whole strip, which begins the sum of time samples.
+        True for the first time sample of the whole strip, which begins the sum.
     whole_strip : Strip
         The strip of the frame; `strip` is the part of it in which the time sample has a weight.
     noise_stream : int, optional
-        `clsco.optics.sensor.camera_word` of the frame in the last step on the whole strip, else None.
-    part : SourcePart, optional
-        Sources to trace, if the exposure is split into still and moving sources; by default all.
+        `clsco.optics.sensor.camera_word` of the frame in the last time sample of the whole strip, else None.
     """
 
     sample: TimeSample
@@ -115,4 +93,3 @@ class SceneJob(Job):
     is_first: bool
     whole_strip: Strip
     noise_stream: int | None = None
-    part: SourcePart | None = None

@@ -20,7 +20,6 @@ from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
-from clsco.optics.still import StillSplit, Window
 from clsco.optics.texture_mapping import TextureMap, detail_least, texture_spread
 from clsco.optics.visibility import OcclusionGroup
 from clsco.records import MOST_RIMS, Real, Struct, filled, structs
@@ -187,13 +186,6 @@ def light_struct(light: PlacedLight, real: Real) -> Struct:
 def group_struct(group: OcclusionGroup, objects: int) -> Struct:
     """group_t of an occlusion group in a scene with `objects` objects."""
     return filled("group_t", "double", vars(group) | {"count": objects})
-
-
-def exposure_struct(split: StillSplit, still: bool, window: Window | None, real: Real) -> Struct:
-    """exposure_t of the still or the moving sources; window: region with all moving sources, None if none moves."""
-    ends = dict(zip(("left", "top", "right", "bottom"), window or (0, 0, 0, 0), strict=True))
-    values = {"moving": split.moving, "changing": split.changing, "samples": len(split.places), "still": still}
-    return filled("exposure_t", real, values | ends)
 
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:

@@ -21,11 +21,10 @@ from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place
-from clsco.optics.still import split_still
 from clsco.optics.texture_mapping import texture_map
-from clsco.passes.job import SourcePart, Surfaces, TimeSample
+from clsco.passes.job import Surfaces, TimeSample
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
-from clsco.records import REAL, Real, structs
+from clsco.records import Real, structs
 from clsco.scene.model import Camera, Scene
 
 # Largest ratio of a source to the brightest texel: 1 + 4 c, with c < 0.0901 (kernels/trace/footprint.clh).
@@ -156,20 +155,10 @@ class PlacedScene:
         """The objects in the reference pose, in which projected textures show them."""
         return self.posed(rest_poses(self.scene))
 
-    def split_sources(self, times: Sequence[float]) -> dict[bool | None, SourcePart]:
-        """Still and moving sources of an exposure with time samples at `times` in s, by `SourcePart.still`."""
-        placed = (self._placed(poses_at(self.scene, time, self.eye)) for time in times)
-        split = split_still(self.scene.objects, [[s for s in surfaces if s is not None] for surfaces in placed])
-        places = self.hold(split.places.astype(REAL[self.real]))
-        return {still: SourcePart(split, places, still) for still in (True, False)}
-
-    def _placed(self, poses: Sequence[Pose]) -> Surfaces:
-        pairs = zip(self.scene.objects, poses, strict=True)
-        return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
-
     def posed(self, poses: Sequence[Pose], time: float = 0.0, camera: Camera | None = None) -> TimeSample:
         """The objects in these poses relative to `camera`, by default the camera of the reference pose."""
-        placed = self._placed(poses)
+        pairs = zip(self.scene.objects, poses, strict=True)
+        placed = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
         packed = self._surface_structs(placed)
         return TimeSample(time, camera or reference_camera(self.scene), tuple(poses), placed, packed, self.hold(packed))
 

@@ -16,12 +16,11 @@ from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.quadrics import EVERYWHERE
-from clsco.optics.still import Window
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.passes.bend import Bends
 from clsco.passes.blur import BLOCKS, PIXELS, Image, Sources, Target
-from clsco.passes.job import SceneJob, SourcePart
-from clsco.passes.pack import exposure_struct, group_struct, lens_struct
+from clsco.passes.job import SceneJob
+from clsco.passes.pack import group_struct, lens_struct
 from clsco.passes.placed import PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers, silhouette_buffers
 from clsco.plan.plan import Plan
@@ -34,7 +33,6 @@ TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth
 # Statistics at the beginning of a frame, before any radius or slot is recorded (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
-NO_SOURCE = np.array([-1.0], np.float32)  # table coordinate of a missing source; as a mark, its bits are no slot
 
 HitPlanes = tuple[cl.Buffer, ...]  # value, depth and label, as in trace.cl
 Cast = Callable[[HitPlanes], None]
@@ -152,70 +150,53 @@ class Tracer:
         ends += np.array([-1.0, 1.0] * 3) * (ROUNDED * np.abs(ends))
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
-    def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources | None:
-        """Sources of one occlusion group; None if the job's part has none. Overwrites those of the previous group."""
+    def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources:
+        """Sources of one occlusion group. Overwrites those of the previous group."""
         plan, buffers, head = self.plan, self.buffers, self._head(job, group)
         sizes = hit_buffers(plan.grid, plan.mapped > 0)
-        window = self._window(job, group)
-        if window is None:
-            return None
-        exposure = self._exposure(job, group)
         if self.hits is None:
             planes = tuple(buffers[name] for name in sizes)
-            self._cast(job, group, planes, window, exposure)
+            self._cast(job, group, planes)
         else:
-            shared = self._exposure(job, group, shared=True)
-            planes = self.hits.planes(
-                sizes, self._key(job, group), lambda planes: self._cast(job, group, planes, whole_grid(job), shared)
-            )
+            planes = self.hits.planes(sizes, self._key(job, group), lambda planes: self._cast(job, group, planes))
         value, depth, label = planes
         source = buffers.get("source")
-        if source is not None and job.part is not None and not job.part.still:
-            cl.enqueue_fill_buffer(self.target.session.queue, source, NO_SOURCE, 0, source.size)
         beside = (value, *self.scene.texture_maps, buffers["share"]) if "share" in buffers else ()
         out = (source, buffers["statistics"], *self.extents)
         bends = self._bends(job, "slopes", "bends")
-        self._per_pixel("aim", job, window, *head, depth, label, *out, *beside, *bends, *exposure)
+        self._per_pixel("aim", job, *head, depth, label, *out, *beside, *bends)
         occluders: dict[str, Any] = {}
         if plan.spec.occluders:
             occluders = {"lens": head[1], "surfaces": job.sample.surfaces, "group": head[3], "depth": depth}
         sources = Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **occluders)
         return sources if plan.silhouettes else self._merge(job, sources)
 
-    def _cast(
-        self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]
-    ) -> None:  # fmt: skip
+    def _cast(self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes) -> None:
         """Enqueue the kernel that casts the rays of one occlusion group, which are the same for all lenses."""
-        grid, lens, surfaces, members, psf = self._head(job, group)
-        lens_args, slopes = (lens, psf) if exposure else (), self._bends(job, "slopes")
-        args = (*self._appearance(job), *planes, *lens_args, *slopes, *exposure)
-        self._per_pixel("cast", job, window, grid, surfaces, members, *args)
+        grid, _, surfaces, members, _ = self._head(job, group)
+        args = (*self._appearance(job), *planes, *self._bends(job, "slopes"))
+        self._per_pixel("cast", job, grid, surfaces, members, *args)
 
-    def silhouettes(self, job: SceneJob, group: OcclusionGroup, sources: Sources | None) -> Sources | None:
-        """The sources of an occlusion group with sub-pixel sources added; None if there are no sources."""
-        window = self._window(job, group)
-        if sources is None or window is None:
-            return None
-        size = (max(self._assign_slots(job, sources, window), 1),)
+    def silhouettes(self, job: SceneJob, group: OcclusionGroup, sources: Sources) -> Sources:
+        """The sources of an occlusion group with sub-pixel sources added."""
+        size = (max(self._assign_slots(job, sources), 1),)
         buffers, room = self.buffers, self._room
         source, statistics, slots = buffers["source"], buffers["statistics"], np.int32(room)
         subs = buffers["sub_source"], buffers["sub_value"]
         labels, depth = buffers["sub_label"], buffers["sub_depth"]
         head, run = self._head(job, group), self.target.run
         grid, _, surfaces, members, _ = head
-        slotted = (*head, *self._appearance(job), buffers["pixels"], slots, source, *subs)
+        slotted = (*head, *self._appearance(job), buffers["pixels"], slots)
         labeled = (grid, surfaces, members, buffers["pixels"], slots, labels, depth, statistics)
         run("label_subpixels", size, PIXELS[:1], job.events, *labeled)
-        exposure = self._exposure(job, group)
-        traced = (*slotted, labels, depth, statistics, *exposure)
-        run("trace_subpixels", size, PIXELS[:1], job.events, *traced)
+        run("trace_subpixels", size, PIXELS[:1], job.events, *slotted, source, *subs, labels, depth, statistics)
         if self.plan.small:
-            run("trace_small", size, PIXELS[:1], job.events, *slotted, depth, statistics, *exposure)
+            run("trace_small", size, PIXELS[:1], job.events, *slotted, source, *subs, depth, statistics)
         value = sources.value
         if "sharper" in buffers:
-            run("trace_detail", size, PIXELS[:1], job.events, *slotted, depth, statistics)
+            run("trace_detail", size, PIXELS[:1], job.events, *slotted, *subs, depth, statistics)
             value = buffers["sharper"]
-            self._per_pixel("sharpen", job, window, job.grid, sources.value, buffers["share"], source, value)
+            self._per_pixel("sharpen", job, job.grid, sources.value, buffers["share"], source, value)
         several = replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)
         return self._merge(job, several)
 
@@ -224,19 +205,18 @@ class Tracer:
         """Number of slots for pixels near silhouettes."""
         return self.buffers["pixels"].size // 4
 
-    def _assign_slots(self, job: SceneJob, sources: Sources, window: Window) -> int:
+    def _assign_slots(self, job: SceneJob, sources: Sources) -> int:
         """Assign slots to the pixels that need sub-pixel sources, and allocate more slots if these are too few; returns
         the number of slots used. Waits for the device.
         """
         session, statistics = self.target.session, self.buffers["statistics"]
-        left, top, right, bottom = window
-        runs, origin = (-(-right // TAP_LANES) - left // TAP_LANES, bottom - top), (left // TAP_LANES, top)
+        runs = -(-int(job.grid["width"]) // TAP_LANES), int(job.grid["height"])
         first_slot = np.zeros(1, np.int32)
         while True:
             cl.enqueue_fill_buffer(session.queue, statistics, first_slot, 4 * STATISTIC_SLOTS, 4)
             marks = (self.buffers["source"], self.buffers["pixels"], statistics)
             head = (job.grid, sources.label, np.int32(self._room))
-            self.target.run("mark_silhouettes", runs, BLOCKS, job.events, *head, *marks, origin=origin)
+            self.target.run("mark_silhouettes", runs, BLOCKS, job.events, *head, *marks)
             count = int(download(session, statistics, (STATISTIC_SLOTS + 1,), np.int32)[STATISTIC_SLOTS])
             if count <= self._room:
                 return count
@@ -265,7 +245,7 @@ class Tracer:
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         head = (job.grid, self.lens(job), job.sample.surfaces, everything(self.plan), *self._appearance(job))
         out = value, coc, valid, self.buffers["statistics"], *self._bends(job, "slopes", "bends")
-        self._per_pixel("pinhole", job, whole_grid(job), *head, *out)
+        self._per_pixel("pinhole", job, *head, *out)
         return Image(value, (coc, valid))
 
     @cached_property
@@ -295,36 +275,9 @@ class Tracer:
         members = group_struct(group, len(job.sample.placed))
         return job.grid, self.lens(job), job.sample.surfaces, members, self.psf
 
-    def _moving_window(self, job: SceneJob, group: OcclusionGroup, part: SourcePart) -> Window | None:
-        """Window with all sources that are not still; None if all are still."""
-        plan, strip = self.plan, job.strip
-        rows = strip.top - strip.above, strip.height
-        return part.split.window(group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
-
-    def _window(self, job: SceneJob, group: OcclusionGroup) -> Window | None:
-        """Part of the grid whose sources are traced, None if there are none; it begins at a multiple of the
-        work-group's width, so that all kernels pad it alike.
-        """
-        if job.part is None or job.part.still:
-            return whole_grid(job)
-        window = self._moving_window(job, group, job.part)
-        return None if window is None else (window[0] - window[0] % PIXELS[0], *window[1:])
-
-    def _exposure(self, job: SceneJob, group: OcclusionGroup, shared: bool = False) -> tuple[Any, ...]:
-        """Kernel arguments of the job's part of the exposure, if any; shared: True for rays that all lenses share."""
-        if job.part is None:
-            return ()
-        window, part = self._moving_window(job, group, job.part), job.part
-        return exposure_struct(part.split, part.still or shared, window, self.scene.real), part.places
-
-    def _per_pixel(self, name: str, job: SceneJob, window: Window, *args: Any) -> None:
-        left, top, right, bottom = window
-        self.target.run(name, (right - left, bottom - top), PIXELS, job.events, *args, origin=(left, top))
-
-
-def whole_grid(job: SceneJob) -> Window:
-    """Window of all pixels of the frame and the guard band."""
-    return 0, 0, int(job.grid["width"]), int(job.grid["height"])
+    def _per_pixel(self, name: str, job: SceneJob, *args: Any) -> None:
+        """Enqueue a kernel with a work-item for each pixel of the frame and the guard band."""
+        self.target.run(name, (int(job.grid["width"]), int(job.grid["height"])), PIXELS, job.events, *args)
 
 
 def ray_target(plan: Plan, scene: PlacedScene) -> Target:

@@ -24,7 +24,7 @@ from clsco.constants import (
     OWNED_PIXELS,
     SCORE_SUMS,
     SCORED_COLUMNS,
-    STATISTIC_OUTSIDE,
+    STATISTIC_BEYOND,
     TAP_LANES,
     WIDE_LANES,
 )
@@ -54,7 +54,7 @@ ITEM_BYTES, CHORD_BYTES = 32, 8  # size of a group of sources of a column withou
 MOST_IN_ONE_SUM = 256  # taps that `gather` adds up in one float before it adds this sum to another one
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # number of counters of a filling, ints
-STATISTICS = STATISTIC_OUTSIDE + 1  # number of statistics of a frame, ints
+STATISTICS = STATISTIC_BEYOND + 1  # number of statistics of a frame, ints
 # Buffers that several passes share; every other buffer belongs to one pass.
 SHARED = (
     "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",

@@ -11,12 +11,12 @@ from clsco.optics.exposure import subframes_of
 from clsco.optics.lens_path import widest_camera
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.quadrics import Extent, place
+from clsco.optics.quadrics import Extent
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
-from clsco.plan.methods import MANY_RADII, Blur, Occlusion, can_convolve, choose_blur, has_few_taps
+from clsco.plan.methods import Blur, Occlusion, can_convolve, choose_blur, has_few_taps
 from clsco.plan.predict import (
     Maps,
     Prediction,
@@ -82,8 +82,6 @@ class Choices:
         Method of occlusion.
     ground_truth : Choice of tuple of str
         Outputs besides color and alpha.
-    still_sources : Choice of bool
-        Blur sources shared by all time samples only once.
     other_outputs : Choice of bool
         False if some outputs are requested, but not all that the scene can have; the reason names these.
     """
@@ -102,7 +100,6 @@ class Choices:
     color: Choice[bool]
     occlusion: Choice[Occlusion]
     ground_truth: Choice[tuple[str, ...]]
-    still_sources: Choice[bool]
     other_outputs: Choice[bool]
 
     @property
@@ -143,7 +140,6 @@ def choose(
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(scene)
     truth, other_outputs = choose_truth(scene, request.truth, request.color)
-    spread = rays.value and occlusion.value != "layered" and blur.value in MANY_RADII
     choices = Choices(
         image=choose_image(request.color),
         motion=choose_samples(scene, psf, rays.value, maps, prediction.guard),
@@ -159,7 +155,6 @@ def choose(
         color=Choice(True) if channels > 1 else Choice(False, "gray texture: one channel"),
         occlusion=occlusion,
         ground_truth=truth,
-        still_sources=choose_still_sources(scene, spread, request.truth, prediction, groups),
         other_outputs=other_outputs,
     )
     return choices, groups, extents
@@ -295,34 +290,6 @@ def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
         return Choice(True), Choice(False, "light stays inside the frame")
     beyond = "the mirrored map" if is_static_map(scene) else "surface"
     return Choice(False, 'border = "lose"'), Choice(True, f"{beyond} outside the frame lights it")
-
-
-def choose_still_sources(
-    scene: Scene, spread: bool, truth: tuple[str, ...], prediction: Prediction, groups: tuple[OcclusionGroup, ...]
-) -> Choice[bool]:
-    """Decide whether to blur sources that all time samples share only once; spread: True if sources come from rays and
-    have different radii.
-    """
-    if not scene.moves:
-        return Choice(True)
-    if not spread:
-        return Choice(False, "only sources from rays that are spread one by one are told apart")
-    if scene.camera.moves:
-        return Choice(False, "the camera moves")
-    if scene.shifts_colors:
-        return Choice(False, "each color has rays of its own")
-    if scene.lens is not None and scene.lens.distorts:
-        return Choice(False, "what is near what moves is told by pixels that are evenly apart")
-    if scene.lens_moves:
-        return Choice(False, "the lens changes")
-    if "subframes" in truth:
-        return Choice(False, "each sub-frame needs all sources")
-    from clsco.optics.still import split_still
-
-    items = scene.objects
-    placed = [[place(item, pose) for item, pose in zip(items, poses, strict=True)] for poses in prediction.poses]
-    split = split_still(items, placed)
-    return Choice(True) if any(map(split.has_still, groups)) else Choice(False, "no source is sure to be still")
 
 
 def choose_truth(

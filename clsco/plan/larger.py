@@ -9,12 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import (
-    STATISTIC_BEYOND,
-    STATISTIC_LARGEST,
-    STATISTIC_OUTSIDE,
-    STATISTIC_SMALLEST,
-)
+from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_SMALLEST
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.lens_path import widest_camera
@@ -39,25 +34,18 @@ class SourceStatistics:
     beyond : bool
         True if a ray hit an object outside of its predicted extent, where it may be hidden by objects that are not
         occluders of its group.
-    outside : bool
-        True if a source that was predicted to be still moves.
     """
 
     smallest: float
     largest: float
     beyond: bool
-    outside: bool = False
 
     @classmethod
     def parse(cls, values: NDArray[np.int32]) -> Self:
         """Unpack the statistics of a frame from the ints that kernels write."""
         radii = values.view(np.float32)
-        return cls(
-            float(radii[STATISTIC_SMALLEST]),
-            float(radii[STATISTIC_LARGEST]),
-            bool(values[STATISTIC_BEYOND]),
-            bool(values[STATISTIC_OUTSIDE]),
-        )
+        smallest, largest = float(radii[STATISTIC_SMALLEST]), float(radii[STATISTIC_LARGEST])
+        return cls(smallest, largest, bool(values[STATISTIC_BEYOND]))
 
 
 def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan | None:
@@ -81,13 +69,11 @@ def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan 
     """
     smallest, largest = statistics.smallest, statistics.largest
     fits = largest <= plan.largest_blur * SLACK + 1e-6 and smallest >= plan.smallest_blur / SLACK - 1e-6
-    if largest == 0.0 or (fits and not statistics.beyond and not statistics.outside):
+    if largest == 0.0 or (fits and not statistics.beyond):
         return None
-    if statistics.outside:
-        plan = replace(plan, choices=replace(plan.choices, still_sources=Choice(False, "a still source was not")))
     wider = _for_any_place(plan) if statistics.beyond else plan
     if fits:
-        return fit_strips(wider, limit) if statistics.beyond else wider
+        return fit_strips(wider, limit)
     smallest, largest = min(smallest / SLACK, plan.smallest_blur), max(largest * SLACK, plan.largest_blur)
     return fit_strips(widen_plan(wider, smallest, largest), limit)
 

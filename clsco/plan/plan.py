@@ -47,7 +47,7 @@ from clsco.plan.ellipses import elliptic_spread
 from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, prefix_names, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, check_shape, occluder_room
-from clsco.plan.passes import Kind, Parameters, Pass
+from clsco.plan.passes import Kind, Pass
 from clsco.plan.predict import Maps, Prediction, has_small_images, is_static_map, predict, shifts_view, slopes_where
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
@@ -120,11 +120,6 @@ class Plan:
     extents: tuple[Extent, ...] = ()
     merged: float = 0.0
     small: bool = False
-
-    @property
-    def splits_still(self) -> bool:
-        """True if sources that all time samples share are blurred only once."""
-        return self.moves and self.averages and self.choices.still_sources.value
 
     @cached_property
     def color_plans(self) -> tuple[Plan, ...]:
@@ -321,7 +316,6 @@ class Plan:
             "FILTER": FILTERS[scene.motion.texture_filter] if self.choices.texture_sampling.value else 0,
             "TEXTURED": self.mapped,
             "LIT": 0 if scene.light is None else self.channels - self.alpha,
-            "DIVIDED": int(self.splits_still),
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SMALL": int(self.small),
@@ -428,8 +422,7 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
     if plan.color and plan.scene.darkens:
         passes.append(vignetting_pass(plan.scene, plan.rows, plan.columns))
     if plan.color and plan.averages:
-        added: Parameters = (("time samples", "blurred planes, added up with a weight for each row"),)
-        added += (("still sources", "blurred once, the others for each time sample"),) if plan.splits_still else ()
+        added = (("time samples", "blurred planes, added up with a weight for each row"),)
         passes.append(Pass("accumulate", added, prefix_names("frame", sum_buffers(plan.grid)), ("plane",), ("frame",)))
     if plan.sensor_model is not None:
         passes.append(sensor_pass(plan.sensor_model, plan.grid, "frame" if plan.averages else "plane"))

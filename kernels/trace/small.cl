@@ -8,7 +8,7 @@ __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surfa
                           const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                           __global const int *pixels, const int capacity, __global const float *source,
                           __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
-                          __global int *statistics OF_EXPOSURE)
+                          __global int *statistics)
 {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
@@ -23,9 +23,6 @@ __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surfa
     const int object = (int)popcount((small & -small) - 1);
     float4 cover[EACH];
     small_cover(grid, surfaces, group, object, row, column, cover LIGHT);
-#if DIVIDED
-    const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
-#endif
     for (int sub = 0; sub < EACH; ++sub) {
         const int id = slot * EACH + sub;
         const float4 own = cover[sub];
@@ -37,13 +34,6 @@ __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surfa
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
         const real w = small_depth(surfaces + object, group, ray);
         sub_depth[id] = w;
-#if DIVIDED
-        if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, middle, w, object, pixel_still, pixel,
-                         statistics)) {
-            sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
-            continue;
-        }
-#endif
         uchar root;
         const real hit = solve_root(surfaces + object, ray, group.root, &root);
         take_radiance(grid, surfaces, ray, root ? hit : w, 2 * object + 1, row, column, SUBPIXELS, own.w / own.x,

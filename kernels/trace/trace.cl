@@ -17,7 +17,6 @@
 #include "common/sources.clh"
 #include "trace/texture.clh"
 #include "trace/small.clh"
-#include "trace/still.clh"
 
 #define EDGE 128  // bit of a label: the hit is behind an odd number of surfaces, or the pixel may show more
 
@@ -97,17 +96,11 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
     return 0;
 }
 
-// Casts rays through all pixels of frame and apron at the objects of an occlusion group, for all lenses; with DIVIDED
-// for one lens, which determines the still sources. Out: value, depth, label. With textures on surfaces, value has one
-// more plane: the result of `surface_texture`.
+// Casts rays through all pixels of frame and apron at the objects of an occlusion group, for all lenses. Out: value,
+// depth, label. With textures on surfaces, value has one more plane: the result of `surface_texture`.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
-                   __global real *depth, __global uchar *label
-#if DIVIDED
-                   , const lens_t own_lens, const psf_t own_psf
-#endif
-                   OF_SLOPES OF_EXPOSURE
-)
+                   __global real *depth, __global uchar *label OF_SLOPES)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -119,10 +112,6 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     depth[at] = w;
     label[at] = root;
-#if DIVIDED
-    if (is_left_out(grid, own_lens, surfaces, group, own_psf, exposure, places, ray, w, object))
-        return;
-#endif
     const int plane = grid.height * grid.width;
     const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1,
                                        SHADE_OF(surfaces, root, ray, w), 1, texture TEXTURE_MAPS, value + at, plane);
@@ -152,8 +141,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 #if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
 #endif
-                  OF_SLOPES OF_BENDS OF_EXPOSURE
-)
+                  OF_SLOPES OF_BENDS)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -163,23 +151,11 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     const bend_t bend = KEPT_BEND(grid, lens, at, ray);
     const uchar hit = label[at] & ~EDGE;
     uchar root = hit;
-#if DIVIDED
-    const int object = hit ? (hit - 1) / 2 : -1;
-    if (is_left_out(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object)) {
-        put_source(source, grid.height * grid.width, at, (float4)(FAR_ELSEWHERE, 0, 0, as_float(WHOLE)));
-        label[at] = hit;
-        return;
-    }
-#endif
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend, depth[at], ray, bend, depth[at], 0,
                                   false, &root, statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
     record = with_detail(grid, lens, maps, record, ray, depth[at], hit, texels, share + at);
-#endif
-#if DIVIDED
-    if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object, true, at, statistics))
-        record.x = ELSEWHERE;
 #endif
 #if SMALL && SUBPIXELS
     const ulong small = small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard);
@@ -216,10 +192,6 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     __global float *marks = MARKS(source, grid.height * grid.width);
     for (int x = begin; x < MIN(begin + TAP_LANES, grid.width); ++x) {
         const int at = y * grid.width + x;
-#if DIVIDED
-        if (all_left_out(grid, source, x, y))
-            continue;
-#endif
         if (as_int(marks[at]) >= 0)
             continue;
         bool detailed = false, fine = false;
@@ -278,7 +250,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                               const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global const float *source,
                               __global float4 *sub_source, __global float *sub_value, __global const uchar *sub_label,
-                              __global real *sub_depth, __global int *statistics OF_EXPOSURE)
+                              __global real *sub_depth, __global int *statistics)
 {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
@@ -296,10 +268,6 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     const bool outlined = labels_around(grid, marks, pixels, sub_label, slot, labels);
     if (outlined)
         cell_coverage(grid, lens, surfaces, row, column, labels, &coverage);
-#if DIVIDED
-    // Sources of a pixel that is not still are not still: they may exist only at some time samples.
-    const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
-#endif
     for (int sub = 0; sub < EACH; ++sub) {
         const int id = slot * EACH + sub, cell = CELL_AROUND(sub);
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
@@ -324,13 +292,6 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
             }
         }
         const real depth = sub_depth[id] = hit == sub_label[id] ? sub_depth[id] : w;
-#if DIVIDED
-        if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, middle, depth, root ? (root - 1) / 2 : -1,
-                         pixel_still, pixel, statistics)) {
-            sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
-            continue;
-        }
-#endif
 #if SMALL
         covered *= left[sub];
 #endif
@@ -347,21 +308,13 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
 // Makes the point sources of pixels that are marked for their textures alone, see detail.clh.
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                            const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
-                           __global const int *pixels, const int capacity, __global const float *source,
-                           __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
-                           __global int *statistics)
+                           __global const int *pixels, const int capacity, __global float4 *sub_source,
+                           __global float *sub_value, __global real *sub_depth, __global int *statistics)
 {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
         return;
     const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
-#if DIVIDED
-    if (source[at] <= ELSEWHERE) {
-        for (int sub = 0; sub < EACH; ++sub)
-            sub_source[slot * EACH + sub] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
-        return;
-    }
-#endif
     const int row = FRAME_ROW(grid, at / grid.width), column = at % grid.width - grid.guard;
     const real3 ray = pixel_ray(grid, row, column);
     uchar root;

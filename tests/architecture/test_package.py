@@ -102,7 +102,7 @@ def test_a_scene_imports_what_it_has(tmp_path: Path) -> None:
     said = python(code, tmp_path, ROOT).split()
     assert "clsco.optics.pupils.circle" in said
     spreads = {f"clsco.optics.{name}" for name in ("field", "pupils.diffracted", "pupils.gaussian", "pupils.outline")}
-    others = {"clsco.files.images", "clsco.optics.still", "clsco.plan.image_motion"}
+    others = {"clsco.files.images", "clsco.plan.image_motion"}
     unneeded = {"clsco.cli.dataset", "numpy.polynomial", "rich", "statistics"}
     assert {*said} & (spreads | others | unneeded) == set()
 

@@ -182,7 +182,7 @@ def test_the_host_runs_ahead_by_a_time_sample_at_most(live: Live, monkeypatch: p
 
     monkeypatch.setattr(Renderer, "add", noted)
     live.render(SCENES["moving"].replace("sequence.samples", 16), truth=())
-    assert unfinished == [0] * 17  # what stands still is a step as well
+    assert unfinished == [0] * 16
     progress = live.session.progress
     assert progress is not None
     assert (progress.doing, progress.done, progress.total) == ("accumulate", 15, 16)

@@ -50,4 +50,4 @@ def test_time_goes_by_the_runs_of_a_pass(session: Session, monkeypatch: pytest.M
     (passes,) = measure_frame(session, prepared, seconds).views
     strips = prepared.plan.rows // BAND
     assert passes["sensor"] == strips
-    assert passes["blur"] == passes["accumulate"] == strips * (prepared.plan.subframes + prepared.plan.splits_still)
+    assert passes["blur"] == passes["accumulate"] == strips * prepared.plan.subframes

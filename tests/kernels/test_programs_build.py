@@ -50,7 +50,7 @@ GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
-    | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER", "DIVIDED"), ON_OR_OFF)
+    | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2), "RAYS": (0,)}
     | {"CUT_CHORDS": ON_OR_OFF, "BORDERS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1), "MERGED": ON_OR_OFF}
     | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},

@@ -169,7 +169,7 @@ def planned(wanted: Scene, channels: int, samples: int | None = None, eye: Eye =
 
 def built(session: Session, plan: Plan, real: Real) -> Program:
     """All kernels in one program, so that few have to be compiled."""
-    return build(session, TRACE_FILES, plan.features() | {"GATHER": 0, "DIVIDED": 0}, structs(real), real)
+    return build(session, TRACE_FILES, plan.features() | {"GATHER": 0}, structs(real), real)
 
 
 def on_device(session: Session, plan: Plan, time: float, real: Real, eye: Eye | None = None) -> cl.Buffer:

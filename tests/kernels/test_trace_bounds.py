@@ -58,7 +58,7 @@ def plan() -> Plan:
 
 
 def everything_built(session: Session, plan: Plan) -> Program:
-    return build(session, TRACE_FILES, plan.features() | {"GATHER": 0, "DIVIDED": 0}, structs("double"), "double")
+    return build(session, TRACE_FILES, plan.features() | {"GATHER": 0}, structs("double"), "double")
 
 
 def buffers(session: Session, **sizes: int) -> dict[str, cl.Buffer]:

@@ -93,7 +93,6 @@ TESTS = {
     "trace/outline.clh": "kernels/test_trace kernels/test_trace_hidden pipeline/test_outlines",
     "trace/small.cl": "pipeline/test_small_objects",
     "trace/small.clh": "pipeline/test_small_objects",
-    "trace/still.clh": "pipeline/test_still_sources kernels/test_trace",
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
     "trace/bend.cl": "pipeline/test_distortion pipeline/test_real_lens",
     "trace/merge.cl": "plan/test_approximation",

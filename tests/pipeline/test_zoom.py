@@ -137,13 +137,6 @@ def test_samples_follow_the_way_over_the_image() -> None:
     )
 
 
-def test_nothing_is_still_under_a_zoom() -> None:
-    plan = prepare(SCENES["moving"]).plan
-    assert not plan.splits_still
-    assert plan.choices.still_sources.reason == "the lens changes"
-    assert plan.features()["MOVED"]
-
-
 def test_cameras_of_frames_have_their_focal_lengths() -> None:
     wanted = SCENES["plain"]
     for index, focal in enumerate((23.75, 31.25)):

@@ -159,7 +159,7 @@ def test_passes_taken_and_left_out(given: Plan, taken: set[str], left: dict[str,
     for name, why in left.items():
         assert why in reasons[name]
     assert taken & reasons.keys() == set()
-    assert taken | reasons.keys() - {"other outputs", "still sources"} == every
+    assert taken | reasons.keys() - {"other outputs"} == every
     assert all(text for each in given.passes for _, text in each.parameters)
     assert all(text for _, text in given.choices.left_out)
 
