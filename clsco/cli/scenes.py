@@ -11,8 +11,9 @@ import click
 from clsco.cli.inputs import first_scene, report_scenes
 from clsco.cli.options import (
     PATH,
+    Computation,
+    computation_options,
     device_option,
-    memory_option,
     no_color_option,
     precision_option,
     quiet_option,
@@ -69,25 +70,24 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @set_option
 @truth_options
 @no_color_option
-@memory_option
-@device_option
+@computation_options
 @click.option("--json", "machine", is_flag=True, help="Print passes, bytes and predicted seconds as JSON.")
 def plan(
     scene: Path,
     overrides: tuple[str, ...],
     files: tuple[TruthFile, ...],
     no_color: bool,
-    memory: int | None,
-    device: str | None,
+    computation: Computation,
     machine: bool,
 ) -> None:
-    """Report the passes and the memory that rendering a scene takes, and the time, measured on a part of a frame.
+    """Report what rendering a scene takes, and how long: passes, memory, and time, which is measured on a part of a
+    frame.
 
     Without OpenCL, the time is omitted.
     """
     require_uncolored(files, no_color)
-    session, used = _session_of_plan(device)
-    request = request_for(files, memory=memory, color=not no_color)
+    session, used = _session_of_plan(computation.device)
+    request = request_for(files, computation, color=not no_color)
     first = first_scene(scene, overrides, request, None if session is None else session.device, machine)
     report_scenes(scene, ("",), [first], close=True)
     from clsco.cli.plan_tables import plan_tables, planned_values

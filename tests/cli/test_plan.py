@@ -53,6 +53,8 @@ def test_plan_predicts_seconds(ball: Path) -> None:
     assert all(each["seconds"] > 0.0 for each in view["passes"])
     assert sum(each["seconds"] for each in view["passes"]) == pytest.approx(values["seconds"])
     assert values["frames"] == 3
+    fewer = json.loads(clsco_("plan", ball, "--json", "--tolerance", "0.05").stdout)
+    assert fewer["samples"] < values["samples"]
     several = clsco_("plan", ball, "--json", "--set", "camera.f_number=[2,4]")
     assert json.loads(several.stdout)["views"]
     assert several.stderr == "the first of 2 scenes, f_number_2:\n"
