@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 FORM = "clsco.progress"  # key of the form of progress in a command's context
 LINES_S = 0.2  # between lines of JSON
+WITHIN_S = 1.0  # between lines within a frame
 
 
 @contextmanager
@@ -30,10 +32,10 @@ def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable
 
 @contextmanager
 def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Callable[[], object]]:
-    """Bar as of `progress` that also shows the device's position within a frame and the time left."""
-    if not _is_shown(total, quiet):
-        with _bar(total, quiet, "frames", None) as advance:
-            yield advance
+    """Progress as of `progress` that also shows the device's position within a frame and the time left."""
+    in_lines = _is_in_lines()
+    if not in_lines and not _is_shown(total, quiet):
+        yield lambda: None
         return
     from clsco.opencl.session import Progress, session_for
 
@@ -43,8 +45,9 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
     def after_bar(done: float, elapsed: float) -> str:
         return position(here, done, total, elapsed)
 
+    shown = _lines(total, "frames", here) if in_lines else _bar(total, quiet, "frames", after_bar)
     try:
-        with _bar(total, quiet, "frames", after_bar) as advance:
+        with shown as advance:
 
             def after_frame() -> None:
                 here.done = 0
@@ -62,10 +65,15 @@ def position(here: Progress, done: float, total: int, elapsed: float) -> str:
     """
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
-    finished = (done + here.done / max(here.total, 1)) / total
-    left = elapsed * (1.0 - finished) / finished if finished > 0.0 else 0.0
+    left = _seconds_left(here, done, total, elapsed)
     parts = f"{here.doing}{share}", sample, f"{left:.0f} s left" if left >= 1.0 else ""
     return ", ".join(part for part in parts if part)
+
+
+def _seconds_left(here: Progress, done: float, total: int, elapsed: float) -> float:
+    """Seconds that are left after `elapsed`, 0 while unknown: before the first time sample is done."""
+    finished = (done + here.done / max(here.total, 1)) / total
+    return elapsed * (1.0 - finished) / finished if finished > 0.0 else 0.0
 
 
 def _is_shown(total: int, quiet: bool) -> bool:
@@ -78,14 +86,28 @@ def _is_in_lines() -> bool:
 
 
 @contextmanager
-def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
-    """Print a line of JSON at the beginning, every LINES_S seconds, and at the end."""
-    done, printed, last = 0, -1, 0.0
+def _lines(total: int, what: str, here: Progress | None = None) -> Iterator[Callable[[], object]]:
+    """Print a line of JSON at the beginning, after items at most every LINES_S seconds, and at the end.
 
-    def print_line() -> None:
+    here: position of the device within a frame, for a line every WITHIN_S seconds with the step, its finished share,
+    the time sample, and the seconds left if they are known.
+    """
+    done, printed, last, begun = 0, -1, 0.0, time.monotonic()
+    lock, ended = threading.Lock(), threading.Event()
+
+    def print_line(**within: object) -> None:
         nonlocal printed
-        printed = done
-        click.echo(json.dumps({"progress": what, "done": done, "total": total}), err=True)
+        with lock:
+            printed = done
+            click.echo(json.dumps({"progress": what, "done": done, "total": total, **within}), err=True)
+
+    def print_position() -> None:
+        while here is not None and not ended.wait(WITHIN_S):
+            values: dict[str, object] = {"step": here.doing, "share": round(here.share, 3)}
+            values |= {"sample": min(here.done + 1, here.total), "samples": here.total}
+            if left := _seconds_left(here, done, total, time.monotonic() - begun):
+                values["seconds_left"] = round(left, 1)
+            print_line(**values)
 
     def advance() -> None:
         nonlocal done, last
@@ -95,9 +117,13 @@ def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
             print_line()
 
     print_line()
+    thread = threading.Thread(target=print_position, daemon=True)
+    thread.start()
     try:
         yield advance
     finally:
+        ended.set()
+        thread.join()
         if printed != done:
             print_line()
 

@@ -62,3 +62,15 @@ def test_programs_get_lines_of_json(tmp_path: Path) -> None:
     assert [each["done"] for each in said] == sorted(each["done"] for each in said)
     result = CliRunner().invoke(main, [*words, "--resume"])
     assert [json.loads(line)["total"] for line in result.stderr.splitlines()] == [0]
+
+
+def test_lines_of_json_tell_the_position_within_a_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clsco.cli.progress.WITHIN_S", 0.01)
+    scene = scene_file(tmp_path / "scene.toml", f"[sequence]\nsamples = 9\n{PLANE}motion.velocity = [9.0, 0.0, 0.0]\n")
+    result = CliRunner().invoke(main, ["render", str(scene), "-o", str(tmp_path / "out"), "--progress", "json"])
+    assert result.exit_code == 0
+    said = [json.loads(line) for line in result.stderr.splitlines()]
+    within = [each for each in said if "step" in each]
+    assert any(each["step"] for each in within)
+    assert all(0 <= each["share"] <= 1 and each["sample"] <= max(each["samples"], 1) for each in within)
+    assert said[-1] == {"progress": "frames", "done": 1, "total": 1}
