@@ -54,9 +54,6 @@ NEAR_FOCUS = 0.3  # px, |R| below which smaller parts are needed as well
 # rounding would decide the comparison.
 APART = 1.17
 
-# Merged sources (kernels/trace/merge.cl).
-MERGED_SIDE = 3  # pixels along an axis that one merged source replaces, an odd number
-
 # Visibility (kernels/common/visibility.clh).
 LENS_CELLS = 8  # cells of the lens per half axis, if visibility is tested on a grid of cells
 SHARED_PLACE = 10.0  # px per lens radius; an occluder's edge that is closer differs between the parts of a pixel

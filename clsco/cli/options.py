@@ -207,8 +207,7 @@ memory_option = click.option(
 )  # fmt: skip
 tolerance_option = click.option(
     "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
-    help="Take the fewest time samples and silhouette samples, and merge hidden sources of wide blur, where the "
-    "estimated RMS error is at most E of white.",
+    help="Take the fewest time samples and silhouette samples whose estimated RMS error is at most E of white.",
 )  # fmt: skip
 
 

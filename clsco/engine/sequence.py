@@ -69,9 +69,9 @@ def render(
         Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" if it can blur the
         scene.
     tolerance : float, optional
-        Largest estimated RMS error, 1 = white. Within it, rendering takes fewer time samples and silhouette samples,
-        and merges partly hidden sources with wide blur; `Frame.metadata["approximation"]` has the numbers and the
-        estimated error. By default rendering takes all samples of the scene.
+        Largest estimated RMS error, 1 = white. Within it, rendering takes fewer time samples and silhouette samples;
+        `Frame.metadata["approximation"]` has the numbers and the estimated error. By default rendering takes all
+        samples of the scene.
     frames : iterable of int, optional
         Numbers of the frames to render, from 0; by default all.
     memory : int or str, optional

@@ -20,7 +20,6 @@ FEATURES = {
     "SUBPIXELS": "sources along an axis of a pixel at a silhouette",
     "SMALL": "some surfaces have narrow images",
     "TILT": "the slope of the surface changes the weights of its blur",
-    "MERGED": "sources that are blurred widely may be merged",
     # Occluders, and rims of the lens
     "OCCLUDED": "the most objects that hide one source",
     "LIMITED": "some of these have bounds, or one nappe, or are discs",

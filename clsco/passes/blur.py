@@ -74,7 +74,6 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
         "OCCLUDED": spec.occluders,
         "LIMITED": int(spec.limited),
         "CURVED": spec.curved,
-        "MERGED": int(spec.merged > 0.0),
         "SHARED": int(spec.shared),
         "RAYS": int(spec.occluders > 0 and has_ray_means(psf)),
         "GATHER": int(method == "gather"),

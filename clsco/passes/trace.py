@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import pyopencl as cl
 
-from clsco.constants import MERGED_SIDE, STATISTIC_SLOTS, STATISTIC_SMALLEST, TAP_LANES
+from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST, TAP_LANES
 from clsco.opencl.buffers import allocate, download, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
@@ -29,7 +29,7 @@ from clsco.records import REAL, Struct, structs
 SPARE_SLOTS = 1.25  # ratio of allocated to needed slots when slots are added, as the next time sample may need more
 ROUNDED = 1e-5  # relative margin of extents, far above the rounding errors of rays and depths in single precision
 # The kernels that cast rays.
-TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth.cl", "trace/merge.cl")
+TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth.cl")
 # Statistics at the beginning of a frame, before any radius or slot is recorded (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
@@ -168,8 +168,7 @@ class Tracer:
         occluders: dict[str, Any] = {}
         if plan.spec.occluders:
             occluders = {"lens": head[1], "surfaces": job.sample.surfaces, "group": head[3], "depth": depth}
-        sources = Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **occluders)
-        return sources if plan.silhouettes else self._merge(job, sources)
+        return Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **occluders)
 
     def _cast(self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes) -> None:
         """Enqueue the kernel that casts the rays of one occlusion group, which are the same for all lenses."""
@@ -197,8 +196,7 @@ class Tracer:
             run("trace_detail", size, PIXELS[:1], job.events, *slotted, *subs, depth, statistics)
             value = buffers["sharper"]
             self._per_pixel("sharpen", job, job.grid, sources.value, buffers["share"], source, value)
-        several = replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)
-        return self._merge(job, several)
+        return replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)
 
     @property
     def _room(self) -> int:
@@ -228,17 +226,6 @@ class Tracer:
         session, before = self.target.session, self.buffers["pixels"]
         self.buffers.update(allocate(session, silhouette_buffers(self.plan.spec, self.plan.grid, slots, False)))
         cl.enqueue_copy(session.queue, self.buffers["pixels"], before, byte_count=before.size).wait()
-
-    def _merge(self, job: SceneJob, sources: Sources) -> Sources:
-        """Enqueue the merging of sources if the plan merges any; returns `sources`."""
-        plan, grid = self.plan, job.grid
-        if plan.merged:
-            size = (-(-int(grid["width"]) // MERGED_SIDE), -(-int(grid["height"]) // MERGED_SIDE))
-            added = (MERGED_SIDE**2 - 1) / 12 / plan.psf.pupil.second_moment
-            numbers = np.array([plan.merged, added], np.float32)
-            planes = sources.depth, sources.label, *numbers, sources.source
-            self.target.run("merge", size, PIXELS, job.events, grid, self.lens(job), self.psf, *planes)
-        return sources
 
     def pinhole(self, job: SceneJob) -> Image:
         """The pinhole image with the blur radius of each pixel."""

@@ -1,4 +1,4 @@
-"""Reduction of time samples, silhouette samples and sources within a tolerance of the frame (float64, pure).
+"""Reduction of time samples and silhouette samples within a tolerance of the frame (float64, pure).
 
 Consider a pattern that moves by D px while the shutter is open. The frame has its component of f cycles per px along
 the motion times M(f) = sum_i w_i exp(2 pi i f D t_i), summed over the time samples, with t from 0 to 1. With fewer
@@ -17,11 +17,6 @@ rows of sources, this changes the first moment of the pixel's light by m, and
 off: error of the coverage of a pixel, where covered sources are counted; s: fraction of outlines with such pixels,
 CORNERS for N > 1, and 1 for N = 1. `clsco.plan.texture_sources` treats errors of textures on surfaces.
 
-One source in place of MERGED_SIDE x MERGED_SIDE (kernels/trace/merge.cl) makes the light of an even surface a lattice
-of discs. With g = 1 / MERGED_SIDE per px, for radiance L in a given fraction of the frame, its harmonics cause
-
-    e^2 = fraction L^2 (4 H(g)^2 + 4 H(sqrt(2) g)^2)
-
 Validated against frames with all samples: tests/plan/test_approximation.py.
 """
 
@@ -36,7 +31,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import MERGED_SIDE
 from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
@@ -63,7 +57,6 @@ MARGIN = 1.5  # factor of squared errors, because rays sample outlines and paths
 CORNERS = 0.06  # fraction of outlines whose coverage is counted by sources: corners, and surfaces seen edge-on
 FINE_COST, OUTLINE_COST = 1 / 8, 1 / 80  # cost of each of N^2 sources per pixel, relative to a time sample with one
 UNEVEN = 0.2  # in place of CORNERS for differences between time samples
-MERGED_RADII = tuple(8.0 * 2.0 ** (k / 2) for k in range(9))  # px: |R| from which sources may be merged
 TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # fractions of the longest path, as some points travel less; the worst counts
 
 
@@ -81,8 +74,6 @@ class ApproximationReport:
         Number of time samples: used, and of the scene.
     silhouette_samples, scene_silhouette_samples : int
         Number of sub-pixel sources along an axis of a pixel: used, and of the scene; 1 for none.
-    merged : float
-        Blur radius |R| in px from which partly hidden sources may be merged; 0 for no merging.
     """
 
     tolerance: float
@@ -91,7 +82,6 @@ class ApproximationReport:
     scene_samples: int
     silhouette_samples: int
     scene_silhouette_samples: int
-    merged: float = 0.0
 
     @property
     def counts(self) -> Samples:
@@ -101,14 +91,13 @@ class ApproximationReport:
     def line(self) -> str:
         """Report in one line."""
         time, silhouettes = (self.samples, self.scene_samples), (self.silhouette_samples, self.scene_silhouette_samples)
-        if time == silhouettes == (1, 1) and not self.merged:
+        if time == silhouettes == (1, 1):
             return "exact: nothing can be saved, as nothing moves, and no silhouette is in sight"
         if self.rms_error == 0.0:
             return f"exact: fewer samples may be off by more than {self.tolerance:g} of white"
         kinds = (("time", *time), ("silhouette", *silhouettes))
-        clauses = [f"{count} of {total} {kind} samples" for kind, count, total in kinds if total > 1]
-        clauses += [f"hidden sources merged from {self.merged:.3g} px of blur on"] if self.merged else []
-        return f"{' and '.join(clauses)}: estimated RMS error {self.rms_error:.2g} of white"
+        counts = " and ".join(f"{count} of {total} {kind} samples" for kind, count, total in kinds if total > 1)
+        return f"{counts}: estimated RMS error {self.rms_error:.2g} of white"
 
 
 def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
@@ -127,8 +116,6 @@ def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
     """Choose the cheapest numbers of samples whose estimated error is within a tolerance.
-
-    Merging of sources is tried last. It is no key of the scene: the caller sets `Plan.merged` from the report.
 
     Parameters
     ----------
@@ -156,11 +143,10 @@ def fewer_samples(
     """
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
-    samples, silhouettes, square, merged = *exact, 0.0, 0.0
+    samples, silhouettes, square = *exact, 0.0
     fine = needs_detail(scene, plan.psf, plan.largest_blur)
     keeps_silhouettes = exact[1] == 1 or (fine and not (plan.psf.uniform or plan.psf.pupil.soft))
-    merges = _may_merge(plan)
-    if (exact[0] > 1 or not keeps_silhouettes or merges) and not scene.lens_moves:  # the estimate assumes a fixed lens
+    if (exact[0] > 1 or not keeps_silhouettes) and not scene.lens_moves:  # the estimate assumes a fixed lens
         images = textures()
         parts = _parts(scene, images, maps)
         outlines = _Outlines.of(plan.psf, parts)
@@ -175,10 +161,7 @@ def fewer_samples(
                     source_errors[count] += MARGIN * error
         samples, silhouettes = _cheapest((least[0], exact[0]), source_errors, tolerance**2, time_error, fine)
         square = source_errors[silhouettes] + (time_error(samples) if samples < exact[0] else 0.0)
-        if merges:
-            merged, merging_error = _merging(plan.psf, parts, tolerance**2 - square)
-            square += merging_error
-    report = ApproximationReport(tolerance, sqrt(square), samples, exact[0], silhouettes, exact[1], merged)
+    report = ApproximationReport(tolerance, sqrt(square), samples, exact[0], silhouettes, exact[1])
     if (samples, silhouettes) == exact:
         return scene, report
     update: dict[str, Any] = {}
@@ -214,42 +197,17 @@ def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
     return counts[few] if few < len(counts) else 0
 
 
-def _may_merge(plan: Plan) -> bool:
-    """True if some sources may be blurred so widely, and be partly hidden, that merging them saves time."""
-    spec, psf = plan.spec, plan.psf
-    wide = plan.largest_blur >= MERGED_RADII[0]
-    return wide and spec.method == "gather" and spec.occluders > 0 and psf.uniform and not psf.signed and not psf.rims
-
-
-def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple[float, float]:
-    """Smallest |R| in px from which merging of sources has at most the squared error `square`, and its squared error;
-    (0, 0) for no merging.
-    """
-    along, across = (round(SIDE * frequency / MERGED_SIDE) - 1 for frequency in (1.0, sqrt(2.0)))
-    for least in MERGED_RADII:
-        error, wide = 0.0, [part for part in parts if part.widest >= least]
-        for part in wide:
-            transfer = _squared_transfer(psf, max(part.radius, least))
-            error += MARGIN * part.light * 4.0 * float(transfer[along] + transfer[across])
-        if wide and error <= square:
-            return least, error
-    return 0.0, 0.0
-
-
 @dataclass(frozen=True)
 class _Part:
     """Statistics of an object in the frame.
 
     travel: length along x and y of the path of its image and of the edge of its blur while the shutter is open, px;
-    radius: smallest |R|, px; widest: largest |R|, px, 0 if no other object is nearer; light: mean squared radiance
-    times the fraction of the frame that it covers; power: power of its texture in the frame, white^2, by FREQUENCIES
-    along x and y; outline: length times squared contrast per px^2 of its outlines across x, and of those across y.
+    radius: smallest |R|, px; power: of its texture in the frame, white^2, by FREQUENCIES along x and y; outline: length
+    times squared contrast per px^2 of its outlines across x, and of those across y.
     """
 
     travel: tuple[float, float]
     radius: float
-    widest: float
-    light: float
     power: tuple[Array, Array]
     outline: tuple[float, float]
 
@@ -358,9 +316,7 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
             mapped = scene.objects[k].mapped is not None
             along_x, along_y = _mapped_power(scene, k, textures[k], *slopes) if mapped else _power(textures[k])
             power = (visible.mean() * along_x, visible.mean() * along_y)
-        widest = float(radii.max()) if (np.delete(w, k, axis=0) > w[k][visible].min()).any() else 0.0
-        light = float(visible.mean() * contrasts[k, -1])
-        parts.append(_Part(travel, float(radii.min()), widest, light, power, (across[k], down[k])))
+        parts.append(_Part(travel, float(radii.min()), power, (across[k], down[k])))
     return tuple(parts)
 
 

@@ -59,8 +59,6 @@ class BlurSpec:
     curved : int
         Feature CURVED of the lens (`clsco.plan.features.curvature_of`), if visibility tests or ellipses need it; else
         0.
-    merged : float
-        |R| in px from which partly hidden sources may be merged; 0 for none.
     shared : bool
         True if sub-pixel sources of fine textures may share the visibility test of their pixel.
     """
@@ -77,7 +75,6 @@ class BlurSpec:
     border: Literal["lose", "renormalize"] = "lose"
     layered: bool = False
     curved: int = 0
-    merged: float = 0.0
     shared: bool = False
     small: bool = False
 

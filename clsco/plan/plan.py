@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import BAND, MERGED_SIDE, TAP_LANES
+from clsco.constants import BAND, TAP_LANES
 from clsco.frame.outputs import SENSOR_NAMES
 from clsco.frame.strips import Grid, Strip, make_strip
 from clsco.optics.exposure import frame_exposure, subframes_of
@@ -94,8 +94,6 @@ class Plan:
         Rows of the tallest strip, 0 for all rows of the frame.
     extents : tuple of Extent
         Predicted extents of objects within which `groups` are valid; empty if they always are.
-    merged : float
-        |R| in px from which partly hidden sources are merged, for a tolerance; 0 for no merging.
     small : bool
         True if an object may be so narrow in the image that it needs its own slots of sub-pixel sources.
     """
@@ -118,7 +116,6 @@ class Plan:
     alpha: bool = False
     strip_rows: int = 0
     extents: tuple[Extent, ...] = ()
-    merged: float = 0.0
     small: bool = False
 
     @cached_property
@@ -212,9 +209,9 @@ class Plan:
 
     @property
     def reach_px(self) -> int:
-        """Distance in px within which a source may affect a pixel, including silhouette detection and merged blocks."""
+        """Distance in px within which a source may affect a pixel, including silhouette detection."""
         reaches = (table_reach(self.psf, self.largest_blur, subpixel) for subpixel in (False, True))
-        return max(reaches) + 2 + (MERGED_SIDE - 1 if self.merged else 0)
+        return max(reaches) + 2
 
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
@@ -252,7 +249,7 @@ class Plan:
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
             layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
-            merged=self.merged, shared=room > 0 and self.mapped > 0 and self.silhouettes > 0 and self.psf.shares_lens,
+            shared=room > 0 and self.mapped > 0 and self.silhouettes > 0 and self.psf.shares_lens,
             small=self.small,
         )  # fmt: skip
 
@@ -320,7 +317,6 @@ class Plan:
             "SUBPIXELS": self.silhouettes,
             "SMALL": int(self.small),
             "CURVED": curvature_of(scene),
-            "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
             **psf_features(self.psf),
         }

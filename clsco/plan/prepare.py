@@ -215,7 +215,6 @@ def _prepare_scene(
 
         fewer, report = fewer_samples(plans[0], request.tolerance, lambda: files.textures(sized), maps, least)
         plans = plans if fewer is sized else plans_of(fewer)
-        plans = [replace(plan, merged=report.merged) for plan in plans] if report.merged else plans
     limit = replace(limit_of(request.memory, device), views=len(plans))
     return Prepared(sized, tuple(fit_strips(plan, limit) for plan in plans), request, files, report)
 

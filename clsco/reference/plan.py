@@ -1,9 +1,9 @@
 """The reference's own plan, which omits no feature and makes none of the device's optimizations.
 
 Each object is blurred separately, and with visibility tests every other object may hide it; all pixels that an outline
-can touch have sub-pixel sources; the guard band is twice as wide as needed. There is no merging and no clamped radius.
-The formulas of `clsco.optics`, and approximations by design, are shared with the device: cells of the lens, edges of
-occluders, taps, depth layers.
+can touch have sub-pixel sources; the guard band is twice as wide as needed; radii are not clamped. The formulas of
+`clsco.optics`, and approximations by design, are shared with the device: cells of the lens, edges of occluders, taps,
+depth layers.
 """
 
 from __future__ import annotations

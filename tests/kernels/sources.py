@@ -119,7 +119,7 @@ def on_device(session: Session, given: Light, weight: float) -> spread.Sources:
         source[..., 3].view(np.int32)[sub.row, sub.column] = slots
         records_by_slot = np.full((capacity, given.samples, given.samples, 4), np.nan, np.float32)
         records_by_slot[slots] = records(given, sub.radius, sub.gradient, sub.hit, True)
-        marks = np.where(np.asarray(sub.limb), np.int32(-7), np.int32(-1))  # LIMB, WHOLE
+        marks = np.where(np.asarray(sub.limb), np.int32(-6), np.int32(-1))  # LIMB, WHOLE
         records_by_slot[slots, ..., 3] = marks.view(np.float32)
         value = np.zeros((given.channels, capacity, given.samples, given.samples), np.float32)
         value[:, slots] = (

@@ -52,11 +52,11 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2), "RAYS": (0,)}
-    | {"CUT_CHORDS": ON_OR_OFF, "BORDERS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1), "MERGED": ON_OR_OFF}
+    | {"CUT_CHORDS": ON_OR_OFF, "BORDERS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1)}
     | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
     GATHER: dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": ON_OR_OFF, "CURVED": (0, 3, 1, 2, 4, 7)}
-    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": (0, 0, 1)}
+    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "ELLIPSES": (0, 0, 1)}
     | {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF, "SEPARABLE": (0, 0, 1)}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}

@@ -62,7 +62,7 @@ LENS = {"pixel_pitch": 0.12, "aperture_diameter": 25.0}
 SEQUENCE = Sequence(frames=2, interval=0.4, shutter=0.3)
 GUARD = 4
 MONO = tuple(name for name in RAY_OUTPUTS if name not in STEREO_NAMES)
-WHOLE, PARTLY_OCCLUDED, LIMB, PARTLY_LIMB = -1, -2, -7, -8  # in a source's last field, where it holds no slot
+WHOLE, PARTLY_OCCLUDED, LIMB, PARTLY_LIMB = -1, -2, -6, -7  # in a source's last field, where it holds no slot
 
 
 def scene(item: Any, moving: ObjectMotion = MOTION, **sections: Any) -> Scene:

@@ -95,7 +95,6 @@ TESTS = {
     "trace/small.clh": "pipeline/test_small_objects",
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
     "trace/bend.cl": "pipeline/test_distortion pipeline/test_real_lens",
-    "trace/merge.cl": "plan/test_approximation",
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
     "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",

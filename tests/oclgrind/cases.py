@@ -434,21 +434,6 @@ def through_a_lens(scene: Scene, method: str = "auto") -> list[Array]:
     return [frame.color, frame.blur_radius]
 
 
-def tolerant_cases() -> Iterator[Case]:
-    """Hidden sources that a tolerance merges, from a radius on that keeps this short."""
-    camera = Camera(resolution=(4, 5), pixel_pitch=0.05, aperture_diameter=3.0)
-    card = Rectangle(size=(0.6, 9.0), center=(0.0, 0.0, 250.0))
-    scene = Scene(camera=camera, objects=(card, Plane(distance=2500.0)), psf=Psf(silhouette_samples=1))
-
-    def merged() -> list[Array]:
-        with patch("clsco.plan.approximation.MERGED_RADII", (1.8,)):
-            ((_, frame),) = render_sweep((scene,), device="oclgrind", truth=(), tolerance=1.0)
-        assert frame.metadata["approximation"]["merged"]
-        return [frame.color]
-
-    yield Case("merged", {}, merged)
-
-
 def shared_cases() -> Iterator[Case]:
     """A fine texture in focus behind a wire far in front: the parts of a pixel share what hides the lens."""
     camera = Camera(resolution=(5, 4), pixel_pitch=0.1, aperture_diameter=20.0, focus_distance=250.0)
@@ -483,7 +468,6 @@ def all_cases() -> Iterator[Case]:
     yield from lens_cases()
     yield from islice(field_cases(), EVERY > 1, None)  # the first takes minutes, as those of the next two functions
     if EVERY == 1:
-        yield from tolerant_cases()
         yield from shared_cases()
     for cases in (image_cases, inpainting_cases, scene_cases):
         yield from islice(cases(), 0, None, EVERY)

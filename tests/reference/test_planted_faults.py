@@ -133,7 +133,6 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     ),
     "a group that is dropped": ("still", {f"{PLAN}.choose_occlusion": alone}),
     "strips without an apron": ("high", IN_STRIPS | {f"{SEEN}.strips_of": altered(without_apron)}),
-    "sources merged unasked": ("still", {"clsco.plan.prepare.fit_strips": changed(merged=lambda _: 1.0)}),
     "a shutter without its curve": ("moving", {"clsco.optics.exposure.curve_integral": boxed}),
     "lines in the other order": ("rolling", {"clsco.optics.exposure.line_openings": altered(np.flip)}),
     "half an exposure": ("moving", {"clsco.engine.film.frame_exposure": changed(times=lambda times: 0.5 * times)}),

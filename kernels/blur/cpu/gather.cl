@@ -287,9 +287,10 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
             source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y, x - grid.guard,
-                              depth[at], &spread, &s, source_width(s), &visibility);
+                              depth[at], &spread, &s, (real)1, &visibility);
             float light[CHANNELS];
-            light_of(value + at, plane, grid.width, s, light);
+            for (int k = 0; k < CHANNELS; ++k)
+                light[k] = value[k * plane + at];
             add_occluded(spread, &visibility, up, down, light, s, out - half_width, apart,
                          pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
             continue;
