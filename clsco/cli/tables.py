@@ -1,4 +1,4 @@
-"""Fillings and devices as tables for the terminal."""
+"""Tables for the terminal: reports of inpainting, and OpenCL devices with their self-tests."""
 
 from __future__ import annotations
 

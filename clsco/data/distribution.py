@@ -208,8 +208,8 @@ class ScriptedDistribution:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the known inputs of samples: source text, splits, and the version of NumPy, whose generators may
-        change.
+        """SHA-256 of the known inputs of samples: source text and name of the function, splits, and the version of
+        NumPy, whose generators may change.
         """
         content = [self.function.__qualname__, self.source, np.__version__, self.splits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()

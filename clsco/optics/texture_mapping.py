@@ -190,7 +190,12 @@ def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, M
 
 
 def _frame(item: Object, kind: int) -> Matrix:
-    """Value of `TextureMap.frame`. If it is free to choose, its third axis points to the camera and its second up."""
+    """Value of `TextureMap.frame`, whose rows are the axes of q in the object's own frame.
+
+    Maps by longitude and cube maps: right, up, towards the camera, over the semi-axes of an ellipsoid. Cylinder: the
+    second is the cylinder's axis; the third points towards the camera, or up if the axis does. Cone: right, the cone's
+    axis, up. Plane: right, up, the normal away from the camera. All others: the object's own axes.
+    """
     if kind in (MAP_LONGITUDE, MAP_CUBE):
         axes = item.semi_axes if isinstance(item, Ellipsoid) else (1.0, 1.0, 1.0)
         return np.diag([1.0, 1.0, -1.0]) / np.array(axes)[:, None]

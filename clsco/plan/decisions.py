@@ -9,8 +9,6 @@ from clsco.errors import SceneError
 from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES, Group
 from clsco.optics.exposure import subframes_of
 from clsco.optics.lens_path import widest_camera
-from clsco.optics.motion import Eye
-from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import Extent
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
@@ -18,8 +16,7 @@ from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
 from clsco.plan.methods import Blur, Occlusion, can_convolve, choose_blur, has_few_taps
 from clsco.plan.predict import (
-    Maps,
-    Prediction,
+    ResolvedScene,
     constant_blur,
     fills_view,
     is_forward,
@@ -104,7 +101,7 @@ class Choices:
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of name and reason for the parts of the pipeline that are left out; only the image if none is made."""
+        """Pairs (name, reason) of the parts of the pipeline that are left out; without an image, only "image"."""
         if self.image.left_out:
             return (("image", self.image.reason),)
         return tuple((name, choice.reason) for name, choice in self._all().items() if choice.left_out)
@@ -119,32 +116,32 @@ class Choices:
 
 
 def choose(
-    scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, device: DeviceFacts,
-    prediction: Prediction,
-) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
+    view: ResolvedScene, request: Request, channels: int, device: DeviceFacts
+) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
     """Make all decisions for a view of a scene; also returns its occlusion groups, and the extents of objects within
     which the groups are valid. Raises SceneError if the requested method of blur cannot be used.
     """
-    warp = choose_warp(scene, eye)
+    scene, psf = view.scene, view.psf
+    warp = choose_warp(view)
     rays = choose_rays(scene, warp.value)
-    silhouettes = choose_silhouettes(scene, psf, rays.value, prediction)
-    sharp, one_radius = psf.is_sharp(prediction.largest) and silhouettes.left_out, constant_blur(scene)
-    occlusion, groups, extents = choose_occlusion(scene, psf, rays.value, prediction)
+    silhouettes = choose_silhouettes(view, rays.value)
+    sharp, one_radius = psf.is_sharp(view.largest) and silhouettes.left_out, constant_blur(scene)
+    occlusion, groups, extents = choose_occlusion(view, rays.value)
     one_stencil = one_radius and silhouettes.left_out and can_convolve(psf, scene.psf.border)
     occluded = occlusion.value == "visibility" or bool(psf.rims) or psf.stretched > 0.0
-    few_taps = has_few_taps(device, prediction.largest, channels)
+    few_taps = has_few_taps(device, view.largest, channels)
     blur = choose_blur(request.method, sharp, one_stencil, device.kind == "gpu", occluded, few_taps)
     if blur.left_out:
-        aperture = OPENING_KEYS if prediction.largest <= 0.5 else ()  # any aperture keeps all light in its pixel
-        why = f"in focus: R up to {prediction.largest:.3g} px stays within its pixel"
+        aperture = OPENING_KEYS if view.largest <= 0.5 else ()  # any aperture keeps all light in its pixel
+        why = f"in focus: R up to {view.largest:.3g} px stays within its pixel"
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(scene)
     truth, other_outputs = choose_truth(scene, request.truth, request.color)
     choices = Choices(
         image=choose_image(request.color),
-        motion=choose_samples(scene, psf, rays.value, maps, prediction.guard),
+        motion=choose_samples(view, rays.value),
         trace=rays,
-        texture_sampling=choose_texture_sampling(scene, eye, warp.value),
+        texture_sampling=choose_texture_sampling(view, warp.value),
         reproject=warp,
         fill=choose_fill(scene, warp.value),
         silhouettes=silhouettes,
@@ -165,11 +162,12 @@ def choose_image(color: bool) -> Choice[bool]:
     return Choice(True) if color else Choice(False, "nobody asked for the color: neither its rays nor its blur")
 
 
-def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard: int) -> Choice[int]:
+def choose_samples(view: ResolvedScene, rays: bool) -> Choice[int]:
     """Choose the number of time samples while a line of the frame is exposed; 0 if nothing moves.
 
     rays: True if rays are cast; guard: width of the guard band, px. Raises SceneError for too many time samples.
     """
+    scene = view.scene
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
     from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
@@ -178,10 +176,10 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
         # Without visibility tests, outlines are as sharp as the surface behind. Radii are only known for a fixed lens.
         soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
         gradual = rays and soft and not scene.lens_moves
-        needs = motion_needs(scene, psf, maps, guard, gradual)
+        needs = motion_needs(scene, view.psf, view.maps, view.guard, gradual)
         object_words = [f"{scene.objects[need.number].name} {need}" for need in needs[:MOST_NAMED]]
         omitted = [f"{len(needs) - MOST_NAMED} more"] if len(needs) > MOST_NAMED else []
-        lens = lens_samples(scene, maps)
+        lens = lens_samples(scene, view.maps)
         words = ([f"the lens {lens}"] if lens > 1 else []) + object_words + omitted
         why = f"from the motion: {', '.join(words) or 'none is seen'}"
         choice = Choice(max(motion_samples(scene, needs), lens), why)
@@ -193,9 +191,10 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
     return choice if scene.rolls else replace(choice, unused=("sequence.scan",))
 
 
-def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:
+def choose_warp(view: ResolvedScene) -> Choice[bool]:
     """Decide whether a forward warp moves pixels of the reference pose."""
-    if is_forward(scene, eye):
+    scene = view.scene
+    if is_forward(scene, view.eye):
         return Choice(True)
     if scene.motion.warp == "forward" and scene.is_analytic:
         return Choice(False, "no forward warp, as nothing moves", ("motion.warp",))
@@ -209,12 +208,12 @@ def choose_rays(scene: Scene, forward: bool) -> Choice[bool]:
     return Choice(False, "replaced by the forward warp") if forward else Choice(True)
 
 
-def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[bool]:
+def choose_texture_sampling(view: ResolvedScene, forward: bool) -> Choice[bool]:
     """Decide whether to interpolate textures between their texels; forward: True for a forward warp."""
-    key = ("motion.texture_filter",)
+    scene, key = view.scene, ("motion.texture_filter",)
     if forward:
         return Choice(False, WHOLE_PIXELS, key)
-    if scene.is_displaced or shifts_view(scene, eye) or scene.has_mapped_textures or scene.shifts_colors:
+    if scene.is_displaced or shifts_view(scene, view.eye) or scene.has_mapped_textures or scene.shifts_colors:
         return Choice(True)
     return Choice(False, "nothing moves: every pixel shows its own texel", key if scene.stereo is None else ())
 
@@ -231,38 +230,39 @@ def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
     return Choice(True)
 
 
-def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, prediction: Prediction) -> Choice[int]:
+def choose_silhouettes(view: ResolvedScene, rays: bool) -> Choice[int]:
     """Choose the number of sub-pixel sources per axis; 0 if every source is a pixel. rays: True if rays are cast."""
-    samples, key = scene.psf.silhouette_samples, ("psf.silhouette_samples",)
+    scene, key = view.scene, ("psf.silhouette_samples",)
+    samples = scene.psf.silhouette_samples
     if samples == 1:
         return Choice(0, "silhouette_samples = 1")
     if not rays:
         return Choice(0, "a depth map has whole pixels" if is_static_map(scene) else WHOLE_PIXELS, key)
     if scene.psf.occlusion == "layered" and not hides_nothing(scene):
         return Choice(0, "depth layers have whole pixels", key)
-    if fills_view(scene, prediction.nearest) and not needs_detail(scene, psf, prediction.largest):
+    if fills_view(scene, view.nearest) and not needs_detail(scene, view.psf, view.largest):
         return Choice(0, "no silhouette in sight", key)
     return Choice(samples)
 
 
 def choose_occlusion(
-    scene: Scene, psf: PointSpread, rays: bool, prediction: Prediction
-) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
+    view: ResolvedScene, rays: bool
+) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
     """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which they
     are valid, empty if they always are. rays: True if rays are cast.
     """
-    one_group, key = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), ("psf.occlusion",)
-    method = scene.psf.occlusion
+    scene, key = view.scene, ("psf.occlusion",)
+    one_group, method = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), scene.psf.occlusion
     if method == "none":
         return Choice("none", 'occlusion = "none"'), one_group, ()
     if hides_nothing(scene):
         return Choice("none", "one object", key), one_group, ()
     if method == "layered" or not rays:
         return Choice("layered"), one_group, ()
-    hits = zip(scene.objects, zip(*prediction.poses, strict=True), prediction.w, strict=True)
+    hits = zip(scene.objects, zip(*view.poses, strict=True), view.w, strict=True)
     slack = 0.0 if scene.moves_evenly else UNEVEN
     extents = tuple(extent(item, poses, w, slack) for item, poses, w in hits)
-    groups = occlusion_groups(scene.objects, extents, widest_camera(scene), psf)
+    groups = occlusion_groups(scene.objects, extents, widest_camera(scene), view.psf)
     if any(group.occluders for group in groups):
         return Choice("visibility"), groups, extents
     return Choice("none", "no object hides another within its blur", key), groups, extents

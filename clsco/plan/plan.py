@@ -48,7 +48,7 @@ from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, prefix_names, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, check_shape, occluder_room
 from clsco.plan.passes import Kind, Pass
-from clsco.plan.predict import Maps, Prediction, has_small_images, is_static_map, predict, shifts_view, slopes_where
+from clsco.plan.predict import Maps, ResolvedScene, has_small_images, is_static_map, resolve, shifts_view, slopes_where
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
@@ -370,25 +370,26 @@ def make_plan(
     spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _splits_colors(scene, channels) else ()
     psf = max(spreads, key=lambda spread: spread.pupil.margin, default=psf)
     check_shape(psf, request.method)
-    prediction = predict(scene, psf, eye, maps)
+    view = resolve(scene, psf, eye, maps)
     if psf.diffracted:
         from clsco.optics.waves import check_waves
 
-        check_waves(psf, prediction.largest)
-        ends = prediction.lowest, prediction.highest
+        check_waves(psf, view.largest)
+        ends = view.lowest, view.highest
         psf, spreads = psf.between(*ends), tuple(spread.between(*ends) for spread in spreads)
-    choices, groups, extents = choose(scene, psf, request, eye, maps, channels, device, prediction)
+        view = replace(view, psf=psf)
+    choices, groups, extents = choose(view, request, channels, device)
     blur, alpha = choices.blur.value, "alpha" in request.truth
-    guard = prediction.guard + (2 * TAP_LANES if blur == "convolve" else 0)
+    guard = view.guard + (2 * TAP_LANES if blur == "convolve" else 0)
     if blur in MANY_RADII:
         occluded = any(group.occluders for group in groups)
-        check_tables(psf, prediction.smallest, prediction.largest, choices.silhouettes.value, occluded)
+        check_tables(psf, view.smallest, view.largest, choices.silhouettes.value, occluded)
     plan = Plan(
-        scene, psf, device, eye, channels + alpha, rows, columns, guard, prediction.smallest, prediction.largest,
+        scene, psf, device, eye, channels + alpha, rows, columns, guard, view.smallest, view.largest,
         choices, groups, taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
-        small=choices.silhouettes.value > 0 and has_small_images(scene, prediction),
+        small=choices.silhouettes.value > 0 and has_small_images(view),
     )  # fmt: skip
-    return replace(plan, taps=_predicted_taps(plan, prediction)) if blur != "none" and plan.color else plan
+    return replace(plan, taps=_predicted_taps(plan, view)) if blur != "none" and plan.color else plan
 
 
 def _splits_colors(scene: Scene, channels: int) -> bool:
@@ -396,11 +397,11 @@ def _splits_colors(scene: Scene, channels: int) -> bool:
     return scene.separates_colors or (channels > 1 and scene.psf.is_colored)
 
 
-def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
+def _predicted_taps(plan: Plan, view: ResolvedScene) -> float:
     """Value of `Plan.taps`, from the predicted depths."""
-    w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
+    w, middle = view.nearest, view.times[len(view.times) // 2]
     hit = w > 0
-    radii = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, predicted.slopes)))
+    radii = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, view.slopes)))
     if not radii.size:
         return 0.0
     lit = plan.psf.blended * np.pi * (radii * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2

@@ -216,11 +216,18 @@ def constant_blur(scene: Scene) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
-    """Ray hits on a coarse grid over the whole sequence.
+class ResolvedScene:
+    """A view of a scene, resolved once for all decisions of a plan: poses at sampled times, and the hits of rays on a
+    coarse grid.
 
     Attributes
     ----------
+    scene : Scene
+    psf : PointSpread
+    eye : {"left", "right"}
+        View of a stereo pair.
+    maps : sequence of ndarray or None
+        Inverse depth of every object that is a depth map, as for `clsco.plan.plan.make_plan`.
     times : list of float
         Sampled times, s.
     poses : list of tuple of Pose
@@ -237,6 +244,10 @@ class Prediction:
         Range of R with its sign, with a margin, px.
     """
 
+    scene: Scene
+    psf: PointSpread
+    eye: Eye
+    maps: Maps
     times: list[float]
     poses: list[tuple[Pose, ...]]
     w: Array
@@ -253,15 +264,15 @@ class Prediction:
         return np.asarray(self.w.max(axis=0))
 
 
-def has_small_images(scene: Scene, prediction: Prediction) -> bool:
+def has_small_images(view: ResolvedScene) -> bool:
     """True if an object may at some time be so narrow in the image that rays through pixels can miss it."""
-    for time, poses in zip(prediction.times, prediction.poses, strict=True):
-        most = NARROW_IMAGE * ray_step(camera_at(scene, time))
-        for item, pose in zip(scene.objects, poses, strict=True):
+    for time, poses in zip(view.times, view.poses, strict=True):
+        most = NARROW_IMAGE * ray_step(camera_at(view.scene, time))
+        for item, pose in zip(view.scene.objects, poses, strict=True):
             surface = place(item, pose)
             width = surface.width
             if width < 0.0:
-                half = outline_lines(surface, *prediction.slopes)[1]
+                half = outline_lines(surface, *view.slopes)[1]
                 if not np.isfinite(half).all():
                     continue
                 change = max(float(np.abs(np.diff(half, axis=axis)).max()) for axis in (0, 1))
@@ -314,7 +325,7 @@ def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[
 
 
 def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays: Sequence[Slopes]) -> Array:
-    """Signed blur radii (n,) in px of all hits in `w` (`Prediction.w`).
+    """Signed blur radii (n,) in px of all hits in `w` (`ResolvedScene.w`).
 
     lenses: for each time, the lenses of all colors; rays: slopes of the rays at each time. Both are read only at the
     first time if the lens does not change.
@@ -332,8 +343,8 @@ def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays:
     return np.concatenate(radii)
 
 
-def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
-    """Cast rays of a coarse grid at the scene.
+def resolve(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> ResolvedScene:
+    """Pose the objects of a view at sampled times, and cast rays of a coarse grid at them.
 
     Surfaces in the guard band may be blurred more than those in the frame, and so need a wider band: rays are cast
     again until the band is wide enough for every |R| in it. Raises SceneError if |R| exceeds LARGEST_BLUR, keyframes do
@@ -347,7 +358,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     cacheable = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
     ray_scene = without_lens(scene) if cacheable else None
 
-    def cast(guard: int) -> tuple[float, Prediction]:
+    def cast(guard: int) -> tuple[float, ResolvedScene]:
         """Largest |R| in frame and guard band, and the prediction for that band."""
         _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if ray_scene is None else _cached_depths(ray_scene, eye, guard)
@@ -368,7 +379,9 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
             lowest, highest = lowest - 0.1 * abs(lowest) - 1.0, highest + 0.1 * abs(highest) + 1.0
         band = guard_band(psf, scene.psf.border, largest)
         middle = rays[len(times) // 2]
-        return largest_hit, Prediction(times, poses, w, middle, smallest, largest, band, lowest, highest)
+        return largest_hit, ResolvedScene(
+            scene, psf, eye, maps, times, poses, w, middle, smallest, largest, band, lowest, highest
+        )
 
     guard = cast(0)[1].guard
     prediction = cast(guard)[1]

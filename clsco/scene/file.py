@@ -175,7 +175,7 @@ def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str
 
 
 def missing_input(key: str, name: str) -> str:
-    """Rule for a missing file that a scene names under a key."""
+    """The rule of an error message about a missing file that a scene names under a key."""
     return "must be an existing file" if key in FILES_ONLY else missing_texture(name)
 
 

@@ -260,7 +260,7 @@ def _faults(
 
 
 def _at_value(message: str, axes: Sequence[_Axis], choice: tuple[int, ...]) -> str:
-    """The message with the position of the value after the name of a swept key."""
+    """The message; if it begins with a swept key, with the index of its value, like "camera.f_number[2]: ..."."""
     for axis, index in zip(axes, choice, strict=True):
         if message.startswith(axis.name) and message[len(axis.name)] in ":[":
             return f"{axis.name}[{index}]{message[len(axis.name) :]}"

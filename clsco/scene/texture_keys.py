@@ -33,7 +33,7 @@ def in_layer(source: Any, layer: str | None) -> Input:
 
 
 def missing_texture(name: str) -> str:
-    """Rule for a missing texture: an image that is not found, or an unknown pattern."""
+    """The rule of an error message about an image that is not found, or an unknown pattern."""
     base = PurePath(name).name
     if PurePath(base).suffix:
         return "must be an existing file, a built-in pattern or a color #rrggbb"

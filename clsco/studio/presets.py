@@ -87,7 +87,7 @@ def _copied(path: Path, root: Path) -> str:
 
 
 def is_as_the_thesis(session: Document) -> bool:
-    """True if PSF and method are those of the thesis."""
+    """True if [psf] and [image] are those of the thesis; not all of its figures have [motion] and [fill]."""
     return {key: session.table.get(key) for key in _METHOD[:2]} == {key: _thesis()[key] for key in _METHOD[:2]}
 
 
@@ -142,7 +142,7 @@ def _letters() -> Pair:
 
 
 def _rope() -> Pair:
-    """A picture with a rope across it; the mask is a pixel wider than the rope."""
+    """A picture with a rope across it; the mask extends 2 px beyond the rope on each side."""
     from PIL import Image, ImageDraw
 
     image = read_image(_shipped("depth_map_image.png")).data.copy()

@@ -200,8 +200,8 @@ def lens_points(opening: Pupil, count: int) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def bends(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, ...]:
-    """Displacement of rays to the right and down by the wavefront, px, and its derivatives by the lens point: of x
-    along x, the square of the cross derivative, and of y along y.
+    """Displacements of rays by the wavefront in px, X to the right and Y down, and their derivatives by the lens point
+    (x, y): dX/dx, (dX/dy)^2 and dY/dy.
     """
     x, y, _ = lens_points(opening, count)
     (right, down), (xx, xy, yy) = wavefront.gradient(x, y), wavefront.curvature(x, y)

@@ -82,7 +82,11 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """h = -B - sqrt(C F) in the form of `Occluder`, and the resulting state of the lens."""
+    """Outline of a surface as seen on the lens, and the points from which all of the lens is free or hidden.
+
+    h, root, f, strip: as in `Occluder`, for the height h = -B - sqrt(C F) of the module's docstring. clear, hidden:
+    masks (N,).
+    """
 
     h: Array
     root: Array
@@ -397,8 +401,9 @@ def check_visibility(
     """Visibility of the lens from N points.
 
     surfaces, bounds: of all objects; group: the occlusion group, whose occluders are tested. Returns CLEAR, PARTLY or
-    HIDDEN (N,); a mask (N,) that differs between the two sides of a line where surfaces meet, and of an outline of an
-    occluder close to the point; and the data for tests per tap.
+    HIDDEN (N,); a mask (N,), True for points behind an odd number of occluders, so that it changes where surfaces meet;
+    and the data for tests per tap. In the mask, a point at an outline that is blurred by SHARP_EDGE px or less counts
+    as behind that occluder.
     """
     lens = along_rays(lens, points.rays)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
