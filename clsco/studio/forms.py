@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
 
+from clsco.scene.changes import VARIANT
 from clsco.scene.file import FILE_KEYS, SECTIONS
 from clsco.scene.groups import Group
 from clsco.scene.model import Scene
@@ -222,7 +223,7 @@ def _schema() -> dict[str, Any]:
 def _of_scene(session: Document) -> Iterator[Field]:
     """Fields of all keys outside of objects and groups."""
     for key, entry in _schema()["properties"].items():
-        if key in ("object", "group"):
+        if key in ("object", "group", VARIANT):
             continue
         if key in SECTIONS:
             yield from _fields(session, SECTIONS[key], key)

@@ -142,7 +142,8 @@ def test_a_focal_stack_fills_folders(wall: tuple[Path, Path], tmp_path: Path) ->
     assert first.startswith(f"{wall[1]} (with focus_distance_250): R 3 to 3 px; in focus: 0 % of the picture (")
     assert second == (
         f"{wall[1]} (with focus_distance_400): R 0 to 0 px; in focus: 100 % of the picture (nothing is blurred by more "
-        "than a pixel: depths 400 to 400, focus at 400 mm)"
+        "than a pixel: depths 400 to 400, focus at 400 mm, focal length 20 mm, pixel pitch 0.05 mm; is the unit of "
+        "each right?)"
     )
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == ["focus_distance_250", "focus_distance_400"]
