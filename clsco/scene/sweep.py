@@ -166,12 +166,17 @@ def _parse_variants(mapping: Mapping[str, Any], where: str) -> Sweep:
     if not (whole := variant_tables(mapping)):
         raise SceneError(f"{where}: variant: must be 1 to {MAX_VARIANTS} tables, [[variant]]; got {shown(tables)}")
     faults, labels, scenes = list[str](), list[str](), list[Scene]()
+    objects: tuple[Any, ...] = ()
     for number, table in enumerate(whole):
+        is_shared = table.get("object") is mapping.get("object")
+        if is_shared and objects:  # valid objects are not validated again
+            table["object"] = objects
         try:
             sweep = _parse_lists(table, "")
         except SceneError as error:
             faults += [f"variant[{number}]: {message.removeprefix(': ')}" for message in error.messages]
             continue
+        objects = sweep.scenes[0].objects if is_shared else objects
         if len(scenes) + len(sweep.scenes) > MAX_OUTPUTS:
             faults.append(f"variant: must give at most {MAX_OUTPUTS} scenes in all; got more")
             break

@@ -100,6 +100,8 @@ def test_variants_change_keys_together() -> None:
     seeds = [scene.sensor.noise_seed for scene in sweep.scenes if scene.sensor is not None]
     assert seeds == [7, 8, 9]  # each is an exposure of its own
     assert data == mapping(text)
+    again = parse_sweep({**data, "variant": [{"object": {"0": {"name": "near"}}}, {}, {"camera": {"f_number": 3}}]})
+    assert [scene.objects[0].name == "near" for scene in again.scenes] == [True, False, False]
     own = parse_sweep({**data, "variant": [{"sensor": {"noise_seed": 3}}, {"sensor": {"noise_seed": 3}}]})
     assert [scene.sensor.noise_seed for scene in own.scenes if scene.sensor is not None] == [3, 3]
 
