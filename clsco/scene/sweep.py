@@ -165,7 +165,7 @@ def _parse_variants(mapping: Mapping[str, Any], where: str) -> Sweep:
     tables = mapping[VARIANT]
     if not (whole := variant_tables(mapping)):
         raise SceneError(f"{where}: variant: must be 1 to {MAX_VARIANTS} tables, [[variant]]; got {shown(tables)}")
-    faults, labels, scenes = list[str](), list[str](), list[Scene]()
+    faults, labels, scenes = dict[str, list[int]](), list[str](), list[Scene]()
     objects: tuple[Any, ...] = ()
     for number, table in enumerate(whole):
         is_shared = table.get("object") is mapping.get("object")
@@ -174,18 +174,20 @@ def _parse_variants(mapping: Mapping[str, Any], where: str) -> Sweep:
         try:
             sweep = _parse_lists(table, "")
         except SceneError as error:
-            faults += [f"variant[{number}]: {message.removeprefix(': ')}" for message in error.messages]
+            for message in error.messages:
+                faults.setdefault(message.removeprefix(": "), []).append(number)
             continue
         objects = sweep.scenes[0].objects if is_shared else objects
         if len(scenes) + len(sweep.scenes) > MAX_OUTPUTS:
-            faults.append(f"variant: must give at most {MAX_OUTPUTS} scenes in all; got more")
-            break
+            raise SceneError(f"{where}: variant: must give at most {MAX_OUTPUTS} scenes in all; got more")
         labels += [f"v{number:02d}__{label}" if label else f"v{number:02d}" for label in sweep.labels]
         has_seed = isinstance(sensor := tables[number].get("sensor"), Mapping) and "noise_seed" in sensor
         later = 0 if has_seed else len(scenes)
         scenes += [exposed_again(scene, later) for scene in sweep.scenes]
-    if faults:
-        raise SceneError(at_most(where, faults))
+    if faults:  # one of each variant is a fault of the file
+        every = {message for message, places in faults.items() if 1 < len(places) == len(whole)}
+        own = (f"variant[{k}]: {message}" for message, places in faults.items() for k in places if message not in every)
+        raise SceneError(at_most(where, [*sorted(every), *own]))
     return Sweep(tuple(labels), tuple(scenes))
 
 
