@@ -262,9 +262,9 @@ def test_schema_documents_every_key() -> None:
     assert list(schema["properties"]) == [
         "title",
         "camera",
-        "lens",
         "aperture",
         "psf",
+        "lens",
         "sequence",
         "motion",
         "fill",
