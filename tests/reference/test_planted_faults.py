@@ -84,13 +84,13 @@ def without_apron(strips: tuple[Strip, ...]) -> tuple[Strip, ...]:
     return tuple(replace(one, above=one.above if one.top == 0 else 0) for one in strips)
 
 
-def alone(right: Fault, scene: Scene, psf: Any, *others: Any) -> Any:
-    choice, groups, extents = right(scene, psf, *others)
+def alone(right: Fault, *arguments: Any) -> Any:
+    choice, groups, extents = right(*arguments)
     return choice, groups[1:], extents
 
 
-def blind(right: Fault, scene: Scene, psf: Any, *others: Any) -> Any:
-    choice, groups, extents = right(scene, psf, *others)
+def blind(right: Fault, *arguments: Any) -> Any:
+    choice, groups, extents = right(*arguments)
     return choice, tuple(replace(group, occluders=0) for group in groups), extents
 
 
@@ -129,7 +129,7 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "objects that are smaller": ("still", {f"{PLACED}.place": altered(smaller)}),
     "no tilt": ("still", {f"{PLAN}.choose_tilt": always(Choice(False))}),
     "radii that are clipped": (
-        "still", {f"{SEEN}.predict": changed(largest=lambda size: 0.6 * size)} | NO_SECOND_LOOK,
+        "still", {f"{SEEN}.resolve": changed(largest=lambda size: 0.6 * size)} | NO_SECOND_LOOK,
     ),
     "a group that is dropped": ("still", {f"{PLAN}.choose_occlusion": alone}),
     "strips without an apron": ("high", IN_STRIPS | {f"{SEEN}.strips_of": altered(without_apron)}),
