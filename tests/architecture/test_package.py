@@ -50,7 +50,7 @@ def shipped() -> set[str]:
     suffixes = {
         "clsco": (".py", ".pyi", ".js", ".css", ".json", ".jpg"),
         "kernels": (".py", ".cl", ".clh"),
-        "examples": (".py", ".toml", ".png"),
+        "examples": (".py", ".toml", ".png", ".jpg"),
     }
     names = [path.relative_to(ROOT) for path in repository_files()]
     wanted = [name for name in names if name.suffix in suffixes.get(name.parts[0], ()) or name.name == "py.typed"]
