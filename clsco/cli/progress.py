@@ -102,7 +102,7 @@ def _lines(total: int, what: str, here: Progress | None = None) -> Iterator[Call
             click.echo(json.dumps({"progress": what, "done": done, "total": total, **within}), err=True)
 
     def print_position() -> None:
-        while here is not None and not ended.wait(WITHIN_S):
+        while here is not None and not ended.wait(WITHIN_S):  # ends at once without a position
             values: dict[str, object] = {"step": here.doing, "share": round(here.share, 3)}
             values |= {"sample": min(here.done + 1, here.total), "samples": here.total}
             if left := _seconds_left(here, done, total, time.monotonic() - begun):

@@ -88,8 +88,9 @@ def make(  # noqa: PLR0913, a parameter for each option
     ----------
     distribution : path, mapping or callable
         A distribution file, its content, or a function `draw(rng, sample)` that returns the scene of a sample, as for
-        `clsco.render`. `rng` is a `numpy.random.Generator` seeded by `seed` and the number of the sample. Define the
-        function at the top of a module or script, as other processes import it.
+        `clsco.render`; a list of scenes, its variants; or a pair of these and a mapping of parameters. `rng` is a
+        `numpy.random.Generator` seeded by `seed` and the number of the sample. Define the function at the top of a
+        module or script, as other processes import it.
     data : path
         Folder of the set, or an address like "s3://bucket/set".
     count : int
@@ -103,7 +104,7 @@ def make(  # noqa: PLR0913, a parameter for each option
     types : str or mapping
         Stored types by array: {"color": "float32"} stores linear radiance, not 16-bit codes; or "depth=float16".
     splits : str or mapping, optional
-        Shares of the splits, such as {"train": 0.9, "test": 0.1}.
+        Shares of the splits, such as {"train": 0.9, "test": 0.1}, or integers, such as "train=90,test=10".
     format : str
         Format of the files: "webdataset", "npz", "hdf5" and so on, see docs/loading.md.
     shard_size : int

@@ -33,7 +33,7 @@ from clsco.scene.sweep import Sweep, exposed_again, load_sweep, parse_sweep
 from clsco.scene.text import shown
 from clsco.scene.toml import toml_text
 
-VERSION = 2  # of how samples follow from a file: changed where the same file gives other samples
+VERSION = 3  # of how samples follow from a file: changed where the same file gives other samples
 MAX_ATTEMPTS = 100
 MAX_NUMBER = 2**63 - 1
 
@@ -211,7 +211,7 @@ class ScriptedDistribution:
         """SHA-256 of the known inputs of samples: source text and name of the function, splits, and the version of
         NumPy, whose generators may change.
         """
-        content = [self.function.__qualname__, self.source, np.__version__, self.splits]
+        content = [VERSION, self.function.__qualname__, self.source, np.__version__, self.splits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     @property
@@ -279,8 +279,8 @@ def _sweep_of(content: Any, noise_seed: int) -> Sweep:
     seeds = [scene.sensor.noise_seed for scene in sweep.scenes if scene.sensor is not None]
     first = sweep.scenes[0].sensor
     added = noise_seed if first is not None and "noise_seed" not in first.model_fields_set else 0
-    alike = len(set(seeds)) < len(seeds)
-    scenes = [exposed_again(scene, added + alike * k) for k, scene in enumerate(sweep.scenes)]
+    step = int(len(set(seeds)) < len(seeds))
+    scenes = [exposed_again(scene, added + step * k) for k, scene in enumerate(sweep.scenes)]
     return replace(sweep, scenes=tuple(scenes))
 
 

@@ -55,9 +55,7 @@ def pupil_of(scene: Any) -> Pupil:
         nodes, weights = np.polynomial.legendre.leggauss(64)
         numbers[8] = float(weights @ np.array([_rim(half * node, numbers) ** 2 for node in nodes])) / 2
         return Pupil(numbers, none, none[None], numbers[8] / squeeze)
-    if aperture.shape not in ("circle", "ring"):
-        raise NotImplementedError(f"rays through an aperture of shape {aperture.shape}")
-    inner = aperture.obstruction**2 if aperture.shape == "ring" else 0.0
+    inner = {"circle": 0.0, "ring": aperture.obstruction**2}[aperture.shape]  # any other shape is an error
     return Pupil(np.array([ROUND, squeeze, inner]), none, none[None], (1 - inner) / squeeze)
 
 
