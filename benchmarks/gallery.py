@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs/gallery.md", ROOT / "docs/gallery"
 PRESETS = ROOT / "clsco/studio/static/presets"
 WIDTH, QUALITY = 320, 82  # px, of 100
-PRESET_WIDTH, PRESET_QUALITY = 128, 60  # of the pictures that the package contains
+PRESET_WIDTH, PRESET_QUALITY = 128, 45  # of the pictures that the package contains
 ACROSS = 3  # examples in a row of the page
 SEED = 2026
 TOLERANCE = 0.004  # of white, a code of 8 bits
@@ -82,7 +82,7 @@ def make_picture(name: str, scene: clsco.Scene) -> None:
     if not name.startswith("thesis/"):
         write_small(picture, WIDTH, QUALITY, PICTURES / picture_name(name))
     if not name.startswith("sets/"):
-        write_small(picture, PRESET_WIDTH, PRESET_QUALITY, PRESETS / f"{name}.jpg")
+        write_small(picture, PRESET_WIDTH, PRESET_QUALITY, PRESETS / f"{name}.webp")
 
 
 def write_small(picture: Image.Image, width: int, quality: int, path: Path) -> None:

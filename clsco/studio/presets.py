@@ -46,7 +46,7 @@ class ScenePreset:
     @property
     def picture(self) -> str:
         """URL of a small picture."""
-        return f"static/presets/{self.name}.jpg"
+        return f"static/presets/{self.name}.webp"
 
 
 @cache

@@ -48,7 +48,7 @@ def test_no_file_names_a_place_on_one_machine() -> None:
 def shipped() -> set[str]:
     """Names that the wheel has to hold: the package, the kernels, and the example scenes."""
     suffixes = {
-        "clsco": (".py", ".pyi", ".js", ".css", ".json", ".jpg"),
+        "clsco": (".py", ".pyi", ".js", ".css", ".json", ".webp"),
         "kernels": (".py", ".cl", ".clh"),
         "examples": (".py", ".toml", ".png", ".jpg"),
     }

@@ -41,7 +41,7 @@ def test_every_figure_that_a_scene_makes_is_a_preset(session: Document) -> None:
     examples = {path.stem for path in EXAMPLES.glob("*.toml")}
     assert {preset.name for preset in presets() if preset.group != OF_THE_THESIS} == examples
     for preset in presets():
-        assert (PICTURES / f"{preset.name}.jpg").is_file()
+        assert (PICTURES / f"{preset.name}.webp").is_file()
         load_preset(session, preset.name)
         if preset.name not in ("thesis/section_4_3_3", "focal_stack"):  # several scenes
             assert bare(session.scene) == bare(load_scene(preset.path))
