@@ -64,11 +64,20 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def exchanged_programs() -> Iterator[None]:
+    """What a file of tests has compiled is not compiled again by the next files, in this worker or in another."""
+    yield
+    if Path(os.environ["POCL_CACHE_DIR"]).name.startswith(kernel_cache.WORKER):
+        kernel_cache.exchange_programs(Path(os.environ["POCL_CACHE_DIR"]))
+
+
 def pytest_unconfigure() -> None:
     """Leave the compiled kernels to later runs."""
     folder = Path(os.environ["POCL_CACHE_DIR"])
     if folder.name.startswith(kernel_cache.WORKER):
-        kernel_cache.keep_programs(folder)
+        kernel_cache.exchange_programs(folder)
+        shutil.rmtree(folder, ignore_errors=True)
         if "PYTEST_XDIST_WORKER" not in os.environ:
             kernel_cache.remove_old()
 

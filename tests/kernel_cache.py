@@ -1,7 +1,7 @@
 """Compiled kernels, and tables, that one run of the tests leaves to the next ones: these are most of their time.
 
 clsco holds a lock of PoCL's folder while PoCL compiles, for which workers in one folder would wait. So each worker has
-a folder of links to the programs of earlier runs, and programs that are new are left there where it ends.
+a folder of links to the programs of earlier runs, and exchanges new programs with the others after each file of tests.
 """
 
 from __future__ import annotations
@@ -25,9 +25,7 @@ def worker_folder(kept: Path = KEPT) -> Path:
         folder = Path(tempfile.mkdtemp(prefix=WORKER, dir=kept.parent))
     except OSError:  # a checkout that is read-only
         return Path(tempfile.mkdtemp(prefix=WORKER))
-    for program in kept.glob("??/*"):
-        (folder / program.parent.name).mkdir(exist_ok=True)
-        (folder / program.parent.name / program.name).symlink_to(program)
+    exchange_programs(folder, kept)
     return folder
 
 
@@ -39,13 +37,17 @@ def array_folder(kept: Path = KEPT) -> Path:
     return folder if os.access(folder, os.W_OK) else Path(tempfile.mkdtemp(prefix=WORKER))
 
 
-def keep_programs(folder: Path, kept: Path = KEPT) -> None:
-    """Link programs that a worker has compiled to where later runs look for them, and remove its folder."""
-    if kept.is_dir():
-        for program in folder.glob("??/*"):
-            if not program.is_symlink():
-                link_files(program, kept / program.parent.name / program.name)
-    shutil.rmtree(folder, ignore_errors=True)
+def exchange_programs(folder: Path, kept: Path = KEPT) -> None:
+    """Link programs that a worker has compiled to where others look for them, and theirs to where it does."""
+    if not kept.is_dir():
+        return
+    for program in folder.glob("??/*"):
+        if not program.is_symlink():
+            link_files(program, kept / program.parent.name / program.name)
+    for program in kept.glob("??/*"):
+        with suppress(FileExistsError):
+            (folder / program.parent.name).mkdir(exist_ok=True)
+            (folder / program.parent.name / program.name).symlink_to(program)
 
 
 def link_files(source: Path, target: Path) -> None:

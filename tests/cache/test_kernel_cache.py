@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from tests.kernel_cache import array_folder, keep_programs, remove_old, worker_folder
+from tests.kernel_cache import array_folder, exchange_programs, remove_old, worker_folder
 
 
 def test_what_was_not_used_for_the_longest_time_is_removed(tmp_path: Path) -> None:
@@ -19,19 +19,18 @@ def test_what_was_not_used_for_the_longest_time_is_removed(tmp_path: Path) -> No
     assert sorted(path.name for path in tmp_path.glob("??/*")) == ["CD", "KL", "OP"]
 
 
-def test_workers_compile_in_their_own_folders_and_leave_what_they_compiled(tmp_path: Path) -> None:
+def test_workers_compile_in_their_own_folders_and_exchange_what_they_compiled(tmp_path: Path) -> None:
     kept = tmp_path / "kernels"
-    compiled = [["AB/CD/program.bc", "clsco.lock"], ["AB/CD/kernel/kernel.so", "AB/EF/program.bc"]]
-    for worker, files in enumerate(compiled):
-        folder = worker_folder(kept)
-        assert [path.name for path in folder.glob("??/*/program.bc")] == ["program.bc"] * worker
-        for name in files:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_text(name)
-        keep_programs(folder, kept)
-        assert not folder.exists()
-    names = sorted(str(path.relative_to(kept)) for path in kept.rglob("*") if path.is_file())
-    assert names == ["AB/CD/kernel/kernel.so", "AB/CD/program.bc", "AB/EF/program.bc"]
+    kept.mkdir()
+    (kept / "GH" / "IJ").mkdir(parents=True)
+    first, second = worker_folder(kept), worker_folder(kept)
+    for folder, name in ((first, "AB/CD/program.bc"), (second, "AB/EF/program.bc"), (second, "GH/IJ/kernel.so")):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(name)
+    for folder in (first, second, first):
+        exchange_programs(folder, kept)
+    for folder in (first, second, worker_folder(kept), kept):
+        assert sorted(path.name for path in folder.glob("??/*/*")) == ["kernel.so", "program.bc", "program.bc"]
 
 
 def test_where_nothing_can_be_kept_a_worker_has_a_temporary_folder(tmp_path: Path) -> None:
