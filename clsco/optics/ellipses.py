@@ -22,8 +22,8 @@ def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
 
 
 def across_of(shape: Array) -> Array:
-    """Symmetric matrices (..., 3), as xx, xy and yy, that map offsets in ellipses to offsets in discs of the same area:
-    square roots of the forms `shape` (..., 3).
+    """Symmetric matrices (..., 3), as xx, xy and yy, from offsets in ellipses to offsets in discs: roots of `shape`
+    (..., 3).
     """
     xx, xy, yy = np.moveaxis(np.asarray(shape), -1, 0)
     over = 1.0 / np.sqrt(xx + yy + 2.0)  # closed form of the root of a matrix of determinant 1

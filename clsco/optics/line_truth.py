@@ -36,19 +36,7 @@ NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor belongs to another 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Times of the lines of a frame, with the camera and the poses of objects at each.
-
-    Attributes
-    ----------
-    by_columns : bool
-        True if lines are columns, not rows.
-    times : ndarray of float64, (lines,)
-        Seconds since the reference pose.
-    cameras : tuple of Camera
-        Camera at each time.
-    poses : tuple of tuple of Pose
-        Poses of all objects at each time.
-    """
+    """Times (lines,) in s of the rows or columns of a frame, with the camera and the poses of all objects at each."""
 
     by_columns: bool
     times: Array
@@ -61,9 +49,7 @@ class Lines:
         return np.array([ray_step(camera) for camera in self.cameras])
 
     def slopes(self, line: Pixels, right: Array, up: Array) -> tuple[Array, Array]:
-        """Slopes of the rays through image points in px right of and above the middle of the image, each at its line's
-        time.
-        """
+        """Slopes of rays at their line's time, through image points in px right of and above the middle of the image."""
         x, y, distortion = right * self.steps[line], up * self.steps[line], distortion_of(self.cameras[0])
         return (x, y) if distortion is None else distortion.undistorted(x, y)
 
@@ -107,19 +93,7 @@ def _first_crossing(
 class LinePoints:
     """Surface points visible in the pixels of a frame, each at its line's time.
 
-    Parameters
-    ----------
-    items : sequence of Object
-    depth : ndarray of float, (rows, columns)
-        mm, +inf without a surface.
-    object_id : ndarray of int32, (rows, columns)
-        -1 without a surface.
-    now : Lines
-        Lines of the frame.
-
-    Notes
-    -----
-    Validated against closed forms for constant velocity, and against the reference, which searches all lines.
+    depth: mm, +inf without a surface; object_id: -1 without one; now: lines of the frame.
     """
 
     def __init__(
@@ -140,17 +114,10 @@ class LinePoints:
             )
 
     def flow(self, then: Lines) -> Array:
-        """Flow to the lines of another frame, or another view, that show the points.
+        """Flow (rows, columns, 2) in px, right and down, to the lines of another frame or view that show the points.
 
-        Parameters
-        ----------
-        then : Lines
-
-        Returns
-        -------
-        ndarray of float64, (rows, columns, 2)
-            px, right and down; 0 without a surface, inf if no single line shows the point: where the image moves by a
-            line or more from line to line, and where the point moves behind the lens.
+        0 without a surface, inf if no single line shows the point: where the image moves by a line or more from line to
+        line, and where the point moves behind the lens.
         """
         flow = np.zeros((*self.shape, 2))
         for k in range(len(self.items)):
@@ -202,18 +169,8 @@ class LinePoints:
         return np.stack([0.5 * (columns - 1) + right, 0.5 * (rows - 1) - up], axis=-1), before
 
     def occluded(self, then: Lines, flow: Array) -> NDArray[np.bool_]:
-        """Mask of points that are not visible at the end of their flow.
-
-        Parameters
-        ----------
-        then : Lines
-        flow : ndarray of float64, (rows, columns, 2)
-            Flow to these lines.
-
-        Returns
-        -------
-        ndarray of bool, (rows, columns)
-            True if there is no flow, if it leads out of the frame, or if another point is nearer there.
+        """Mask of points that are not visible at the end of their flow to the lines `then`: True if there is no flow,
+        if it leads out of the frame, or if another point is nearer there.
         """
         rows, columns = self.shape
         row, column = np.nonzero(self.number >= 0)

@@ -27,14 +27,7 @@ EPSILON = float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of an object at one time, in the camera frame: P = center + shift + rotation (P0 - center).
-
-    Attributes
-    ----------
-    rotation : ndarray of float64, (3, 3)
-    shift : ndarray of float64, (3,)
-        mm.
-    """
+    """Pose of an object at one time, in the camera frame: P = center + shift + rotation (P0 - center); shift in mm."""
 
     rotation: NDArray[np.float64]
     shift: NDArray[np.float64]
@@ -46,23 +39,10 @@ AT_REST = Pose(UNTURNED, UNMOVED)
 
 
 def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
-    """Rotation matrix in the object's frame.
+    """Rotation matrix (3, 3) of three angles in rad, in the object's frame.
 
-    Parameters
-    ----------
-    angles : ndarray of float64, (3,)
-        Radians.
-    rotation : {"euler", "axis"}
-        "euler": the matrix of 2.14 to 2.23. "axis": a rotation by |angles| about the vector `angles` (Rodrigues), in
-        the same sense as the matrix for a single axis, which is opposite to the right-hand rule.
-
-    Returns
-    -------
-    ndarray of float64, (3, 3)
-
-    Notes
-    -----
-    Validated: both kinds agree for every single axis, are orthonormal, and are the identity for zero angles.
+    "euler": the matrix of 2.14 to 2.23. "axis": a rotation by |angles| about the vector `angles` (Rodrigues), in the
+    same sense as the matrix for a single axis, which is opposite to the right-hand rule.
     """
     if rotation == "axis":
         angle = float(np.linalg.norm(angles))
@@ -89,21 +69,8 @@ def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
-    """Pose of a motion at a time, by constant accelerations or between keyframes.
+    """Pose of a motion at a time in s, by constant accelerations or between keyframes.
 
-    Parameters
-    ----------
-    motion : ObjectMotion
-    time : float
-        Seconds since the reference pose.
-    rotation : {"euler", "axis"}
-
-    Returns
-    -------
-    Pose
-
-    Notes
-    -----
     Poses are always computed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
     to one turn before conversion to radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
     vector instead of its components. With accelerations each Euler angle, or component of the rotation vector, is w t +
@@ -122,30 +89,8 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
 
 
 def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
-    """Keyframe with the pose of a motion at a time.
-
-    Parameters
-    ----------
-    motion : ObjectMotion
-    time : float
-        Seconds since the reference pose.
-    rotation : {"euler", "axis"}
-
-    Returns
-    -------
-    Keyframe
-        Rounded to 1e-9 mm and deg. Angles about one axis keep their whole turns.
-
-    Notes
-    -----
-    Validated: `pose_at` for a motion with only this keyframe equals that of the motion at the time.
-
-    Examples
-    --------
-    >>> from clsco.optics.motion import keyframe_at
-    >>> from clsco.scene.motions import ObjectMotion
-    >>> keyframe_at(ObjectMotion(velocity=(1, 0, 0), angular_velocity=(0, 90, 0)), 5.0, "euler")
-    Keyframe(time=5.0, position=(5.0, 0.0, 0.0), rotation=(0.0, 450.0, 0.0))
+    """Keyframe with the pose of a motion at a time in s, to 1e-9 mm and deg; angles about one axis keep their whole
+    turns.
     """
     if motion.keyframe is None:
         angles = _displacement(motion.angular_velocity, motion.angular_acceleration, time).tolist()
@@ -200,7 +145,7 @@ def _track(motion: ObjectMotion, rotation: str) -> _Track:
 
 
 def rest_center(item: Object) -> NDArray[np.float64]:
-    """Center of rotation (3,) of an object in its reference pose, mm, as by `clsco.scene.shapes.origin`."""
+    """Center of rotation (3,) of an object in its reference pose, mm."""
     return np.asarray(origin(item), dtype=np.float64)
 
 
@@ -214,21 +159,8 @@ def static_rotation(item: Object) -> NDArray[np.float64]:
 
 
 def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
-    """Pose of the camera, or of one view of a stereo pair, in the frame of the camera's reference pose.
+    """Pose of the camera at a time in s, or of one view of a stereo pair, in the frame of the camera's reference pose.
 
-    Parameters
-    ----------
-    scene : Scene
-    eye : {"left", "right"}
-    time : float
-        Seconds.
-
-    Returns
-    -------
-    Pose
-
-    Notes
-    -----
     A camera moves and rotates about the center of its lens; shake is applied first, in the camera's own axes. The left
     camera of a stereo pair is the scene's; the right one is `baseline` to its right. `toe_in` turns both inwards.
     """
@@ -245,33 +177,12 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
 
 
 def shake_pose(shake: CameraShake, time: float) -> Pose:
-    """Displacement of a shaking camera.
+    """Displacement of a shaking camera at a time in s, in the frame of the camera without shake.
 
-    Parameters
-    ----------
-    shake : CameraShake
-    time : float
-        Seconds.
-
-    Returns
-    -------
-    Pose
-        In the frame of the camera without shake.
-
-    Notes
-    -----
     Each component of the rotation vector (right, up, backwards) and of the shift (right, up, forwards) is a sum of
     SHAKE_SINES sines of equal amplitude, one in each of as many equal parts of the frequency band. The frequency's
     place in its part, and the phase in turns, are 2^-53 (n >> 11), with n from `numpy.random.Philox(key=seed)` (Salmon
-    et al., 2011), component by component and sine by sine. The path's bits depend only on seed and time. Validated:
-    root mean squares over a long time, within 1 %.
-
-    Examples
-    --------
-    >>> from clsco.optics.motion import shake_pose
-    >>> from clsco.scene.motions import CameraShake, Keyframe
-    >>> shake_pose(CameraShake(rotation_rms=0.0, translation_rms=0.5, seed=7), 0.25).shift.round(6).tolist()
-    [0.17156, 0.29817, 0.241686]
+    et al., 2011), component by component and sine by sine. The path's bits depend only on seed and time.
     """
     turns, shifts = shake.rotation_rms, shake.translation_rms
     amplitudes = [radians(turns)] * 3 + [shifts] * 3
@@ -299,19 +210,7 @@ def rest_poses(scene: Scene) -> tuple[Pose, ...]:
 
 
 def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
-    """Poses of all objects in the frame of the camera at that time.
-
-    Parameters
-    ----------
-    scene : Scene
-    time : float
-        Seconds since the reference pose.
-    eye : {"left", "right"}
-
-    Returns
-    -------
-    tuple of Pose, one for each object
-    """
+    """Poses of all objects at a time in s, in the frame of the camera at that time."""
     camera, poses = eye_pose(scene, eye, time), []
     groups = {group.name: _group_pose(scene, group, time) for group in scene.groups}
     for item in scene.objects:
@@ -329,30 +228,7 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
 def moved_points(
     points: NDArray[np.float64], center: NDArray[np.float64], before: Pose, after: Pose
 ) -> NDArray[np.float64]:
-    """Points of a rigid object moved from one pose to another.
-
-    Parameters
-    ----------
-    points : ndarray of float64, (..., 3)
-        mm, in the pose `before`.
-    center : ndarray of float64, (3,)
-        See `rest_center`.
-    before, after : Pose
-
-    Returns
-    -------
-    ndarray of float64, (..., 3)
-        mm.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.motion import Pose, moved_points
-    >>> quarter = Pose(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.0, 5.0]))
-    >>> still = Pose(np.eye(3), np.zeros(3))
-    >>> moved_points(np.array([[2.0, 0.0, 100.0]]), np.array([1.0, 0.0, 100.0]), still, quarter).tolist()
-    [[1.0, 1.0, 105.0]]
-    """
+    """Points (..., 3) in mm of a rigid object, moved from one pose to another; center: see `rest_center`."""
     body = (points - center - before.shift) @ before.rotation  # turned back
     return np.asarray(center + after.shift + body @ after.rotation.T)
 

@@ -1,5 +1,5 @@
-"""Blocks of PSF tables: each block always has the same intervals, so that a weight has the same bits in every table
-(float64, pure).
+"""Blocks of PSF tables, which always have the same intervals, so that a weight has the same bits in all (float64,
+pure).
 """
 
 from __future__ import annotations
@@ -25,19 +25,10 @@ RUN = 16  # largest number of intervals of one half-width whose weights are comp
 class WeightBlock:
     """Weights of `block_intervals` intervals of a table, see `clsco.optics.psf_tables.PsfTable`.
 
-    Attributes
-    ----------
-    widths : ndarray of int32, (count,)
-        Half-widths of the intervals, px.
-    coefficients : ndarray of float32
-        Coefficients of all intervals, concatenated.
-    negative : ndarray of float32
-        The same for negative radii of a signed shape, else empty.
-    taps : ndarray of float32, (taps, POWERS, count)
-        Coefficients by tap, for a main table (sources at pixel centers).
-    outlines : ndarray of int32, (count, half-width + 1, 2)
-        Outlines of a main table, see `_outline`; for a ring (.., 4), see `_ring_outline`, and for a general shape
-        (count, 2 half-width + 1, 4), see `_column_outline`.
+    widths: half-widths (count,) of the intervals, px. coefficients: of all intervals, concatenated; negative: the same
+    for negative radii of a signed shape, else empty. taps: coefficients by tap (taps, POWERS, count), for a main table
+    (sources at pixel centers). outlines: (count, half-width + 1, 2) for a main table, see `_outline`; for a ring (..,
+    4), see `_ring_outline`, and for a general shape (count, 2 half-width + 1, 4), see `_column_outline`.
     """
 
     widths: NDArray[np.int32]
@@ -53,25 +44,10 @@ class WeightBlock:
 
 
 def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock:
-    """The block that begins at interval `first`.
+    """The block that begins at interval `first`, a multiple of `block_intervals`; subpixel: sources per axis of a
+    pixel, or 0.
 
-    Parameters
-    ----------
-    psf : PointSpread
-        Not a sampled disc, which has one weight per interval and needs no block.
-    first : int
-        Number of an interval, a multiple of `block_intervals`.
-    subpixel : int
-        Sub-pixel sources per axis for a table of these, else 0.
-
-    Returns
-    -------
-    WeightBlock
-
-    Notes
-    -----
-    Weights at the radii of NODES determine a cubic in the position within an interval. Validated against
-    `PointSpread.weights` (tests/optics/test_point_spread.py).
+    Weights at the radii of NODES determine a cubic in the position within an interval. A sampled disc has no blocks.
     """
     span = range(first, first + block_intervals(psf, subpixel > 0))
     if psf.layout == "general":

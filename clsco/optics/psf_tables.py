@@ -169,22 +169,7 @@ def rounded_span(psf: PointSpread, smallest: float, largest: float, subpixel: in
 def psf_table(
     psf: PointSpread, smallest: float, largest: float, subpixel: int = 0, blocks: Blocks = weight_block
 ) -> PsfTable:  # fmt: skip
-    """Table for a range of |blur radii|.
-
-    Parameters
-    ----------
-    psf : PointSpread
-    smallest, largest : float
-        px.
-    subpixel : int
-        Sub-pixel sources per axis for a table of these, else 0.
-    blocks : callable
-        Returns the blocks that make up the table.
-
-    Returns
-    -------
-    PsfTable
-    """
+    """Table for |blur radii| from smallest to largest px; subpixel: sub-pixel sources per axis, 0 for a main table."""
     span = rounded_span(psf, smallest, largest, subpixel)
     return narrow_table(table_of(psf, span, subpixel, blocks), psf, smallest, largest, subpixel > 0)
 
@@ -353,9 +338,7 @@ def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32
 
 
 def _center_outlines(parts: list[WeightBlock], widest: int) -> NDArray[np.int32]:
-    """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape; unlit columns have empty
-    ones.
-    """
+    """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape, empty for unlit columns."""
     joined = np.zeros((sum(len(block.outlines) for block in parts), 2 * widest + 1, OUTLINE_RUN), np.int32)
     joined[..., 1] = -1
     start = 0
@@ -410,31 +393,9 @@ def _disc_table(psf: PointSpread, span: range) -> PsfTable:
 
 
 def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[np.float32]:
-    """Weights of a source, as a device reads them from a main table.
+    """Weights (2 h + 1, 2 h + 1) of a source in the middle, as a device reads them from a main table.
 
-    Parameters
-    ----------
-    table : PsfTable
-        Table from `psf_table` for a range that includes this |blur radius|, without sub-pixel sources.
-    psf : PointSpread
-    radius : float
-        Signed blur radius, px.
-
-    Returns
-    -------
-    ndarray of float32, (2 h + 1, 2 h + 1)
-        Weights of the pixels from h rows above to h rows below the source, and from h columns left to h columns right
-        of it.
-
-    Examples
-    --------
-    >>> from clsco.optics.point_spread import PointSpread
-    >>> from clsco.optics.psf_tables import psf_table, table_weights
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> psf = PointSpread(Circle())
-    >>> weights = table_weights(psf_table(psf, 3.0, 3.0), psf, -3.0)
-    >>> weights.shape, round(float(weights.sum()), 5)
-    ((9, 9), 1.0)
+    table: for a range that includes |radius|; radius: signed blur radius, px.
     """
     coordinate = float(table_coordinate(psf, np.asarray(radius)))
     index = int(coordinate)

@@ -38,22 +38,11 @@ FARTHEST_CENTER = 4.0
 
 @dataclass(frozen=True)
 class Canonical:
-    """A shape in its canonical frame X = axes (X_object - origin).
+    """A shape in its canonical frame X = axes (X_object - origin): sum q_i X_i^2 + 2 sum l_i X_i = k.
 
-    Attributes
-    ----------
-    q, l : ndarray of float64, (3,)
-        Coefficients of X_i^2 and 2 X_i.
-    k : float
-        Constant in sum q_i X_i^2 + 2 sum l_i X_i = k.
-    axes : ndarray of float64, (3, 3)
-        Rows are the canonical axes in the object's frame.
-    origin : ndarray of float64, (3,)
-        mm.
-    nappe : int
-        Sign that the third canonical coordinate must have, 0 for either.
-    radius : float
-        Radius in mm of the disc about the third axis to which a plane is cut; infinite if it is not cut.
+    axes: rows are the canonical axes in the object's frame. origin: mm. nappe: sign that the third canonical coordinate
+    must have, 0 for either. radius: in mm, of the disc about the third axis to which a plane is cut; infinite if it is
+    not cut.
     """
 
     q: Vector
@@ -81,29 +70,13 @@ EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
 class PlacedSurface:
     """A surface at one time in the camera's frame; the point at depth Z on ray d has canonical X = offset + Z turn d.
 
-    Attributes
-    ----------
-    canonical : Canonical
-    turn : ndarray of float64, (3, 3)
-    offset : ndarray of float64, (3,)
-        Position of the lens in the canonical frame, mm.
-    body_turn, body_offset
-        Turn and offset from the camera's frame to a frame at the object's center, with the axes of the reference pose:
-        they move points back to that pose.
-    own_turn, own_offset
-        Turn and offset to the object's own frame, for bounds: the static rotation is undone as well.
-    rest : ndarray of float64, (3,)
-        Center in the reference pose, mm.
-    constant : float
-        The quadric's value at the lens center.
-    ball : ndarray of float64, (4,)
-        Center x, y, z and radius of a ball around the part of the surface in front of the camera, mm; infinite radius
-        without one.
-    extent : Extent
-        Bounds of the surface in the image and in depth.
-    width : float
-        Approximate width of the image across its longest direction, as a difference of slopes; infinite for unbounded
-        surfaces, negative for cylinders and cones, whose width varies (`outline_lines`).
+    offset: position of the lens in the canonical frame, mm. body_turn, body_offset: from the camera's frame to a frame
+    at the object's center, with the axes of the reference pose: they move points back to that pose. own_turn,
+    own_offset: to the object's own frame, for bounds: the static rotation is undone as well. rest: center in the
+    reference pose, mm. constant: the quadric's value at the lens center. ball: center x, y, z and radius of a ball
+    around the part of the surface in front of the camera, mm; infinite radius without one. width: approximate width of
+    the image across its longest direction, as a difference of slopes; infinite for unbounded surfaces, negative for
+    cylinders and cones, whose width varies (`outline_lines`).
     """
 
     canonical: Canonical
@@ -154,19 +127,8 @@ def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Cano
 
 
 def canonical(item: Object) -> Canonical:
-    """Canonical form of a shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39).
+    """Canonical form of an analytic shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39); lengths in mm.
 
-    Parameters
-    ----------
-    item : Object
-        Analytic; lengths in mm.
-
-    Returns
-    -------
-    Canonical
-
-    Notes
-    -----
     Coefficients are scaled to the size of the shape if their scale is free, so that sizes from 1e-6 to 1e9 mm stay in
     the range of float32.
     """
@@ -202,17 +164,9 @@ def canonical(item: Object) -> Canonical:
 
 
 def cutting_bounds(item: Object) -> Bounds | None:
-    """Bounds of an object that really cut its surface; rays and visibility tests use only these.
+    """Bounds in mm that really cut an object, in its own frame; rays and visibility tests use only these.
 
-    Parameters
-    ----------
-    item : Object
-        Analytic, or a depth map, which has none.
-
-    Returns
-    -------
-    tuple of three (low, high), or None
-        mm, in the object's own frame; infinite for a bound that the surface at most touches. None if no bound cuts it.
+    A bound that the surface at most touches is infinite; None if no bound cuts it, and for a depth map.
     """
     if item.bounds is None:
         return None
@@ -225,17 +179,7 @@ def cutting_bounds(item: Object) -> Bounds | None:
 
 
 def place(item: Object, pose: Pose) -> PlacedSurface:
-    """Surface of an analytic object in a pose, in the frame of the lens.
-
-    Parameters
-    ----------
-    item : Object
-    pose : Pose
-
-    Returns
-    -------
-    PlacedSurface
-    """
+    """Surface of an analytic object in a pose, in the frame of the lens."""
     shape, rest = canonical(item), rest_center(item)
     body_turn = pose.rotation.T
     body_offset = body_turn @ (-rest - pose.shift)
@@ -342,23 +286,8 @@ def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
 def predict_inverse_depth(
     item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Inverse depth along rays (x, y, 1), for predictions and ground truth, not for rendering.
-
-    Parameters
-    ----------
-    item : Object
-    surface : PlacedSurface
-    x, y : ndarray of float64, any one shape
-        Slopes of the rays.
-
-    Returns
-    -------
-    ndarray of float64
-        1/mm, 0 if a ray misses.
-
-    Notes
-    -----
-    The textbook formula in float64; renders use `solve_quadric`.
+    """Inverse depth in 1/mm along rays (x, y, 1), 0 if a ray misses, for predictions and ground truth, not for
+    rendering: the textbook formula in float64; renders use `solve_quadric`.
     """
     rays, shape, bounds = np.stack([x, y, np.ones_like(x)]), surface.canonical, cutting_bounds(item)
     d = np.tensordot(surface.turn, rays, axes=1)

@@ -59,24 +59,11 @@ DETAILED_LEAST = 0.01  # |R| in px above which pixels may need several sources; 
 
 @dataclass(frozen=True)
 class TextureMap:
-    """Map of an image onto a surface.
+    """Map of an image of `columns` x `rows` texels onto a surface.
 
-    Attributes
-    ----------
-    kind : int
-        One of MAP_... (`clsco.constants`).
-    frame : ndarray of float64, (3, 3)
-        Matrix of q = frame p, from the object's own frame.
-    scale : ndarray of float64, (2, 2)
-        Texels per unit of the two coordinates: columns, then rows.
-    shift : ndarray of float64, (2,)
-        Column and row of the coordinates (0, 0).
-    slant : float
-        Sine of a cone's half angle.
-    wrap_x, wrap_y : int
-        One of WRAP_..., horizontally and vertically.
-    columns, rows : int
-        Size of the image, texels.
+    kind: one of MAP_... (`clsco.constants`). frame: matrix (3, 3) of q = frame p, from the object's own frame. scale:
+    (2, 2), texels per unit of the two coordinates: columns, then rows. shift: column and row of the coordinates (0, 0).
+    slant: sine of a cone's half angle. wrap_x, wrap_y: one of WRAP_..., horizontally and vertically.
     """
 
     kind: int
@@ -112,16 +99,8 @@ def cut_parts(
 ) -> NDArray[np.intp]:
     """Number of parts per axis into which pixels (n,) are split; 0 where one source is enough.
 
-    Parameters
-    ----------
-    texels : ndarray, (n,)
-        Squared number of texels per pixel, along the wider axis.
-    spread : ndarray, (n,)
-        `texture_spread` times |R|, px.
-    samples : int
-        Sub-pixel sources per axis.
-    least : float
-        `detail_least`, px.
+    texels: squared number of texels per pixel, along the wider axis; spread: `texture_spread` times |R|, px; samples:
+    sub-pixel sources per axis; least: `detail_least`, px.
     """
     finer = texels > np.float32(FINE_TEXELS) ** 2
     most = np.where(finer, np.float32(FINE_MOST), np.float32(DETAILED_MOST))
@@ -132,22 +111,8 @@ def cut_parts(
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
-    """Mapping of a texture with `columns` columns and `rows` rows onto an object.
-
-    Parameters
-    ----------
-    item : Object
-        With a mapping other than "projected".
-    columns, rows : int
-        Size of the texture, or of each side of a cube map.
-
-    Returns
-    -------
-    TextureMap
-
-    Notes
-    -----
-    Validated against known points on every shape, and by the benchmarks' ray tracer, which has independent formulas.
+    """Mapping of a texture of `columns` x `rows` texels, or of each side of a cube map, onto an object with a mapping
+    other than "projected".
     """
     kind = KINDS[item.mapped]
     per_unit, middle = _texels(item, kind, columns, rows)

@@ -107,9 +107,7 @@ def _hull(a: Extent, b: Extent) -> Extent:
 
 
 def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
-    """True if a point in `near` can be between a point in `far` and the lens; reach: extent of the lens in lens
-    radii.
-    """
+    """True if a point in `near` can be between one in `far` and the lens; reach: extent of the lens in lens radii."""
     depth = near.w[1] - far.w[0]
     if depth <= 0.0:
         return False

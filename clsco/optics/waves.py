@@ -17,12 +17,7 @@ ADEQUATE, PER_DECADE = 29.3, 20.5  # dB: PSNR of a disc instead of waves is abou
 
 
 def disc_psnr(unit: float) -> float:
-    """PSNR in dB, within 1.5 dB, of the blur of black and white squares by a disc instead of waves; unit: Q in px.
-
-    Notes
-    -----
-    Validated against rendered images of both (benchmarks/truth/wave.py).
-    """
+    """PSNR in dB, within 1.5 dB, of the blur of black and white squares by a disc instead of waves; unit: Q in px."""
     return ADEQUATE - PER_DECADE * log10(unit)
 
 
@@ -42,7 +37,7 @@ def check_waves(psf: PointSpread, largest: float) -> None:
 
 @lru_cache(maxsize=64)
 def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
-    """Largest fraction of a point's light that is cut off, for |blur radii| from smallest to largest px; 0 except for
+    """Largest fraction of a point's light that is cut off, for |blur radii| from smallest to largest px; 0 without
     waves.
     """
     pupils = [place.pupil for place in (*psf.places[:1], psf)]  # of a field in a corner, and on the axis

@@ -1,6 +1,4 @@
-"""Weights of pupils without symmetry for any blur radius, by differences of integrals with special care for small blurs
-(float64, pure).
-"""
+"""Weights of pupils without symmetry for any blur radius, by differences of integrals (float64, pure)."""
 
 from __future__ import annotations
 

@@ -56,28 +56,10 @@ def cell_width(unit: float) -> float:
 def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Path) -> Array:
     """Light per px^2 around a defocused point, (r, radii), for a total of 1.
 
-    Parameters
-    ----------
-    r : ndarray (r,)
-        Distances from the point, px, increasing.
-    radii : ndarray (radii,)
-        Signed blur radii, px.
-    unit : float
-        Q, px.
-    inner : float
-        Radius of the central obstruction, in radii of the opening, 0 for none.
-    path : callable
-        Optical path of aberrations, see `Path`.
-
-    Returns
-    -------
-    ndarray (r, radii)
-
-    Notes
-    -----
-    The amplitude is a Hankel transform, U(v) = integral of exp(2 pi i W(t)) J0(v sqrt(t)) over t = inner^2 .. 1, with
-    v = pi r / Q, by Gauss-Legendre: its integrand is an entire function of t. Validated against Hopkins' transfer
-    function and against Airy's and the axis' closed forms.
+    r: distances from the point, px, increasing; radii: signed blur radii, px; unit: Q, px; inner: radius of the central
+    obstruction, in radii of the opening, 0 for none; path: of aberrations. The amplitude is a Hankel transform, U(v) =
+    integral of exp(2 pi i W(t)) J0(v sqrt(t)) over t = inner^2 .. 1, with v = pi r / Q, by Gauss-Legendre: its
+    integrand is an entire function of t.
     """
     waves = float(np.abs(radii).max(initial=0.0)) / (4.0 * unit)
     bend = float(np.abs(np.gradient(path(np.linspace(0.0, 1.0, 257)), 1.0 / 256)).max()) / unit

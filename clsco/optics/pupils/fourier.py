@@ -37,21 +37,7 @@ spot_cache, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 class FourierDiffracted(Diffracted):
     """Aperture of any shape with an optional wavefront error, see `Diffracted`.
 
-    Attributes
-    ----------
-    wavefront : Wavefront
-    steepest : float
-        Largest slope over the frame, px per radius, which buffers allow for; 0 if the wavefront is constant.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> from clsco.optics.pupils.fourier import FourierDiffracted
-    >>> from clsco.optics.pupils.wavefront import Wavefront
-    >>> lens = FourierDiffracted(Circle(), ((0.5, 1.0),), wavefront=Wavefront(((3, 1, 0.1),)))
-    >>> lens.share(np.array([-1.0, 0.0, 1.0]), np.zeros(3), np.array(0.0), tent=True).round(3)
-    array([0.155, 0.22 , 0.083])
+    steepest: largest slope over the frame, px per radius, which buffers allow for; 0 if the wavefront is constant.
     """
 
     STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))
@@ -156,9 +142,7 @@ class FourierDiffracted(Diffracted):
 
     @property
     def upright(self) -> FourierDiffracted:
-        """The pupil with its wavefront mirrored to a canonical orientation, which several positions of the frame
-        share.
-        """
+        """The pupil with its wavefront mirrored to an orientation that several positions of the frame share."""
         return replace(self, wavefront=self.wavefront.upright) if is_round(self.opening) else self
 
     def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:

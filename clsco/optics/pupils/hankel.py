@@ -20,17 +20,7 @@ PANEL = 0.25  # px of R that one polynomial covers, at most; but no more than ha
 
 @dataclass(frozen=True)
 class HankelDiffracted(Diffracted):
-    """Circle or ring without aberrations, see `Diffracted`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> from clsco.optics.pupils.hankel import HankelDiffracted
-    >>> lens = HankelDiffracted(Circle(), ((0.5, 1.0),))
-    >>> lens.share(np.array([0.0, 1.0]), np.zeros(2), np.array(0.0), tent=True).round(4)
-    array([0.6095, 0.0689])
-    """
+    """Circle or ring without aberrations, see `Diffracted`."""
 
     STEPS = ((1.6, 2), (0.8, 4), (0.2, 8), (0.05, 16))
 

@@ -1,6 +1,4 @@
-"""Pupil given by an image, for shapes without a closed form: exact areas of its cells by running sums (float64,
-pure).
-"""
+"""Pupil given by an image: exact areas of its cells by running sums (float64, pure)."""
 
 from __future__ import annotations
 
@@ -25,16 +23,8 @@ KEPT = 4  # number of pupils whose running sums are cached
 class Image(Pupil):
     """Transmission that is constant in each cell of a square around the lens; create it with `image_pupil`.
 
-    Attributes
-    ----------
-    count : int
-        Cells per side.
-    digest : str
-        Digest of the cells, which identifies pupils in reports and files.
-    data : bytes
-        float32, row after row, row 0 on top.
-    squeeze : float
-        Height over width of the blur.
+    count: cells per side; digest: of the cells, identifies pupils in reports and files; data: float32, row after row,
+    row 0 on top; squeeze: height over width of the blur.
     """
 
     count: int
@@ -104,31 +94,12 @@ class Image(Pupil):
 
 
 def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> Image:
-    """Pupil from a picture, whose inscribed circle is the edge of the lens.
+    """Pupil from a picture (n, n), whose inscribed circle is the edge of the lens: scaled to a largest transmission of
+    1; 0 outside of the circle.
 
-    Parameters
-    ----------
-    picture : ndarray (n, n)
-        Transmission, not negative and positive somewhere in the circle; row 0 on top. It is oriented as the blur of a
-        far light. n at most MOST_CELLS.
-    rotation : float
-        Rotation of the picture before the squeeze, deg, counter-clockwise.
-    squeeze : float
-        Height over width of the blur.
-
-    Returns
-    -------
-    Image
-        Scaled to a largest transmission of 1; 0 outside of the circle.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.image import image_pupil
-    >>> half = np.zeros((64, 64))
-    >>> half[:, 32:] = 1.0
-    >>> image_pupil(half).name
-    'image of 64 x 64'
+    picture: transmission, not negative and positive somewhere in the circle, oriented as the blur of a far light, row 0
+    on top; n at most MOST_CELLS. rotation: before the squeeze, deg, counter-clockwise. squeeze: height over width of
+    the blur.
     """
     picture, count = turned(picture, rotation), len(picture)
     at = np.arange(float(count)) + 0.5 - 0.5 * count
@@ -169,10 +140,9 @@ def _powers(t: Array, order: int) -> Sequence[Array | float]:
 
 @lru_cache(maxsize=KEPT)
 def _running_sums(pupil: Image) -> list[list[Array]]:
-    """Running integrals of the image at the upper left corner of each cell; [i][j]: i times down and j times across.
+    """Running integrals (n + 1, n + 1) at the upper left corner of each cell; [i][j]: i times down and j times across.
 
-    i and j are 0, 1 or 2; 0 is the value of the cell itself. Arrays (n + 1, n + 1): an empty row and an empty column
-    of cells follow the last ones.
+    i and j are 0, 1 or 2; 0 is the value of the cell itself. An empty row and column of cells follow the last ones.
     """
     cells = np.pad(pupil.image, (0, 1))
     down = [cells, *_integrals(cells, axis=0)]

@@ -25,8 +25,7 @@ FILLED = 16.0  # px: for larger radii and point sources, pixels inside the outli
 
 @cache
 def _nodes() -> tuple[Array, Array]:
-    """Gauss-Legendre nodes and weights on [0, 1]; along arcs of LONGEST_ARC, exact to 1e-14 for cubics in both
-    coordinates.
+    """Gauss-Legendre nodes and weights on [0, 1]; along arcs of LONGEST_ARC, exact to 1e-14 for cubics in x and y.
 
     Computed at the first use: importing numpy's polynomials takes as long as reading a small scene.
     """
@@ -38,16 +37,8 @@ def _nodes() -> tuple[Array, Array]:
 class Arc:
     """Part of an outline that is monotonic in x and in y, directed with the inside always on the same side.
 
-    Attributes
-    ----------
-    start, end : tuple of float
-        Ends, in aperture radii.
-    center : tuple of float
-        Center of the circle; unused if `radius` is 0.
-    radius : float
-        Radius of the circle, 0 for a straight edge.
-    angles : tuple of float
-        Angles of the ends seen from the center, from x towards y, rad; within one quadrant.
+    start, end: in aperture radii; center, radius: of its circle; radius 0 for a straight edge; angles: of the ends seen
+    from the center, from x towards y, rad; within one quadrant.
     """
 
     start: tuple[float, float]
@@ -126,13 +117,7 @@ def bulging(start: tuple[float, float], end: tuple[float, float], sagitta: float
 
 
 class Outline(Pupil):
-    """Aperture with an outline of arcs, fully open inside, scaled horizontally by a squeeze.
-
-    Attributes
-    ----------
-    squeeze : float
-        Height over width: x of the outline is divided by it.
-    """
+    """Aperture with an outline of arcs, fully open inside, whose x is divided by `squeeze`, the height over width."""
 
     squeeze: float
 

@@ -21,21 +21,8 @@ GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))  # nodes on [0, 1],
 class Polygon(Pupil):
     """Regular polygon inscribed in the unit circle.
 
-    Attributes
-    ----------
-    blades : int
-        Number of edges.
-    rotation : float
-        deg, counter-clockwise in the image; at 0 an edge faces to the right.
-    squeeze : float
-        Height over width of the blur: x of the corners is divided by it.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.polygon import Polygon
-    >>> float(Polygon(6).share(np.array(0.0), np.array(0.0), np.array(10.0), tent=True).round(5))
-    0.00385
+    blades: number of edges; rotation: deg, counter-clockwise in the image; at 0 an edge faces to the right; squeeze:
+    height over width of the blur: x of the corners is divided by it.
     """
 
     blades: int = 6
@@ -89,19 +76,9 @@ class Polygon(Pupil):
 
 
 def lens_mask(blades: int, rotation: float) -> Array:
-    """Edges of a regular polygon inscribed in the unit circle.
+    """Edges (blades, 3) of a regular polygon inscribed in the unit circle; blades, rotation: as for `Polygon`.
 
-    Parameters
-    ----------
-    blades : int
-        Number of edges.
-    rotation : float
-        deg, counter-clockwise in the image; at 0 an edge faces to the right.
-
-    Returns
-    -------
-    ndarray (blades, 3)
-        x, y of an edge's outward normal n, and the edge's distance from the center: inside is n . l <= distance.
+    x, y of an edge's outward normal n, and the edge's distance from the center: inside is n . l <= distance.
     """
     angle = np.deg2rad(rotation) + 2.0 * np.pi * np.arange(blades) / blades
     return np.stack([np.cos(angle), -np.sin(angle), np.full(blades, np.cos(np.pi / blades))], axis=-1)
@@ -127,22 +104,8 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
 
     H(x, y; R) = (1 / A) times the integral of (x - u)_+^k (y - v)_+^k du dv over the polygon of area A, k = 0, or 1 for
     the tent. By Green's theorem, it is a sum over edges, split where an edge passes x and y, of integrals of
-    polynomials of degree 3 or less: two Gauss nodes are exact. First differences of H over a pixel give its area in the
-    polygon, second differences the overlap of a square source and a square detector.
-
-    Parameters
-    ----------
-    corners : ndarray (n, 2)
-        Corners of the polygon in a circle of one lens radius.
-    radius : ndarray
-        Signed, px, not 0.
-    x, y : ndarray
-        px from the center; the three broadcast.
-    tent : bool
-
-    Returns
-    -------
-    ndarray
+    polynomials of degree 3 or less: two Gauss nodes are exact. corners: (n, 2), for a circle of one lens radius;
+    radius: signed, px, not 0; x, y: px from the center; the three broadcast.
     """
     total, area = np.zeros(np.broadcast_shapes(np.shape(radius), np.shape(x), np.shape(y))), 0.0
     for (u0, v0), (u1, v1) in zip(np.roll(corners, 1, axis=0), corners, strict=True):

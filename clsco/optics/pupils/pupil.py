@@ -19,17 +19,10 @@ Edges = tuple[tuple[float, float, float], ...]
 class Borders:
     """Edges and circles around an opening of constant transmission, which is convex except for holes.
 
-    Attributes
-    ----------
-    columns : tuple of float
-        x of the opening's ends and corners from left to right, in aperture radii.
-    edges : tuple of (x, y, distance)
-        Straight edges, as `Pupil.edges`.
-    circles, holes : tuple of (x, y, radius)
-        Circles inside which light passes, and circles that cover parts of the opening, which do not overlap; their x is
-        before the squeeze, `squeeze` times that of `columns`.
-    squeeze : float
-        Height over width of the blur.
+    columns: x of the opening's ends and corners from left to right, in aperture radii. edges: straight ones, as
+    `Pupil.edges`. circles: (x, y, radius) inside which light passes; holes: circles that cover parts of the opening,
+    which do not overlap; x of both is before the squeeze, `squeeze` times that of `columns`. squeeze: height over width
+    of the blur.
     """
 
     columns: tuple[float, ...] = (-1.0, 1.0)
@@ -43,20 +36,10 @@ class Pupil(ABC):
     """Aperture of a lens: its transmission at lens points l in units of the aperture's radius, x right and y down.
 
     A ray through l arrives at the offset R l, R the signed blur radius in px, so that a blur is the pupil scaled by R.
-    Subclasses are frozen and hashable: tables of weights are cached by their fields.
-
-    Attributes
-    ----------
-    symmetry : str
-        "octant": symmetric in x, in y and in the diagonals, so that R and -R give the same blur. "none": no symmetry.
-    uniform : bool
-        The transmission is constant inside the edge.
-    soft : bool
-        The transmission falls off towards the edge.
-    hollow : bool
-        The transmission is constant between an inner and an outer edge.
-    separable : bool
-        The transmission is a product of one function along each axis.
+    Subclasses are frozen and hashable: tables of weights are cached by their fields. symmetry: "octant": symmetric in
+    x, in y and in the diagonals, so that R and -R give the same blur; "none": no symmetry. The transmission is constant
+    inside the edge if `uniform`, falls off towards the edge if `soft`, is constant between an inner and an outer edge
+    if `hollow`, and is a product of one function along each axis if `separable`.
     """
 
     symmetry: ClassVar[Symmetry] = "octant"

@@ -37,19 +37,7 @@ NO_WAVES = ((1.0, 1.0),)
 class Traced(FourierDiffracted):
     """Aperture of any shape with a wavefront error, in geometrical optics; `bands` and `tail` are unused.
 
-    Weights are sums over rays at the nodes of table intervals, and cubics in R between nodes. Validated against the
-    closed form of the disc, and moments of coma, astigmatism and spherical aberration
-    (tests/optics/pupils/test_traced.py).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> from clsco.optics.pupils.traced import Traced
-    >>> from clsco.optics.pupils.wavefront import Wavefront
-    >>> lens = Traced(Circle(), wavefront=Wavefront(coma=(0.5, 0.0)))
-    >>> lens.share(np.array([-1.0, 0.0, 1.0]), np.zeros(3), np.array(0.0), tent=True).round(2)
-    array([0.  , 0.25, 0.31])
+    Weights are sums over rays at the nodes of table intervals, and cubics in R between nodes.
     """
 
     NODES: ClassVar[int] = POWERS
