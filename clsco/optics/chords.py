@@ -5,7 +5,6 @@ round or have `Borders` (float64, pure).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.pupil import Borders
+from clsco.optics.pupils.quadrature import pixel_integral, unit_nodes
 
 Array = NDArray[np.float64]
 Circle = tuple[Array, Array, Array]
@@ -24,13 +24,6 @@ UPRIGHT, FAR = 1e-6, 1e6
 """UPRIGHT: an edge whose normal has a smaller |y| ends the opening. FAR: a distance beyond all openings, px."""
 FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
 """Numbers of chords in a column of 1 px that is flat, in one that is not, and for the area of half an opening."""
-
-
-@cache
-def chord_nodes(count: int) -> tuple[Array, Array]:
-    """Gauss-Legendre nodes and weights on 0 to 1."""
-    nodes, parts = np.polynomial.legendre.leggauss(count)
-    return 0.5 + 0.5 * nodes, 0.5 * parts
 
 
 def chord_weights(
@@ -65,7 +58,6 @@ def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
 def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
     """Light of a convex opening in pixels at (dx, dy), px^2."""
     total = np.zeros(np.broadcast(dx, dy, opening.low).shape)
-    below = _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
         column = dx + side
         start, end = (np.clip(at, opening.low, opening.high) for at in (column, column + 1.0))
@@ -74,7 +66,7 @@ def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
             ends = np.clip(start, low, high), np.clip(end, low, high)
             for v, parts in opening.places(*ends, flat, total.ndim):
                 beginning, ending = opening.chords(v)
-                light = below(ending - dy) - below(beginning - dy)
+                light = pixel_integral(ending - dy, not point) - pixel_integral(beginning - dy, not point)
                 across = 1.0 if point else 1.0 - np.abs(v - dx)
                 total += (parts * across * light).sum(axis=0)
     return np.asarray(total)
@@ -162,8 +154,8 @@ class _Opening:
         """
         middle = 0.5 * (self.low + self.high)
         straddles = ~flat & (start < middle) & (middle < end)
-        places, parts = (_stacked(values, axes) for values in chord_nodes(count))
-        few = _stacked(np.pad(chord_nodes(FLAT_CHORDS)[0], (0, count - FLAT_CHORDS)), axes)
+        places, parts = (_stacked(values, axes) for values in unit_nodes(count))
+        few = _stacked(np.pad(unit_nodes(FLAT_CHORDS)[0], (0, count - FLAT_CHORDS)), axes)
         even = _stacked(np.arange(count) < FLAT_CHORDS, axes) / FLAT_CHORDS
         for second in range(2 if straddles.any() else 1):
             right = straddles if second else start >= middle
@@ -188,14 +180,3 @@ class _Opening:
         for first_edges, second_edges in ((first, first_end), (last, last_end)):
             flat = flat & (first_edges.max(axis=0) < second_edges.min(axis=0))
         return np.asarray(flat)
-
-
-def _below(t: Array) -> Array:
-    """Integral of the convolution of both pixels, a tent, up to t, minus 1/2."""
-    t = np.clip(t, -1.0, 1.0)
-    return t - 0.5 * t * np.abs(t)
-
-
-def _in_pixel(t: Array) -> Array:
-    """Fraction of the detector's pixel up to t, minus 1/2."""
-    return np.clip(t, -0.5, 0.5)

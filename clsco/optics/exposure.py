@@ -98,7 +98,7 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
 
 
 def jump_times(scene: Scene, frame: int) -> Array:
-    """Times (n,) in s, increasing, of jumps of an object or the camera, by stepped keyframes, while a shutter is open."""
+    """Times (n,) in s, increasing, of jumps of objects or the camera, by stepped keyframes, while a shutter is open."""
     jumps = _all_jumps(scene)
     if not jumps.size:
         return jumps
@@ -231,7 +231,7 @@ def middle_time(sequence: Sequence, frame: int) -> float:
 
 
 def sequence_times(scene: Scene) -> list[float]:
-    """Times over the whole sequence, s since the reference pose; few, as predictions use them before every rendering."""
+    """Times over the whole sequence, s since the reference pose; few, as predictions use them before each rendering."""
     if not scene.moves:
         return [0.0]
     last = scene.sequence.frames - 1

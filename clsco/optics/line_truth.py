@@ -49,7 +49,7 @@ class Lines:
         return np.array([ray_step(camera) for camera in self.cameras])
 
     def slopes(self, line: Pixels, right: Array, up: Array) -> tuple[Array, Array]:
-        """Slopes of rays at their line's time, through image points in px right of and above the middle of the image."""
+        """Slopes of rays at their line's time, through points in px right of and above the middle of the image."""
         x, y, distortion = right * self.steps[line], up * self.steps[line], distortion_of(self.cameras[0])
         return (x, y) if distortion is None else distortion.undistorted(x, y)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from clsco.optics.pupils.circle import disc_coverage
 from clsco.optics.pupils.pupil import Array
+from clsco.optics.pupils.quadrature import unit_nodes
 
 SERIES_UNTIL = 14.0  # argument of J0: its power series below, its asymptotic one above, both to 1e-11
 SERIES_TERMS, ASYMPTOTIC_TERMS = 48, 24
@@ -63,7 +64,9 @@ def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Pat
     """
     waves = float(np.abs(radii).max(initial=0.0)) / (4.0 * unit)
     bend = float(np.abs(np.gradient(path(np.linspace(0.0, 1.0, 257)), 1.0 / 256)).max()) / unit
-    t, weight = _nodes(2.0 * np.pi * (waves + bend) + np.pi * r[-1] / unit, inner)
+    range_of_phase = 2.0 * np.pi * (waves + bend) + np.pi * r[-1] / unit
+    nodes, weight = (values * (1.0 - inner**2) for values in unit_nodes(32 + 16 * int(np.ceil(range_of_phase / 48.0))))
+    t = inner**2 + nodes
     phase = 2.0 * np.pi / unit * (0.25 * radii * t[:, None] + path(t)[:, None])
     real, imaginary = weight[:, None] * np.cos(phase), weight[:, None] * np.sin(phase)
     root, intensity = np.sqrt(t), np.empty((len(r), len(radii)))
@@ -79,20 +82,6 @@ def round_light(radii: Array, unit: float, inner: float, path: Path, width: floa
     r = ((np.arange(count)[:, None] + GAUSS) * width).ravel()
     light = np.pi * width * r[:, None] * round_intensity(r, radii, unit, inner, path)
     return np.asarray(light[0::2] + light[1::2])
-
-
-def _nodes(phase: float, inner: float) -> tuple[Array, Array]:
-    """Nodes and weights of a quadrature over t = inner^2 .. 1 for an integrand with this range of phase."""
-    count = 32 + 16 * int(np.ceil(phase / 48.0))
-    x, weight = _legendre(count)
-    half = 0.5 * (1.0 - inner**2)
-    return inner**2 + half * (x + 1.0), half * weight
-
-
-@lru_cache(maxsize=32)
-def _legendre(count: int) -> tuple[Array, Array]:
-    x, weight = np.polynomial.legendre.leggauss(count)
-    return x, weight
 
 
 @lru_cache(maxsize=2**15)

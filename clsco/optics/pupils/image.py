@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.circle import disc_coverage
-from clsco.optics.pupils.differences import corner_share, grid_share, share_at
-from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.differences import Asymmetric
+from clsco.optics.pupils.pupil import Array
 
 MOST_CELLS = 512  # per side
 TURNED_PARTS = 4  # samples per side of a cell, for an image that is rotated
@@ -20,7 +20,7 @@ KEPT = 4  # number of pupils whose running sums are cached
 
 
 @dataclass(frozen=True)
-class Image(Pupil):
+class Image(Asymmetric):
     """Transmission that is constant in each cell of a square around the lens; create it with `image_pupil`.
 
     count: cells per side; digest: of the cells, identifies pupils in reports and files; data: float32, row after row,
@@ -32,20 +32,11 @@ class Image(Pupil):
     data: bytes = field(repr=False)
     squeeze: float = 1.0
 
-    symmetry = "none"
+    has_plain_rim = False
 
     @property
-    def name(self) -> str:
-        image = f"image of {self.count} x {self.count}"
-        return image if self.squeeze == 1.0 else f"{image}, squeezed {self.squeeze:g} times"
-
-    @property
-    def extent(self) -> float:
-        return max(1.0, 1.0 / self.squeeze)
-
-    @property
-    def has_plain_rim(self) -> bool:
-        return False
+    def label(self) -> str:
+        return f"image of {self.count} x {self.count}"
 
     @property
     def light(self) -> float:
@@ -73,14 +64,7 @@ class Image(Pupil):
         inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < self.count)
         return np.where(inside, self.image[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
 
-    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        running = partial(self._running_integral, tent=tent)
-        return share_at(partial(corner_share, running, tent=tent, extent=self.extent), dx, dy, radius, tent)
-
-    def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
-        return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
-
-    def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
+    def running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
         """Integral for `grid_share`: a polynomial in each cell, plus the sums over all cells left of and above it."""
         scale = 0.5 * self.count / radius  # cells per px, down
         column, across = _cell(0.5 * self.count + x * (scale * self.squeeze), self.count)

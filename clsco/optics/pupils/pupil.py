@@ -5,13 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Symmetry = Literal["octant", "none"]
 Edges = tuple[tuple[float, float, float], ...]
 
 
@@ -36,25 +35,24 @@ class Pupil(ABC):
     """Aperture of a lens: its transmission at lens points l in units of the aperture's radius, x right and y down.
 
     A ray through l arrives at the offset R l, R the signed blur radius in px, so that a blur is the pupil scaled by R.
-    Subclasses are frozen and hashable: tables of weights are cached by their fields. symmetry: "octant": symmetric in
-    x, in y and in the diagonals, so that R and -R give the same blur; "none": no symmetry. The transmission is constant
-    inside the edge if `uniform`, falls off towards the edge if `soft`, is constant between an inner and an outer edge
-    if `hollow`, and is a product of one function along each axis if `separable`.
+    Subclasses are frozen and hashable: tables of weights are cached by their fields.
     """
 
-    symmetry: ClassVar[Symmetry] = "octant"
-    uniform: ClassVar[bool] = False
-    soft: ClassVar[bool] = False
-    hollow: ClassVar[bool] = False
+    uniform: ClassVar[bool] = False  # constant transmission inside the edge
+    soft: ClassVar[bool] = False  # a transmission that falls off towards the edge
+    hollow: ClassVar[bool] = False  # constant transmission between an inner and an outer edge
+    has_plain_rim: ClassVar[bool] = True  # circle or straight edges: positions on the rim determine mean lens points
+    bends_rays: ClassVar[bool] = False  # rays do not arrive at R l, because of wavefront errors
 
     @property
     def separable(self) -> bool:
+        """True if the transmission is a product of one function along each axis."""
         return False
 
     @property
     def signed(self) -> bool:
-        """True if R and -R give different blur."""
-        return self.symmetry == "none"
+        """True if R and -R give different blur; otherwise, it is symmetric in x, in y and in the diagonals."""
+        return False
 
     @property
     def steps(self) -> int:
@@ -75,16 +73,6 @@ class Pupil(ABC):
     def extent(self) -> float:
         """Largest |l| at which light passes."""
         return 1.0
-
-    @property
-    def bends_rays(self) -> bool:
-        """True if rays do not arrive at R l, because of wavefront errors."""
-        return False
-
-    @property
-    def has_plain_rim(self) -> bool:
-        """True if the edge is a circle or straight: positions of pixels on it determine their mean lens points."""
-        return True
 
     @property
     def edges(self) -> Edges:
@@ -124,7 +112,7 @@ class Pupil(ABC):
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
         """Fraction of the light that a pixel at (dx, dy) px receives in a blur of `radius` R; sums to 1.
 
-        radius: px, not 0; its sign matters if the symmetry is "none". tent: True for a square source instead of a
+        radius: px, not 0; its sign matters if `signed`. tent: True for a square source instead of a
         point; the pixel's response is then the square convolved with itself. The three arrays broadcast.
         """
 

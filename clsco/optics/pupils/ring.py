@@ -17,10 +17,7 @@ class Ring(Pupil):
     obstruction: float
 
     hollow = True
-
-    @property
-    def has_plain_rim(self) -> bool:
-        return False
+    has_plain_rim = False
 
     @property
     def borders(self) -> Borders:

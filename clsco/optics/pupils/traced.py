@@ -18,6 +18,7 @@ from clsco.constants import POWERS
 from clsco.optics.pupils.diffracted import panel_nodes
 from clsco.optics.pupils.fourier import FourierDiffracted, spot_cache
 from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.quadrature import pixel_integral
 from clsco.optics.pupils.wavefront import Wavefront
 
 MOST_PARTS, LEAST_PARTS = 16, 2  # cells per px of a spot: at most SPOT over its reach, if possible
@@ -41,12 +42,9 @@ class Traced(FourierDiffracted):
     """
 
     NODES: ClassVar[int] = POWERS
+    bends_rays = True
 
     bands: tuple[tuple[float, float], ...] = NO_WAVES
-
-    @property
-    def bends_rays(self) -> bool:
-        return True
 
     @property
     def name(self) -> str:
@@ -155,17 +153,9 @@ def response(parts: int, place: float, tent: bool) -> Array:
     """
     beside = parts + parts // 2 + 2
     at = np.arange(-beside, beside + 1.0) / parts + place
-    sums = [_below(at + shift / parts, tent) for shift in (-1.5, -0.5, 0.5, 1.5)]
+    sums = [pixel_integral(at + shift / parts, tent) for shift in (-1.5, -0.5, 0.5, 1.5)]
     means = [parts * (high - low) for low, high in pairwise(sums)]
     return np.asarray((1.0 + 2.0 * SHARPER) * means[1] - SHARPER * (means[0] + means[2]))
-
-
-def _below(at: Array, tent: bool) -> Array:
-    """Integral of a pixel's response up to a position."""
-    if not tent:
-        return np.clip(at, -0.5, 0.5)
-    at = np.clip(at, -1.0, 1.0)
-    return at - 0.5 * at * np.abs(at)
 
 
 def pixels(cells: Array, response: Array, parts: int) -> Array:
