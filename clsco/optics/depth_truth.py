@@ -33,9 +33,10 @@ def _difference(point: Array, valid: NDArray[np.bool_], axis: int) -> Array:
     step = np.diff(point, axis=axis)
     both_valid = np.logical_and(*(np.delete(valid, end, axis=axis) for end in (0, -1)))
     step = np.where(both_valid[..., None], step, np.inf)
-    edge = np.full_like(np.take(step, [0], axis=axis), np.inf) if step.shape[axis] else np.full_like(point, np.inf)
-    ahead = np.concatenate([step, edge], axis=axis) if step.shape[axis] else edge
-    behind = np.concatenate([edge, step], axis=axis) if step.shape[axis] else edge
+    ahead, behind = (
+        np.pad(step, [side if k == axis else (0, 0) for k in range(3)], constant_values=np.inf)
+        for side in ((0, 1), (1, 0))
+    )
     shorter = np.where(np.abs(ahead[..., 2:]) <= np.abs(behind[..., 2:]), ahead, behind)
     return np.where(np.isfinite(shorter), shorter, 0.0)
 

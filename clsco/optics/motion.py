@@ -82,10 +82,9 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     if motion.keyframe is None:
         degrees = _displacement(motion.angular_velocity, motion.angular_acceleration, time)
         return Pose(_camera_rotation(degrees, rotation), _displacement(motion.velocity, motion.acceleration, time))
-    track = _track(motion, rotation)
-    turned = track.turns.at(time)
-    matrix = turned if isinstance(track.turns, Orientations) else _camera_rotation(turned, rotation)
-    return Pose(matrix, track.shifts.at(time))
+    shifts, turns = _track(motion, rotation)
+    turned = turns.at(time)
+    return Pose(turned if isinstance(turns, Orientations) else _camera_rotation(turned, rotation), shifts.at(time))
 
 
 def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
@@ -96,10 +95,9 @@ def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
         angles = _displacement(motion.angular_velocity, motion.angular_acceleration, time).tolist()
         shift = _displacement(motion.velocity, motion.acceleration, time)
     else:
-        track = _track(motion, rotation)
-        turns = track.turns
+        shifts, turns = _track(motion, rotation)
         angles = turns.angles_at(time, rotation) if isinstance(turns, Orientations) else turns.at(time).tolist()
-        shift = track.shifts.at(time)
+        shift = shifts.at(time)
     (x, y, z), (a, b, c) = ((round(part, 9) + 0.0 for part in values) for values in (shift.tolist(), angles))
     return Keyframe(time=time, position=(x, y, z), rotation=(a, b, c))
 
@@ -122,17 +120,9 @@ def _displacement(speed: Vector, gain: Vector | None, time: float) -> NDArray[np
     return displacement if gain is None else displacement + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
 
 
-@dataclass(frozen=True, eq=False)
-class _Track:
-    """Paths through keyframes: of the shift in mm, and of the rotation, as angles in deg or as an orientation."""
-
-    shifts: Path
-    turns: Path | Orientations
-
-
 @lru_cache(maxsize=512)
-def _track(motion: ObjectMotion, rotation: str) -> _Track:
-    """Paths through the keyframes of a motion."""
+def _track(motion: ObjectMotion, rotation: str) -> tuple[Path, Path | Orientations]:
+    """Paths through keyframes: of the shift in mm, and of the rotation, as angles in deg or as an orientation."""
     keys, interpolation, outside = motion.keyframe, motion.interpolation, motion.outside
     assert keys is not None
     assert interpolation is not None
@@ -140,8 +130,8 @@ def _track(motion: ObjectMotion, rotation: str) -> _Track:
     times, angles = [key.time for key in keys], [key.rotation for key in keys]
     shifts = path_through(times, [key.position for key in keys], interpolation, outside)
     if sum(motion.turns) < 2:
-        return _Track(shifts, path_through(times, angles, interpolation, outside))
-    return _Track(shifts, orientations_through(times, angles, rotation, interpolation, outside))
+        return shifts, path_through(times, angles, interpolation, outside)
+    return shifts, orientations_through(times, angles, rotation, interpolation, outside)
 
 
 def rest_center(item: Object) -> NDArray[np.float64]:

@@ -33,6 +33,7 @@ GREEN = 1  # color of gray images
 POINT = 1e-9  # px; smaller radii are 0
 MOST_MARGIN = 256.0  # px outside of the blur's rim that light may reach
 LEAST_UNIT, MOST_UNIT = 0.02, 8.0  # px, Q: diffraction is not visible below, and no image is left above
+UNIT_RULE = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2: variance per axis that `edge` adds
 
 Edge = Literal["integrated", "area", "sampled"]
@@ -320,8 +321,7 @@ def _diffract(
     nodes = (middle - offset, middle + offset) if offset else (middle,)
     units = [diffraction_unit(camera, node) for node in nodes]
     if not units[0] >= LEAST_UNIT or not units[-1] <= MOST_UNIT:
-        rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
-        raise SceneError(f"psf.wavelengths: {rule}; got {units[0]:.3g} px, of {nodes[0]:.4g} nm")
+        raise SceneError(f"psf.wavelengths: {UNIT_RULE}; got {units[0]:.3g} px, of {nodes[0]:.4g} nm")
     bands, keeps = tuple((unit, 1.0 / len(units)) for unit in units), psf.rest == "renormalize"
     wavefront = _wavefront(psf, camera)
     diffracted: Diffracted
@@ -389,8 +389,7 @@ def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float)
         raise SceneError(f'psf: wavelengths need psf.model = "wave"; got {spread.pupil.name}')
     unit = diffraction_unit(camera, wavelength)
     if not LEAST_UNIT <= unit <= MOST_UNIT:
-        rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
-        raise SceneError(f"psf: wavelengths {rule}; got {unit:.3g} px, of {wavelength:.4g} nm")
+        raise SceneError(f"psf: wavelengths {UNIT_RULE}; got {unit:.3g} px, of {wavelength:.4g} nm")
     return replace(spread, pupil=replace(spread.pupil, bands=((unit, 1.0),)))
 
 

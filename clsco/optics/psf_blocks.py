@@ -164,10 +164,12 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
     """
     same = (block == block[:1, :, :1]).all(axis=1)
     first = np.where(same.all(axis=0), len(same), same.argmin(axis=0))
-    lit = (block != 0).any(axis=1)
-    last = len(lit) - 1 - lit[::-1].argmax(axis=0)
-    last = np.where(lit.any(axis=0), last, -1)
-    return np.stack([np.minimum.accumulate(first), last], axis=1).astype(np.int32)
+    return np.stack([np.minimum.accumulate(first), _last((block != 0).any(axis=1))], axis=1).astype(np.int32)
+
+
+def _last(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Last row in which each column of a mask is True, -1 for none."""
+    return np.where(mask.any(axis=0), len(mask) - 1 - mask[::-1].argmax(axis=0), -1)
 
 
 def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]:
@@ -184,8 +186,7 @@ def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int
     """
     lit, count = np.asarray((values > 0.0).any(axis=0)), len(is_open)
     place, half_width = np.arange(count)[:, None], count // 2
-    any_lit = lit.any(axis=0)
-    first, last = lit.argmax(axis=0) - half_width, count - 1 - lit[::-1].argmax(axis=0) - half_width
+    any_lit, first, last = lit.any(axis=0), lit.argmax(axis=0) - half_width, _last(lit) - half_width
     length = place - np.maximum.accumulate(np.where(is_open, -1, place), axis=0)
     most, stop = length.max(axis=0), length.argmax(axis=0) + 1 - half_width
     run = np.stack([stop - most, stop], axis=1) * (most > 0)[:, None]
@@ -199,11 +200,8 @@ def _ring_outline(block: NDArray[np.float32], is_open: NDArray[np.bool_]) -> NDA
     block: coefficients (|dy|, powers, |dx|); is_open (|dy|, |dx|). For the column |dx| = n: the first and the last |dy|
     with a positive weight, and the first and the end of the taps fully inside the ring.
     """
-    lit, count = (block != 0).any(axis=1), len(block)
-    last = np.where(lit.any(axis=0), count - 1 - lit[::-1].argmax(axis=0), -1)
-    stop = np.where(is_open.any(axis=0), count - is_open[::-1].argmax(axis=0), 0)
-    start = np.where(is_open.any(axis=0), is_open.argmax(axis=0), count)
-    return np.stack([lit.argmax(axis=0), last, start, stop], axis=1).astype(np.int32)
+    lit, start = (block != 0).any(axis=1), np.where(is_open.any(axis=0), is_open.argmax(axis=0), len(block))
+    return np.stack([lit.argmax(axis=0), _last(lit), start, _last(is_open) + 1], axis=1).astype(np.int32)
 
 
 def _main_rows(psf: PointSpread, radii: Array, half_width: int) -> Array:

@@ -99,25 +99,21 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
         size = 4 * len(span)
         return {"intervals": 2 * size, "coefficients": size, "taps": size, "outlines": 4 * span.stop}
     widths = half_widths(psf, span, subpixel > 0)
-    widest, row = int(widths[-1]), 4 * POWERS * row_lanes(widths)
-    sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
-    tap_bytes = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
+    widest, each = int(widths[-1]), 4 * _interval_size(psf, widths, subpixel)
+    sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0, "coefficients": int(each.sum())}
     if psf.layout == "general":
-        each = row * (2 * widths + 1) * max(subpixel, 1) ** 2
-        coefficients = len(psf.places) * sum(int(each[:count].sum()) for count in _counts(psf, span, subpixel))
-        sizes |= {"intervals": 16 * len(span), "coefficients": coefficients}
+        counts = _counts(psf, span, subpixel)
+        sizes["coefficients"] = len(psf.places) * sum(int(each[:count].sum()) for count in counts)
+        sizes["intervals"] *= 2
         if psf.has_runs and not subpixel:
             sides = _window_sides(widths)
             sizes["taps"] = int(4 * POWERS * WIDE_LANES * (sides * sides + 1).sum())
             sizes["outlines"] = 4 * OUTLINE_RUN * (len(span) * (2 * widest + 1) + len(sides))
-        return sizes
-    if subpixel:
-        return sizes | {"coefficients": int((row * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())}
-    if psf.layout == "separable":
-        return sizes | {"coefficients": int(row.sum()), "taps": tap_bytes * (widest + 1)}
-    outline = 4 * OUTLINE_RUN if psf.pupil.hollow else 4 * OUTLINE
-    sizes |= {"taps": tap_bytes * _tap_count(psf, widest), "outlines": outline * len(span) * (widest + 1)}
-    return sizes | {"coefficients": int((row * (widths + 1)).sum())}
+    elif not subpixel:
+        sizes["taps"] = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES) * _tap_count(psf, widest)
+        if psf.layout == "symmetric":
+            sizes["outlines"] = 4 * (OUTLINE_RUN if psf.pupil.hollow else OUTLINE) * len(span) * (widest + 1)
+    return sizes
 
 
 def table_bytes(psf: PointSpread, smallest: float, largest: float, subpixel: int = 0) -> int:
@@ -207,7 +203,7 @@ def table_of(
     if psf.has_runs and not subpixel:
         taps, outlines = _windows(parts)
     else:
-        taps, outlines = _join_taps(parts), _join_outlines(parts)
+        taps, outlines = _join_taps(parts), _join_outlines(parts, psf.has_runs)
     stride = coefficients.size // len(psf.places) if psf.varying is not None else 0
     reach = int(intervals[:, 1].max())
     return PsfTable(
@@ -252,20 +248,14 @@ def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixe
         return block
     sizes = np.cumsum(_interval_size(psf, block.widths.astype(np.int64), subpixel))
     selection = slice(int(sizes[first - 1]) if first else 0, int(sizes[end - 1]))
-    widest = int(block.widths[end - 1])
+    widest, middle = int(block.widths[end - 1]), block.outlines.shape[1] // 2 if psf.has_runs else 0
     return WeightBlock(
         block.widths[first:end],
         block.coefficients[selection],
         block.negative[selection],
         block.taps[: _tap_count(psf, widest), :, first:end],
-        _widest_columns(psf, block.outlines[first:end], widest),
+        block.outlines[first:end, max(middle - widest, 0) : middle + widest + 1],
     )
-
-
-def _widest_columns(psf: PointSpread, outlines: NDArray[np.int32], widest: int) -> NDArray[np.int32]:
-    """Outlines of the columns up to a half-width."""
-    middle = outlines.shape[1] // 2 if psf.has_runs else 0
-    return outlines[:, max(middle - widest, 0) : middle + widest + 1]
 
 
 def _tap_count(psf: PointSpread, widest: int) -> int:
@@ -307,7 +297,7 @@ def _windows(parts: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.
     windows, see `PsfTable`.
     """
     widths = np.concatenate([block.widths for block in parts]).astype(np.int64)
-    sides, outlines = _window_sides(widths), _center_outlines(parts, int(widths[-1]))
+    sides, outlines = _window_sides(widths), _join_outlines(parts, has_runs=True)
     places = np.concatenate([[0], np.cumsum(sides * sides + 1)])
     taps = np.zeros((int(places[-1]), POWERS, WIDE_LANES), np.float32)
     intervals = (item for block in parts for item in _interval_taps(block))
@@ -337,18 +327,6 @@ def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32
         start += rows.size
 
 
-def _center_outlines(parts: list[WeightBlock], widest: int) -> NDArray[np.int32]:
-    """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape, empty for unlit columns."""
-    joined = np.zeros((sum(len(block.outlines) for block in parts), 2 * widest + 1, OUTLINE_RUN), np.int32)
-    joined[..., 1] = -1
-    start = 0
-    for block in parts:
-        beside, end = widest - block.outlines.shape[1] // 2, start + len(block.outlines)
-        joined[start:end, beside : 2 * widest + 1 - beside] = block.outlines
-        start = end
-    return joined
-
-
 def _share_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
     """Outlines that are valid for WIDE_LANES intervals: for each interval, the union of lit taps over the WIDE_LANES
     intervals that end with it, and the intersection of runs over those that begin with it.
@@ -366,8 +344,8 @@ def _share_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.stack(ends, axis=-1)
 
 
-def _join_outlines(parts: list[WeightBlock]) -> NDArray[np.int32]:
-    """Outlines of all intervals, empty beyond those of a block."""
+def _join_outlines(parts: list[WeightBlock], has_runs: bool) -> NDArray[np.int32]:
+    """Outlines of all intervals, empty beyond those of a block; with `has_runs`, the middle column is dx = 0."""
     most = max(block.outlines.shape[1] for block in parts)
     if not most:
         return np.zeros(0, np.int32)
@@ -375,8 +353,10 @@ def _join_outlines(parts: list[WeightBlock]) -> NDArray[np.int32]:
     joined, start = np.zeros((sum(len(block.outlines) for block in parts), most, numbers), np.int32), 0
     joined[..., 1] = -1
     for block in parts:
-        joined[start : start + len(block.outlines), : block.outlines.shape[1]] = block.outlines
-        start += len(block.outlines)
+        count, columns, _ = block.outlines.shape
+        beside = (most - columns) // 2 if has_runs else 0
+        joined[start : start + count, beside : beside + columns] = block.outlines
+        start += count
     return joined
 
 

@@ -132,16 +132,14 @@ def canonical(item: Object) -> Canonical:
     Coefficients are scaled to the size of the shape if their scale is free, so that sizes from 1e-6 to 1e9 mm stay in
     the range of float32.
     """
-    still, zero = np.eye(3), np.zeros(3)
+    still, zero, flat = np.eye(3), np.zeros(3), np.array([0.0, 0.0, 0.5])
     if isinstance(item, Plane):
         return Canonical(zero, np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0, still, zero)
-    if isinstance(item, Rectangle):
-        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, np.array([0.0, 0.0, item.offset]))
-    if isinstance(item, Disc):
-        middle = np.array([0.0, 0.0, item.offset])
-        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, middle, radius=item.radius)
     if isinstance(item, Background):
-        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, zero)
+        return Canonical(zero, flat, 0.0, still, zero)
+    if isinstance(item, Rectangle | Disc):
+        radius = item.radius if isinstance(item, Disc) else inf
+        return Canonical(zero, flat, 0.0, still, np.array([0.0, 0.0, item.offset]), radius=radius)
     if isinstance(item, Sphere):
         return Canonical(np.ones(3), zero, item.radius**2, still, zero)
     if isinstance(item, Cylinder):
