@@ -18,14 +18,8 @@ from clsco.scene.model import Scene
 
 def scene(*keys: dict[str, Any], frames: int = 1, **lens: Any) -> Scene:
     camera = {"resolution": [48, 36], "pixel_pitch": 0.1, "focus_distance": 400.0, "f_number": 1.0}
-    return clsco.parse_scene(
-        {
-            "camera": camera,
-            "sequence": {"frames": frames},
-            "lens": {"keyframe": list(keys), **lens},
-            "object": [{"shape": "plane", "distance": 300.0}],
-        }
-    )
+    sections = {"camera": camera, "sequence": {"frames": frames}, "lens": {"keyframe": list(keys), **lens}}
+    return clsco.parse_scene(sections | {"object": [{"shape": "plane", "distance": 300.0}]})
 
 
 PULL = {"time": 0.0, "focus_distance": 200.0}, {"time": 1.0, "focus_distance": 400.0}

@@ -113,14 +113,12 @@ def test_light_of_blades() -> None:
     assert light == pytest.approx([2 * polygon - 1, polygon, polygon, 1.0], abs=1e-8)
 
 
-def test_blades_turn_over_and_keep_their_corners() -> None:
+def test_blades_keep_their_corners() -> None:
     """Behind the focus an edge faces right: its middle bulges towards the circle, the corner opposite stays on it."""
     widths = []
     for curvature in (-1.0, 0.0, 0.5, 1.0):
         psf = point_spread(Psf(), Aperture(shape="polygon", blades=5, blade_curvature=curvature))
-        behind, before = (square(psf, radius, 22) for radius in (20.0, -20.0))
-        np.testing.assert_allclose(before, behind[::-1, ::-1], rtol=0, atol=1e-12)
-        middle = behind[22] > 1e-9
+        middle = square(psf, 20.0, 22)[22] > 1e-9
         widths.append((np.flatnonzero(middle)[[-1, 0]] - 22).tolist())
     apothem = 20 * cos(pi / 5)
     edges = (2 * apothem - 20, apothem, 10 + apothem / 2, 20)
