@@ -267,10 +267,7 @@ class PointSpread:
 
 
 def point_spread(
-    psf: Psf,
-    aperture: Aperture | None = None,
-    image: Pupil | None = None,
-    camera: Camera | None = None,
+    psf: Psf, aperture: Aperture | None = None, image: Pupil | None = None, camera: Camera | None = None
 ) -> PointSpread:
     """The PSF that sections of a scene define; for waves, that of a gray image.
 

@@ -16,18 +16,7 @@ from numpy.typing import NDArray
 from clsco.optics.bounds import Bounds, cutting
 from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose, rest_center, static_rotation
-from clsco.scene.model import (
-    Background,
-    Cone,
-    Cylinder,
-    Disc,
-    Ellipsoid,
-    Object,
-    Plane,
-    Quadric,
-    Rectangle,
-    Sphere,
-)
+from clsco.scene.model import Background, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
 Vector = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.

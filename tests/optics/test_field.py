@@ -137,10 +137,7 @@ def test_mirrored_places_have_weights_of_their_own_wavefronts(place: tuple[float
     assert np.abs(found - expected).max() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("waves", "radius", "by_rays"),
-    [((0.6, 0.3, 0.0), 0.0, False), ((1.0, 0.5, 0.1), 2.0, True)],
-)
+@pytest.mark.parametrize(("waves", "radius", "by_rays"), [((0.6, 0.3, 0.0), 0.0, False), ((1.0, 0.5, 0.1), 2.0, True)])
 def test_blending_is_as_far_off_as_the_plan_says(
     waves: tuple[float, float, float], radius: float, by_rays: bool
 ) -> None:

@@ -14,14 +14,7 @@ from clsco.cache import Cache
 from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, panel_nodes, panels_of
 from clsco.optics.pupils.hankel import is_round
 from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.optics.pupils.transform import (
-    fast_length,
-    image_parts,
-    pixel_weights,
-    pupil_samples,
-    spectra,
-    spot_light,
-)
+from clsco.optics.pupils.transform import fast_length, image_parts, pixel_weights, pupil_samples, spectra, spot_light
 from clsco.optics.pupils.wavefront import Wavefront
 
 RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius for the measured length of the rim, and their blur in cells

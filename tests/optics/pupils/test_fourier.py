@@ -119,8 +119,7 @@ def test_it_is_the_opening_where_waves_are_short() -> None:
 
 
 @pytest.mark.parametrize(
-    ("opening", "round_one"),
-    [(Ring(0.5), Ring(0.5)), pytest.param(Ellipse(1.0), Circle(), marks=pytest.mark.slow)],
+    ("opening", "round_one"), [(Ring(0.5), Ring(0.5)), pytest.param(Ellipse(1.0), Circle(), marks=pytest.mark.slow)]
 )
 def test_a_flat_wavefront_is_that_of_distances(opening: Pupil, round_one: Pupil) -> None:
     exact = HankelDiffracted(round_one, ((0.5, 1.0),))
