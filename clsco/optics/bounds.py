@@ -25,8 +25,7 @@ Matrix = NDArray[np.float64]
 
 @lru_cache(maxsize=1024)
 def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> Bounds | None:
-    """Bounds that really cut a surface, with infinity for each bound that the surface, cut by the others, at most
-    touches; None if no bound cuts.
+    """Bounds that really cut a surface: infinite where the surface, cut by the others, at most touches, or None.
 
     rows: matrix (M, L; L, K) of the surface, for coordinates in mm; nappe: sign required of the third coordinate, 0 for
     either; bounds: low and high limit of each axis, mm.

@@ -30,8 +30,7 @@ def chord_weights(
     dx: Array, dy: Array, radius: Array, shape: Array = DISC, rims: Sequence[Circle] = (), point: bool = False,
     borders: Borders | None = None,
 ) -> Array:  # fmt: skip
-    """Weight of a square pixel at (dx, dy) px for light from a square pixel or a point, relative to all light of a
-    round lens.
+    """Weight of a pixel at (dx, dy) px for light from a square pixel or a point, relative to all light of a round lens.
 
     dx, dy: right and down, integers except for a point source. radius: |R| of the disc with the area of the blur, px,
     above 0; with `borders`, of a lens that is not round, R with its sign. shape: quadratic form (..., 3) of the ellipse
@@ -92,9 +91,7 @@ def _stacked(values: NDArray[Any], axes: int) -> Array:
 
 
 class _Opening:
-    """Opening of a lens cut by rims, in px around a source; with `hole`, only its part that the hole covers. Columns
-    from `low` to `high` are open.
-    """
+    """Opening of a lens cut by rims, from `low` to `high` px around a source, or its part that `hole` covers."""
 
     def __init__(
         self, radius: Array, shape: Array, rims: Sequence[Circle], borders: Borders | None = None,
@@ -168,9 +165,7 @@ class _Opening:
             yield v, np.where(flat, (end - start) * even, steep) * (straddles if second else 1.0)
 
     def is_flat(self, column: Array) -> NDArray[np.bool_]:
-        """True if all chords from `column` to 1 px right of it begin on the same border and end on the same border,
-        away from the ends of the opening.
-        """
+        """True if all chords within 1 px right of `column` begin on one border, and end on one, away from the ends."""
         flat = (column - self.low >= FLAT) & (self.high - column - 1.0 >= FLAT)
         if len(self.circles) + len(self.edges) == 1:
             return np.asarray(flat)

@@ -44,8 +44,7 @@ def _difference(point: Array, valid: NDArray[np.bool_], axis: int) -> Array:
 def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
     """Unit normals (rows, columns, 3) of a depth map in mm, towards the lens; 0 without a surface (depth +inf).
 
-    Of the two neighbors on an axis, the one whose depth differs less is used, so that differences are not across a
-    depth discontinuity.
+    Of two neighbors on an axis, the one whose depth differs less is used: differences cross no depth discontinuity.
     """
     point, valid = _points(camera, depth), np.isfinite(depth)
     right, down = (_difference(point, valid, axis) for axis in (1, 0))
@@ -81,8 +80,8 @@ class MapPoints:
 
 
 def map_flow(points: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
-    """Optical flow (rows, columns, 2) of the visible surface to the poses `then`, relative to `camera`: px, right and
-    down; 0 without a surface, and if the point moves behind the lens.
+    """Optical flow (rows, columns, 2) to poses `then`, relative to `camera`: px, right and down; 0 without a surface,
+    and if the point moves behind the lens.
     """
     point, step, ratio = points.points, ray_step(camera), ray_step(points.camera) / ray_step(camera)
     flow = np.zeros((*points.depth.shape, 2))

@@ -123,8 +123,7 @@ def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, An
 def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
     """Ends (count + 1,) of the intervals of an exposure.
 
-    span: its beginning and end; jumps: inside it, increasing, fewer than `count`. Intervals between two jumps are
-    equal; longer pieces have more.
+    jumps: inside `span`, increasing, fewer than `count`; intervals between two are equal, and longer pieces have more.
     """
     if not jumps.size:
         return np.linspace(*span, count + 1)

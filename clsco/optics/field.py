@@ -1,7 +1,6 @@
 """Wavefront errors that depend on the position in the frame: Seidel's terms (float64, pure).
 
-PSF weights are tabulated at the nodes of a grid over the frame; those of a source are blended from the four nodes
-around it.
+PSF weights are tabulated at the nodes of a grid over the frame; a source blends those of the four nodes around it.
 """
 
 from __future__ import annotations

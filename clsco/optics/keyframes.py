@@ -4,8 +4,7 @@ Between two keys a path is a polynomial of degree 3 or less. Orientations are un
 q(t) = q_0 exp(c_1(t) w_1) ... exp(c_n(t) w_n) with the rotation vectors w_k = log(q_(k-1)^-1 q_k), where c_k is the
 path through the numbers 0 at keys before key k and 1 from key k on (Kim, Kim and Shin, "A general construction scheme
 for unit quaternion curves with simple high order derivatives", SIGGRAPH 1995). With linear paths this is spherical
-linear interpolation; with cubics and B-splines it is as smooth as the path of positions, and passes through the same
-keys.
+linear interpolation; with cubics and B-splines it is as smooth as the path of positions, through the same keys.
 """
 
 from __future__ import annotations
@@ -128,8 +127,7 @@ def orientations_through(
 
     angles: rotation of each key, deg, as Euler angles or as a rotation vector; other arguments as for `path_through`. A
     quaternion and its negative are one orientation, so from one key to the next the path turns by at most 180 deg; a
-    turn of exactly 180 deg is positive about the axis whose largest component is positive (right, up and towards the
-    camera).
+    turn of exactly 180 deg is positive about the axis whose largest component is positive (right, up, to the camera).
     """
     keys = [_quaternion(key_angles, rotation) for key_angles in angles]
     turns = [_logarithm(_product((a[0], -a[1], -a[2], -a[3]), b)) for a, b in pairwise(keys)]

@@ -66,9 +66,7 @@ class Lens:
         return np.asarray(by_field + self.sphere / np.sqrt(1.0 + squared_slope))
 
     def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
-        """The lens for rays of slopes x and y; with distortion, `blur_scale` is an array with the local scale of the
-        image.
-        """
+        """The lens for rays of slopes x and y; with distortion, `blur_scale` is an array with the local scale."""
         if self.distortion is None:
             return self
         return replace(self, blur_scale=cast(float, self.blur_scale * self.distortion.stretch(x, y)))

@@ -32,8 +32,7 @@ def camera_at(scene: Scene, time: float) -> Camera:
 
     With a zoom, the image scale s0 is proportional to the focal length; but if the scene does not give s0, it is the
     sensor distance, which focusing changes as well. Focus distance and f-number without keyframes stay constant: a zoom
-    changes sensor distance and aperture. Raises SceneError if the path between keyframes has values that no lens can
-    have.
+    changes sensor distance and aperture. Raises SceneError if a path between keyframes has values of no lens.
     """
     if scene.lens is None or not scene.lens.moves:
         return reference_camera(scene)
@@ -83,8 +82,7 @@ def lens_at(scene: Scene, time: float, color: int | None = None) -> Lens:
 def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
     """The lenses of red, green and blue if they differ, else one for all colors, on the rays of the camera; time in s.
 
-    A color with another magnification shows the same surface at another position, and its blur radius is proportional
-    to the magnification.
+    A color with another magnification shows a surface at another position, with a proportional blur radius.
     """
     camera, lens = camera_at(scene, time), scene.lens
     if lens is None or not scene.separates_colors:

@@ -88,9 +88,7 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
 
 
 def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
-    """Keyframe with the pose of a motion at a time in s, to 1e-9 mm and deg; angles about one axis keep their whole
-    turns.
-    """
+    """Keyframe with the pose of a motion at a time in s, to 1e-9 mm and deg; angles about one axis keep whole turns."""
     if motion.keyframe is None:
         angles = _displacement(motion.angular_velocity, motion.angular_acceleration, time).tolist()
         shift = _displacement(motion.velocity, motion.acceleration, time)

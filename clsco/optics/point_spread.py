@@ -83,9 +83,7 @@ class PointSpread:
         return "general" if self.signed else "symmetric"
 
     def between(self, lowest: float, highest: float) -> PointSpread:
-        """The PSF of sources with signed blur radii from `lowest` to `highest` px, rounded to powers of 2 so that a few
-        tables serve all ranges.
-        """
+        """The PSF for signed radii from `lowest` to `highest` px, rounded to powers of 2 for fewer tables."""
         if not (self.diffracted and self.layout == "general"):
             return self
         sizes = -lowest if lowest < 0.0 else -1.0, highest if highest >= 0.0 else -1.0
@@ -192,12 +190,11 @@ class PointSpread:
         return reaches.astype(np.int64)
 
     def weights(self, dx: Array, dy: Array, radius: Array) -> Array:
-        """Fraction of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; the arrays
-        broadcast.
+        """Fraction of a source's light at integer offsets (dx, dy) px for a blur radius in px; the arrays broadcast.
 
         Sums to 1 within 1e-12, or to `Wavefront.grown` in a field. The sign of the radius matters if the PSF is
-        `signed`. Equations are (2.26) for a pillbox, and (2.27) for a Gaussian. At radius 0, all light stays in its
-        pixel, unless `diffracted`.
+        `signed`. Equations are (2.26) for a pillbox, (2.27) for a Gaussian. At radius 0, all light stays, unless
+        `diffracted`.
         """
         tent = self.edge == "integrated"
         if self.signed or self.diffracted:
@@ -235,8 +232,7 @@ class PointSpread:
     def lens_cells(self) -> Array:
         """Light through the cells (2 LENS_CELLS, 2 LENS_CELLS) of a square around the lens, up to a factor.
 
-        Cells are oriented as in the image for a positive blur radius; a negative one mirrors them if the PSF is
-        `signed`.
+        Cells are oriented as in the image of a positive blur radius; a negative one mirrors them if `signed`.
         """
         return self.pupil.cells(LENS_CELLS)
 

@@ -1,6 +1,4 @@
-"""Blocks of PSF tables, which always have the same intervals, so that a weight has the same bits in all (float64,
-pure).
-"""
+"""Blocks of PSF tables, always of the same intervals, so that a weight has the same bits in all (float64, pure)."""
 
 from __future__ import annotations
 
@@ -44,8 +42,7 @@ class WeightBlock:
 
 
 def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock:
-    """The block that begins at interval `first`, a multiple of `block_intervals`; subpixel: sources per axis of a
-    pixel, or 0.
+    """The block that begins at interval `first`, a multiple of `block_intervals`; subpixel: sources per axis, or 0.
 
     Weights at the radii of NODES determine a cubic in the position within an interval. A sampled disc has no blocks.
     """

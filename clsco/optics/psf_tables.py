@@ -179,9 +179,7 @@ def narrow_table(table: PsfTable, psf: PointSpread, smallest: float, largest: fl
 def table_of(
     psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = weight_block, join: Join = np.concatenate
 ) -> PsfTable:  # fmt: skip
-    """The table of a range of intervals, rounded to whole TAP_LANES; see `psf_table`. join: concatenates the
-    coefficients, most of a table.
-    """
+    """The table of a range of intervals, in whole TAP_LANES, see `psf_table`; join: concatenates coefficients."""
     if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
@@ -293,9 +291,7 @@ def _window_sides(widths: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _windows(parts: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Coefficients by tap of each window of intervals of a general shape, and outlines followed by the starts of
-    windows, see `PsfTable`.
-    """
+    """Coefficients by tap of windows of a general shape, and outlines followed by starts of windows, see `PsfTable`."""
     widths = np.concatenate([block.widths for block in parts]).astype(np.int64)
     sides, outlines = _window_sides(widths), _join_outlines(parts, has_runs=True)
     places = np.concatenate([[0], np.cumsum(sides * sides + 1)])

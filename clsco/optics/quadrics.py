@@ -30,8 +30,7 @@ class Canonical:
     """A shape in its canonical frame X = axes (X_object - origin): sum q_i X_i^2 + 2 sum l_i X_i = k.
 
     axes: rows are the canonical axes in the object's frame. origin: mm. nappe: sign that the third canonical coordinate
-    must have, 0 for either. radius: in mm, of the disc about the third axis to which a plane is cut; infinite if it is
-    not cut.
+    must have, 0 for either. radius: in mm, of the disc about the third axis to which a plane is cut, or infinite.
     """
 
     q: Vector
@@ -118,8 +117,7 @@ def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Cano
 def canonical(item: Object) -> Canonical:
     """Canonical form of an analytic shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39); lengths in mm.
 
-    Coefficients are scaled to the size of the shape if their scale is free, so that sizes from 1e-6 to 1e9 mm stay in
-    the range of float32.
+    Coefficients of free scale are scaled to the shape, so that sizes from 1e-6 to 1e9 mm stay in the range of float32.
     """
     still, zero, flat = np.eye(3), np.zeros(3), np.array([0.0, 0.0, 0.5])
     if isinstance(item, Plane):

@@ -150,9 +150,7 @@ def _pitch(half_width: int) -> int:
 
 
 def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int, bent: bool) -> tuple[float, Array]:
-    """Scale of a blur, and planes (planes, rows, columns) of means for square sources: each ray lights four pixels;
-    bent: True for two sheets.
-    """
+    """Scale of a blur, and planes (planes, rows, columns) of means for square sources: a ray lights four pixels."""
     from clsco.optics.pupils.traced import bends, lens_points
 
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope

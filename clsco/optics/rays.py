@@ -13,9 +13,7 @@ Array = NDArray[np.float64]
 
 
 def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array, Array]:
-    """Slopes X / Z right and Y / Z up of rays through pixels (3.1, 3.2), which may be fractional and outside of the
-    frame.
-    """
+    """Slopes X / Z right and Y / Z up of rays through pixels (3.1, 3.2), also fractional ones and beyond the frame."""
     columns, rows = camera.frame_size
     return slopes_at(camera, np.asarray(column) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.asarray(row))
 

@@ -105,8 +105,7 @@ def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Recta
     """Rectangles for a quadrant of a disc with a constant weight in its middle, chosen to minimize time.
 
     same: mask of pixels with that weight; half: mask of pixels with at least half of it. Rectangles may cover `half`,
-    because runs that subtract the excess are needed anyway. The optimum is a shortest path over the rows where a
-    rectangle ends.
+    because runs that subtract the excess are needed anyway. The optimum is a shortest path over rows of their ends.
     """
     filled, allowed = same.sum(axis=1), half.sum(axis=1)
     count = int((allowed > 0).sum())

@@ -100,9 +100,7 @@ def cut_parts(
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
-    """Mapping of a texture of `columns` x `rows` texels, or of each side of a cube map, onto an object with a mapping
-    other than "projected".
-    """
+    """Map of a texture, or of each side of a cube map, of `columns` x `rows` texels; not for "projected"."""
     kind = KINDS[item.mapped]
     per_unit, middle = _texels(item, kind, columns, rows)
     angle = radians(item.texture_angle or 0.0)

@@ -37,9 +37,7 @@ def check_waves(psf: PointSpread, largest: float) -> None:
 
 @lru_cache(maxsize=64)
 def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
-    """Largest fraction of a point's light that is cut off, for |blur radii| from smallest to largest px; 0 without
-    waves.
-    """
+    """Largest fraction of light that waves cut off for |blur radii| from smallest to largest px; 0 for other PSFs."""
     pupils = [place.pupil for place in (*psf.places[:1], psf)]  # of a field in a corner, and on the axis
     fractions = (
         pupil.left_out(r) for pupil in pupils if isinstance(pupil, Diffracted) for r in {smallest, largest, -largest}

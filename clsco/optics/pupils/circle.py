@@ -61,7 +61,7 @@ def _ramp_pieces(b: Array, level: Array, sign: float, tent: bool) -> tuple[Array
 def disc_coverage(dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
     """Integral over a disc at the origin of the response of a pixel at (dx, dy), in px^2.
 
-    dx, dy and radius, above 0, are in px and broadcast. tent=False: response of a unit square (area of the disc in the
+    dx, dy and radius > 0 are in px and broadcast. tent=False: response of a unit square (area of the disc in the
     pixel); tent=True: of the square convolved with itself (a square source and a square detector). Closed form: along
     each chord the response integrates to a quadratic in the chord's half-length h = sqrt(R^2 - x^2); the integrals over
     x of 1, h, h^2 and x times these are elementary between breakpoints. Accurate to 1e-10; the sum over integer offsets

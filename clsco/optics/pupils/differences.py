@@ -51,11 +51,10 @@ class Asymmetric(Pupil):
 
 
 def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Fraction of the light in pixels at (dx, dy) px, see `Pupil.share`, from a function `share` that is accurate for
-    radii that are not small.
+    """Fraction of the light in pixels, see `Pupil.share`, from a function `share` for radii that are not small.
 
-    With `tent`, offsets are integers; otherwise, pixel edges are SMALL_POINT px or more from the source, or the radius
-    is not smaller than that.
+    With `tent`, offsets are integers; else, the radius or the distance of the source from pixel edges is SMALL_POINT or
+    more.
     """
     dx, dy, radius = (np.asarray(v, np.float64) for v in np.broadcast_arrays(dx, dy, radius))
     at, part = _hold(radius, tent)

@@ -86,12 +86,11 @@ def round_light(radii: Array, unit: float, inner: float, path: Path, width: floa
 
 @lru_cache(maxsize=2**15)
 def pixel_rings(a: float, b: float, tent: bool, width: float) -> tuple[int, Array]:
-    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and the pixel's fractions of that ring and of the
-    following ones.
+    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and fractions of it and the following ones in the
+    pixel.
 
-    tent: True for a square source instead of a point, see `clsco.optics.pupils.pupil.Pupil.share`. Constant light
-    within rings causes an error quadratic in their width; the fractions include Richardson's extrapolation from rings
-    twice as wide.
+    tent: True for a square source instead of a point. Constant light within rings causes an error quadratic in their
+    width; the fractions include Richardson's extrapolation from rings twice as wide.
     """
     half = 1.0 if tent else 0.5
     first = int(np.hypot(max(a - half, 0.0), max(b - half, 0.0)) / width) // 2 * 2

@@ -15,8 +15,8 @@ from clsco.optics.pupils.pupil import Array, Pupil
 
 @dataclass(frozen=True)
 class Gaussian(Pupil):
-    """Gaussian of standard deviation `sigma` lens radii, cut off at `cut` sigma along each axis, or at a circle if
-    `round`.
+    """Gaussian of standard deviation `sigma` lens radii, cut off at `cut` sigma along axes, or, if `round`, in a
+    circle.
     """
 
     sigma: float

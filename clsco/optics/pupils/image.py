@@ -78,12 +78,10 @@ class Image(Asymmetric):
 
 
 def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> Image:
-    """Pupil from a picture (n, n), whose inscribed circle is the edge of the lens: scaled to a largest transmission of
-    1; 0 outside of the circle.
+    """Pupil from a picture (n, n) whose inscribed circle is the edge of the lens, with a largest transmission of 1.
 
     picture: transmission, not negative and positive somewhere in the circle, oriented as the blur of a far light, row 0
-    on top; n at most MOST_CELLS. rotation: before the squeeze, deg, counter-clockwise. squeeze: height over width of
-    the blur.
+    on top; n at most MOST_CELLS. rotation: before the squeeze, deg, counter-clockwise.
     """
     picture, count = turned(picture, rotation), len(picture)
     at = np.arange(float(count)) + 0.5 - 0.5 * count

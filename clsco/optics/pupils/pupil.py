@@ -20,8 +20,7 @@ class Borders:
 
     columns: x of the opening's ends and corners from left to right, in aperture radii. edges: straight ones, as
     `Pupil.edges`. circles: (x, y, radius) inside which light passes; holes: circles that cover parts of the opening,
-    which do not overlap; x of both is before the squeeze, `squeeze` times that of `columns`. squeeze: height over width
-    of the blur.
+    which do not overlap; x of both is before the squeeze, `squeeze` times that of `columns`.
     """
 
     columns: tuple[float, ...] = (-1.0, 1.0)

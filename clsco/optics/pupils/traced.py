@@ -146,10 +146,9 @@ def ends(at: Array, width: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=256)
 def response(parts: int, place: float, tent: bool) -> Array:
-    """Fraction of the light in cells around a pixel that the pixel receives along an axis, from a source at `place` in
-    its own pixel.
+    """Fraction of the light in cells that a pixel receives along an axis, from a source at `place` in its own pixel.
 
-    parts: cells per px; tent: True for a square source instead of a point.
+    parts: cells per px; tent: see `Pupil.share`.
     """
     beside = parts + parts // 2 + 2
     at = np.arange(-beside, beside + 1.0) / parts + place

@@ -135,8 +135,7 @@ def zernike(n: int, m: int, x: Array, y: Array) -> Array:
     """Zernike polynomial in the standard of OSA and ANSI Z80.28, with rms 1 over the unit circle.
 
     n: radial order; m: angular frequency, |m| <= n and n - m even: cosines if positive, sines if negative. Angles are
-    counter-clockwise from the right, in the image of a far light. x, y: lens points, in radii, right and down; they
-    broadcast.
+    counter-clockwise from the right, in the image of a far light. x, y: lens points, right and down.
     """
     order, square = abs(m), x * x + y * y
     radial: Array | float = 0.0
