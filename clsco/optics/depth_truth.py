@@ -18,6 +18,7 @@ from clsco.scene.model import Camera, Object
 SAME_SURFACE = 1.02
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
@@ -28,7 +29,7 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
     return np.asarray(rays * np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)[..., None])
 
 
-def _difference(point: Array, valid: NDArray[np.bool_], axis: int) -> Array:
+def _difference(point: Array, valid: Mask, axis: int) -> Array:
     """Step along an axis between a pixel's point and the neighbor whose depth differs less; 0 without a neighbor."""
     step = np.diff(point, axis=axis)
     both_valid = np.logical_and(*(np.delete(valid, end, axis=axis) for end in (0, -1)))
@@ -99,7 +100,7 @@ def map_flow(points: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
 
 def map_stereo(
     points: MapPoints, poses: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye
-) -> tuple[Floats, NDArray[np.bool_]]:
+) -> tuple[Floats, Mask]:
     """Disparity (x in the left view minus x in the right view, px) and occlusion (by `map_occluded`) of the view `eye`.
 
     poses: relative to the other view; opposite: its depth, mm.
@@ -109,9 +110,7 @@ def map_stereo(
     return (flow[..., 0] * (1.0 if eye == "right" else -1.0)).astype(np.float32), occluded
 
 
-def map_occluded(
-    points: MapPoints, camera: Camera, poses: Sequence[Pose], opposite: NDArray[np.floating]
-) -> NDArray[np.bool_]:
+def map_occluded(points: MapPoints, camera: Camera, poses: Sequence[Pose], opposite: NDArray[np.floating]) -> Mask:
     """Mask of points that are not visible in other poses, such as those of the next frame.
 
     True where a surface at the point's position is nearer by more than the factor SAME_SURFACE, or the position is

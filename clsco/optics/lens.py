@@ -12,6 +12,7 @@ from clsco.optics.distortion import Distortion, distortion_of
 from clsco.scene.lens import Lens as Aberrations
 from clsco.scene.model import Camera
 
+Array = NDArray[np.float64]
 LARGEST_BLUR = 512.0  # px; a source beyond it spreads over a million pixels
 SHARP = 0.5  # px, |R| up to which a point counts as in focus
 
@@ -59,31 +60,26 @@ class Lens:
         """True if the surface in focus is not a plane."""
         return self.sag != 0.0 or self.sphere != 0.0
 
-    def focus_rise(self, squared_slope: NDArray[np.float64]) -> NDArray[np.float64]:
+    def focus_rise(self, squared_slope: Array) -> Array:
         """Derivative (dK/dt) / t of the inverse depth K in focus on rays of slope t, 1/mm; squared_slope: t^2."""
         bend = 1.0 + self.sag * squared_slope
         by_field = 2.0 * self.detector_power * self.sag / (bend * bend)
         return np.asarray(by_field + self.sphere / np.sqrt(1.0 + squared_slope))
 
-    def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
+    def along(self, x: Array | float, y: Array | float) -> Self:
         """The lens for rays of slopes x and y; with distortion, `blur_scale` is an array with the local scale."""
         if self.distortion is None:
             return self
         return replace(self, blur_scale=cast(float, self.blur_scale * self.distortion.stretch(x, y)))
 
-    def image_radius(
-        self, inverse_depth: NDArray[np.float64] | float, x: NDArray[np.float64] | float,
-        y: NDArray[np.float64] | float,
-    ) -> NDArray[np.float64]:  # fmt: skip
+    def image_radius(self, inverse_depth: Array | float, x: Array | float, y: Array | float) -> Array:
         """Signed blur radius in px for inverse depths in 1/mm on rays of slopes x and y, which broadcast; with
         distortion, the radius of the disc of the same area.
         """
         squared = np.asarray(x) ** 2 + np.asarray(y) ** 2 if self.is_curved else 0.0
         return self.along(x, y).blur_radius(inverse_depth, squared)
 
-    def blur_radius(
-        self, inverse_depth: NDArray[np.float64] | float, squared_slope: NDArray[np.float64] | float = 0.0
-    ) -> NDArray[np.float64]:
+    def blur_radius(self, inverse_depth: Array | float, squared_slope: Array | float = 0.0) -> Array:
         """Signed blur radius R = kappa (K - w) in px of inverse depths w = 1/Z in 1/mm (2.33): positive behind the
         surface that is in focus, negative in front of it.
 
@@ -103,7 +99,7 @@ class Lens:
         return np.asarray(self.blur_scale * power)
 
 
-def blur_radius(camera: Camera, inverse_depth: NDArray[np.float64] | float) -> NDArray[np.float64]:
+def blur_radius(camera: Camera, inverse_depth: Array | float) -> Array:
     """Signed blur radius in px of inverse depths in 1/mm by a thin lens, as by `Lens.blur_radius`."""
     return Lens.of(camera).blur_radius(inverse_depth)
 

@@ -18,6 +18,7 @@ from clsco.scene.quantities import Vector
 from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
 
+Array = NDArray[np.float64]
 Eye = Literal["left", "right"]
 # The thesis turns an object in a frame whose z axis points towards the camera (2.13).
 TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])
@@ -29,8 +30,8 @@ EPSILON = float(np.finfo(np.float64).eps)
 class Pose:
     """Pose of an object at one time, in the camera frame: P = center + shift + rotation (P0 - center); shift in mm."""
 
-    rotation: NDArray[np.float64]
-    shift: NDArray[np.float64]
+    rotation: Array
+    shift: Array
 
 
 UNTURNED, UNMOVED = np.eye(3), np.zeros(3)
@@ -38,7 +39,7 @@ UNTURNED.flags.writeable = UNMOVED.flags.writeable = False
 AT_REST = Pose(UNTURNED, UNMOVED)
 
 
-def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
+def rotation_matrix(angles: Array, rotation: str) -> Array:
     """Rotation matrix (3, 3) of three angles in rad, in the object's frame.
 
     "euler": the matrix of 2.14 to 2.23. "axis": a rotation by |angles| about the vector `angles` (Rodrigues), in the
@@ -62,7 +63,7 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
     )
 
 
-def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sine_cosine(angles: Array) -> tuple[Array, Array]:
     """Sines and cosines, exact for quarter turns: pi/2 in float64 is slightly off and would tilt a plane."""
     sines, cosines = np.sin(angles), np.cos(angles)
     return sines * (np.abs(sines) >= EPSILON) + 0.0, cosines * (np.abs(cosines) >= EPSILON) + 0.0  # no -0.0
@@ -100,7 +101,7 @@ def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
     return Keyframe(time=time, position=(x, y, z), rotation=(a, b, c))
 
 
-def _camera_rotation(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
+def _camera_rotation(degrees: Array, rotation: str) -> Array:
     """Rotation matrix (3, 3) for angles in deg, in the axes of the camera."""
     if not degrees.any():
         return UNTURNED
@@ -112,7 +113,7 @@ def _camera_rotation(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.
     return np.asarray(TOWARDS_CAMERA @ rotation_matrix(angles, rotation) @ TOWARDS_CAMERA)
 
 
-def _displacement(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
+def _displacement(speed: Vector, gain: Vector | None, time: float) -> Array:
     """Displacement (3,) v t + a t^2 / 2; speed: v; gain: acceleration a, None for 0."""
     displacement = np.asarray(speed, dtype=np.float64) * time
     return displacement if gain is None else displacement + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
@@ -132,12 +133,12 @@ def _track(motion: ObjectMotion, rotation: str) -> tuple[Path, Path | Orientatio
     return shifts, orientations_through(times, angles, rotation, interpolation, outside)
 
 
-def rest_center(item: Object) -> NDArray[np.float64]:
+def rest_center(item: Object) -> Array:
     """Center of rotation (3,) of an object in its reference pose, mm."""
     return np.asarray(origin(item), dtype=np.float64)
 
 
-def static_rotation(item: Object) -> NDArray[np.float64]:
+def static_rotation(item: Object) -> Array:
     """Matrix R0 (3, 3) from an object's own frame to the camera's axes in its reference pose.
 
     In a `Pose`, a point p of the object's own frame is at center + shift + rotation R0 p. R0 is exactly orthonormal for
@@ -172,8 +173,7 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
     place in its part, and the phase in turns, are 2^-53 (n >> 11), with n from `numpy.random.Philox(key=seed)` (Salmon
     et al., 2011), component by component and sine by sine. The path's bits depend only on seed and time.
     """
-    turns, shifts = shake.rotation_rms, shake.translation_rms
-    amplitudes = [radians(turns)] * 3 + [shifts] * 3
+    amplitudes = [radians(shake.rotation_rms)] * 3 + [shake.translation_rms] * 3
     waves = _shake_waves(shake.seed, shake.band)
     sums = [fsum(sin(2.0 * pi * ((f * time + phase) % 1.0)) for f, phase in sines) for sines in waves]
     scale = sqrt(2.0 / (3 * SHAKE_SINES))  # of a sine: three components together have an rms of 1
@@ -213,22 +213,20 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
     return tuple(poses)
 
 
-def moved_points(
-    points: NDArray[np.float64], center: NDArray[np.float64], before: Pose, after: Pose
-) -> NDArray[np.float64]:
+def moved_points(points: Array, center: Array, before: Pose, after: Pose) -> Array:
     """Points (..., 3) in mm of a rigid object, moved from one pose to another; center: see `rest_center`."""
     body = (points - center - before.shift) @ before.rotation  # turned back
     return np.asarray(center + after.shift + body @ after.rotation.T)
 
 
-def _group_pose(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[np.float64]]:
+def _group_pose(scene: Scene, group: Group, time: float) -> tuple[Pose, Array]:
     """Pose of a group, and its center of rotation (3,), mm."""
     members = [item for item in scene.objects if item.group == group.name]
     origin = np.asarray(group_origin(group, members)) if members else np.zeros(3)
     return pose_at(group.motion, time, scene.motion.rotation), origin
 
 
-def _compose(pose: Pose, center: NDArray[np.float64], group: Pose, origin: NDArray[np.float64]) -> Pose:
+def _compose(pose: Pose, center: Array, group: Pose, origin: Array) -> Pose:
     """Pose of an object that moves within a group: first its own pose moves P0 to P1, then the group's pose moves P1 to
     P = origin + shift + rotation (P1 - origin).
     """

@@ -14,6 +14,7 @@ from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths, octant_taps, row_lanes, table_radius
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 OUTLINE, OUTLINE_RUN = 2, 4  # lengths of the last axis of outlines, without and with a run of equal weights
 SAME = 1e-9  # relative difference of weights that count as equal: those of wide blurs are exact to 1e-10
 RUN = 16  # largest number of intervals of one half-width whose weights are computed at once
@@ -30,9 +31,9 @@ class WeightBlock:
     """
 
     widths: NDArray[np.int32]
-    coefficients: NDArray[np.float32]
-    negative: NDArray[np.float32]
-    taps: NDArray[np.float32]
+    coefficients: Floats
+    negative: Floats
+    taps: Floats
     outlines: NDArray[np.int32]
 
     @property
@@ -56,7 +57,7 @@ def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock
 
 def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
     fine, hollow, widths = subpixel > 0, int(psf.pupil.hollow), half_widths(psf, span, subpixel > 0)
-    reach, coefficients = int(widths[-1]), list[NDArray[np.float32]]()
+    reach, coefficients = int(widths[-1]), list[Floats]()
     taps = np.zeros((0 if fine else octant_taps(reach) + hollow, POWERS, len(span)), np.float32)
     outlines = np.zeros((0 if fine else len(span), reach + 1, OUTLINE_RUN if hollow else OUTLINE), np.int32)
     outlines[..., 1] = -1
@@ -86,7 +87,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     """
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
-    coefficients: tuple[list[NDArray[np.float32]], ...] = ([], [])
+    coefficients: tuple[list[Floats], ...] = ([], [])
     widths = half_widths(psf, span, fine).astype(np.int32)
     reach, by_columns = int(widths[-1]), psf.has_runs and not fine
     outlines = np.zeros((len(span) if by_columns else 0, 2 * reach + 1, OUTLINE_RUN), np.int32)
@@ -114,7 +115,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
 
 def _separable(psf: PointSpread, span: range) -> WeightBlock:
     """Block of a Gaussian, for one of its axes."""
-    widths, rows = half_widths(psf, span, False), list[NDArray[np.float32]]()
+    widths, rows = half_widths(psf, span, False), list[Floats]()
     sides = np.zeros((int(widths[-1]) + 1, POWERS, len(span)), np.float32)
     for number, radii, half_width in _runs(psf, span, False):
         offsets = np.arange(-half_width, half_width + 1.0)
@@ -128,7 +129,7 @@ def _separable(psf: PointSpread, span: range) -> WeightBlock:
     return WeightBlock(widths.astype(np.int32), np.concatenate(rows), _none(), sides, outlines)
 
 
-def _none() -> NDArray[np.float32]:
+def _none() -> Floats:
     return np.zeros(0, np.float32)
 
 
@@ -143,7 +144,7 @@ def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, 
         first = end
 
 
-def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
+def _cubics(values: Array, half_width: int) -> Iterator[Floats]:
     """Coefficients (rows, POWERS, lanes) of each interval, from values (nodes of all intervals, rows, dx)."""
     count = len(values) // len(NODES)
     coefficients = np.tensordot(values.reshape(count, len(NODES), *values.shape[1:]), TO_POWERS, axes=(1, 1))
@@ -153,7 +154,7 @@ def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
         yield block
 
 
-def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
+def _outline(block: Floats) -> NDArray[np.int32]:
     """Outline of an interval's weights, and of the part where they are all equal: int32 (half-width + 1, 2).
 
     block: coefficients (|dy|, powers, |dx|). For the column |dx| = n: the first |dy| at which the weight differs from
@@ -191,7 +192,7 @@ def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int
     return np.concatenate([ends, run], axis=1).astype(np.int32)
 
 
-def _ring_outline(block: NDArray[np.float32], is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _ring_outline(block: Floats, is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Outline of an interval's weights for a ring: int32 (half-width + 1, 4).
 
     block: coefficients (|dy|, powers, |dx|); is_open (|dy|, |dx|). For the column |dx| = n: the first and the last |dy|

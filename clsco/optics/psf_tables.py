@@ -26,11 +26,12 @@ from clsco.optics.psf_grid import (
 )
 from clsco.optics.ray_means import has_ray_means, ray_floats
 
+Floats = NDArray[np.float32]
 LARGEST_TABLES = 2**30  # bytes
 SHARED_BYTES = 2**26  # up to which a table is rounded to whole blocks, so that other ranges share it
 Blocks = Callable[[PointSpread, int, int], WeightBlock]
 """Function like `weight_block`: takes a PSF, the first interval and sub-pixel sources per axis; returns the block."""
-Join = Callable[[list[NDArray[np.float32]]], NDArray[np.float32]]
+Join = Callable[[list[Floats]], Floats]
 """Function that concatenates arrays."""
 
 
@@ -68,10 +69,10 @@ class PsfTable:
     low: int
     end: int
     intervals: NDArray[np.int32]
-    coefficients: NDArray[np.float32]
+    coefficients: Floats
     reach: int
     count: int
-    taps: NDArray[np.float32]
+    taps: Floats
     outlines: NDArray[np.int32]
     stride: int = 0
     place: Hashable = None
@@ -126,10 +127,8 @@ def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes:
 
     silhouettes: sub-pixel sources per axis, 0 for none; occluded: True to include ray means (`clsco.optics.ray_means`).
     """
-    size = table_bytes(psf, smallest, largest)
-    size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     means = 4 * ray_floats(psf, largest) if occluded and has_ray_means(psf) else 0
-    size += means
+    size = sum(table_bytes(psf, smallest, largest, subpixel) for subpixel in {0, silhouettes}) + means
     if size > LARGEST_TABLES:
         from clsco.optics.pupils.traced import Traced
 
@@ -185,13 +184,7 @@ def table_of(
     size = block_intervals(psf, subpixel > 0)
     starts = range(span.start // size * size, span.stop, size)
     # Block by block: positions of a field that mirror each other share weights, which stay cached for a short time.
-    by_start = [
-        [
-            _part(place, blocks(_of_block(place, start, subpixel), start, subpixel), start, span, subpixel)
-            for place in psf.places
-        ]
-        for start in starts
-    ]
+    by_start = [[_part(place, blocks, start, span, subpixel) for place in psf.places] for start in starts]
     parts = [of_places[0] for of_places in by_start]
     by_place = [
         [*(b.coefficients for b in blocks), *(b.negative for b in blocks)] for blocks in zip(*by_start, strict=True)
@@ -239,8 +232,9 @@ def _intervals(psf: PointSpread, widths: NDArray[np.int32], span: range, subpixe
     return np.concatenate([part[np.minimum(np.arange(len(widths)), len(part) - 1)] for part in signs])
 
 
-def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixel: int) -> WeightBlock:
-    """The intervals of a block that are in a span; start: first interval of the block."""
+def _part(psf: PointSpread, blocks: Blocks, start: int, span: range, subpixel: int) -> WeightBlock:
+    """The intervals in a span of the block that begins with interval `start`."""
+    block = blocks(_of_block(psf, start, subpixel), start, subpixel)
     first, end = max(span.start - start, 0), min(span.stop - start, len(block.widths))
     if (first, end) == (0, len(block.widths)):
         return block
@@ -270,7 +264,7 @@ def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -
     return row if psf.layout == "separable" else row * (widths + 1)
 
 
-def _join_taps(parts: list[WeightBlock]) -> NDArray[np.float32]:
+def _join_taps(parts: list[WeightBlock]) -> Floats:
     """Coefficients by tap, in windows of WIDE_LANES intervals every TAP_LANES, on axis 1; 0 beyond a block's taps."""
     most, count = max(len(block.taps) for block in parts), sum(block.taps.shape[2] for block in parts)
     if not count:
@@ -290,7 +284,7 @@ def _window_sides(widths: NDArray[np.int64]) -> NDArray[np.int64]:
     return 2 * widths[last].astype(np.int64) + 1
 
 
-def _windows(parts: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _windows(parts: list[WeightBlock]) -> tuple[Floats, NDArray[np.int32]]:
     """Coefficients by tap of windows of a general shape, and outlines followed by starts of windows, see `PsfTable`."""
     widths = np.concatenate([block.widths for block in parts]).astype(np.int64)
     sides, outlines = _window_sides(widths), _join_outlines(parts, has_runs=True)
@@ -313,7 +307,7 @@ def _windows(parts: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.
     return taps, np.concatenate([_share_outlines(outlines).reshape(-1, OUTLINE_RUN), heads])
 
 
-def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, Floats]]:
     """Half-width and coefficients (dx, dy, POWERS) of each interval of a general shape."""
     start = 0
     for half in block.widths.tolist():
@@ -368,7 +362,7 @@ def _disc_table(psf: PointSpread, span: range) -> PsfTable:
     )  # fmt: skip
 
 
-def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[np.float32]:
+def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> Floats:
     """Weights (2 h + 1, 2 h + 1) of a source in the middle, as a device reads them from a main table.
 
     table: for a range that includes |radius|; radius: signed blur radius, px.

@@ -18,7 +18,7 @@ from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose, rest_center, static_rotation
 from clsco.scene.model import Background, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
-Vector = NDArray[np.float64]
+Array = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
 NULL_CURVATURE = 1e-13
 # The square is completed along an axis only if this moves the origin by at most this multiple of the center's distance.
@@ -33,11 +33,11 @@ class Canonical:
     must have, 0 for either. radius: in mm, of the disc about the third axis to which a plane is cut, or infinite.
     """
 
-    q: Vector
-    l: Vector  # noqa: E741 - the name of the linear part in physics
+    q: Array
+    l: Array  # noqa: E741 - the name of the linear part in physics
     k: float
-    axes: NDArray[np.float64]
-    origin: Vector
+    axes: Array
+    origin: Array
     nappe: int = 0
     radius: float = inf
 
@@ -68,20 +68,20 @@ class PlacedSurface:
     """
 
     canonical: Canonical
-    turn: NDArray[np.float64]
-    offset: Vector
-    body_turn: NDArray[np.float64]
-    body_offset: Vector
-    own_turn: NDArray[np.float64]
-    own_offset: Vector
-    rest: Vector
+    turn: Array
+    offset: Array
+    body_turn: Array
+    body_offset: Array
+    own_turn: Array
+    own_offset: Array
+    rest: Array
     constant: float
-    ball: Vector
+    ball: Array
     extent: Extent = EVERYWHERE
     width: float = inf
 
 
-def _axes_along(axis: Vector) -> NDArray[np.float64]:
+def _axes_along(axis: Array) -> Array:
     """Right-handed orthonormal axes as rows, the third along `axis`."""
     third = axis / np.linalg.norm(axis)
     helper = np.eye(3)[int(np.argmin(np.abs(third)))]
@@ -185,7 +185,7 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
     return replace(placed, width=_width(item, placed))
 
 
-def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
+def outline_form(surface: PlacedSurface) -> Array:
     """Symmetric matrix M (3, 3) such that r M r is the discriminant of a curved surface along ray r.
 
     A ray misses if r M r < 0. The surface's outline in the image is the conic r M r = 0.
@@ -195,7 +195,7 @@ def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
     return np.asarray(np.outer(gradient, gradient) - surface.constant * square)
 
 
-def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector, Vector]:
+def outline_lines(surface: PlacedSurface, x: Array, y: Array) -> tuple[Array, Array]:
     """Approximate distances, as slopes, of rays from the midline of the two lines that outline a cylinder or a cone,
     and half of the distance between these lines.
 
@@ -232,9 +232,9 @@ def _width(item: Object, surface: PlacedSurface) -> float:
     return ball_width
 
 
-def _ball(item: Object, pose: Pose) -> Vector:
+def _ball(item: Object, pose: Pose) -> Array:
     """Value of `PlacedSurface.ball`."""
-    balls: list[tuple[Vector, float]] = []
+    balls: list[tuple[Array, float]] = []
     if isinstance(item, Sphere):
         balls.append((np.zeros(3), item.radius))
     if isinstance(item, Disc):
@@ -268,9 +268,7 @@ def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
     return float(lens.blur_radius(inverse_depth))
 
 
-def predict_inverse_depth(
-    item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def predict_inverse_depth(item: Object, surface: PlacedSurface, x: Array, y: Array) -> Array:
     """Inverse depth in 1/mm along rays (x, y, 1), 0 if a ray misses, for predictions and ground truth, not for
     rendering: the textbook formula in float64; renders use `solve_quadric`.
     """

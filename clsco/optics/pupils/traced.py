@@ -31,7 +31,6 @@ RAYS_PER_CELL, RAYS_PER_PX, FEWEST_RAYS, MOST_RAYS = 1.25, 16.0, 96, 384
 FINE_STEPS, STEPS, FINE_BELOW = 8, 4, 8.0
 SECONDS, PLACE = 3e-8, 0.07  # CPU time of a ray, and fraction of it for each position of a source in its pixel
 TOGETHER = 2**14  # rays processed at once, whose arrays fit into a processor's cache
-NO_WAVES = ((1.0, 1.0),)
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Traced(FourierDiffracted):
     NODES: ClassVar[int] = POWERS
     bends_rays = True
 
-    bands: tuple[tuple[float, float], ...] = NO_WAVES
+    bands: tuple[tuple[float, float], ...] = ((1.0, 1.0),)
 
     @property
     def name(self) -> str:
