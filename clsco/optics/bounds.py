@@ -25,26 +25,10 @@ Matrix = NDArray[np.float64]
 
 @lru_cache(maxsize=1024)
 def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> Bounds | None:
-    """Bounds that really cut a surface.
+    """Bounds that really cut a surface: infinite where the surface, cut by the others, at most touches, or None.
 
-    Parameters
-    ----------
-    rows : tuple of four tuples of four float
-        Matrix (M, L; L, K) of the surface, for coordinates in mm.
-    nappe : int
-        Sign required of the third coordinate, 0 for either.
-    bounds : tuple of three (low, high)
-        mm.
-
-    Returns
-    -------
-    tuple of three (low, high), or None
-        `bounds`, with infinity for each bound that the surface, cut by the others, at most touches; None if no bound
-        cuts.
-
-    Notes
-    -----
-    Validated against points of random surfaces, and by closed forms of spheres, cylinders, cones and paraboloids.
+    rows: matrix (M, L; L, K) of the surface, for coordinates in mm; nappe: sign required of the third coordinate, 0 for
+    either; bounds: low and high limit of each axis, mm.
     """
     size = max(abs(limit) for interval in bounds for limit in interval)
     unit = np.array([size, size, size, 1.0])

@@ -5,7 +5,6 @@ round or have `Borders` (float64, pure).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.pupil import Borders
+from clsco.optics.pupils.quadrature import pixel_integral, unit_nodes
 
 Array = NDArray[np.float64]
 Circle = tuple[Array, Array, Array]
@@ -26,55 +26,22 @@ FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
 """Numbers of chords in a column of 1 px that is flat, in one that is not, and for the area of half an opening."""
 
 
-@cache
-def chord_nodes(count: int) -> tuple[Array, Array]:
-    """Gauss-Legendre nodes and weights on 0 to 1."""
-    nodes, parts = np.polynomial.legendre.leggauss(count)
-    return 0.5 + 0.5 * nodes, 0.5 * parts
-
-
 def chord_weights(
     dx: Array, dy: Array, radius: Array, shape: Array = DISC, rims: Sequence[Circle] = (), point: bool = False,
     borders: Borders | None = None,
 ) -> Array:  # fmt: skip
-    """Weight of a square pixel at (dx, dy) px for light from a square pixel or a point, relative to all light of a
-    round lens.
+    """Weight of a pixel at (dx, dy) px for light from a square pixel or a point, relative to all light of a round lens.
 
-    Parameters
-    ----------
-    dx, dy : ndarray
-        Right and down, px; integers, except for a point source.
-    radius : ndarray
-        |R| of the disc with the area of the blur, px, above 0; with `borders`, R with its sign.
-    shape : ndarray of float64, (..., 3)
-        Quadratic form of the ellipse, see `clsco.optics.ellipses.shape_of`. All arrays broadcast.
-    rims : sequence of (x, y, radius)
-        Circles that the light must also pass: x, y of the center, right and down, and radius for a round blur, px.
-    point : bool
-        True if the source is a point instead of a square pixel.
-    borders : Borders, optional
-        Edges and circles of a lens that is not round.
+    dx, dy: right and down, integers except for a point source. radius: |R| of the disc with the area of the blur, px,
+    above 0; with `borders`, of a lens that is not round, R with its sign. shape: quadratic form (..., 3) of the ellipse
+    by `clsco.optics.ellipses.shape_of`; all arrays broadcast. rims: circles that the light must also pass: x, y of the
+    center, right and down, and radius for a round blur, px.
 
-    Returns
-    -------
-    ndarray of float64
-
-    Notes
-    -----
     The light of holes is subtracted. Without them, the part of a lens inside all rims is convex, so a column has one
     chord: from the last beginning to the first end of the chords of all borders. Along a chord, the response of both
     pixels is integrated in closed form; across chords, it is weighted by the convolution of both pixels, a tent, or for
     a point source by the detector's pixel. Sums over pixels differ from 1 by less than 3e-5; with rims, they differ
-    from the area of the opening by less than 5e-4. Validated against the integral.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.chords import chord_weights
-    >>> x = np.arange(-9.0, 10.0)
-    >>> flat = chord_weights(x, x[:, None], np.asarray(6.0), np.array([0.8, 0.0, 1.25]))
-    >>> float(flat.sum().round(3)), float((flat * x * x).sum().round(1)), float((flat.T * x * x).sum().round(1))
-    (1.0, 11.4, 7.4)
+    from the area of the opening by less than 5e-4.
     """
     total = np.zeros(np.broadcast(dx, dy, radius).shape)
     for sign, hole in _parts(borders):
@@ -90,7 +57,6 @@ def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
 def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
     """Light of a convex opening in pixels at (dx, dy), px^2."""
     total = np.zeros(np.broadcast(dx, dy, opening.low).shape)
-    below = _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
         column = dx + side
         start, end = (np.clip(at, opening.low, opening.high) for at in (column, column + 1.0))
@@ -99,7 +65,7 @@ def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
             ends = np.clip(start, low, high), np.clip(end, low, high)
             for v, parts in opening.places(*ends, flat, total.ndim):
                 beginning, ending = opening.chords(v)
-                light = below(ending - dy) - below(beginning - dy)
+                light = pixel_integral(ending - dy, not point) - pixel_integral(beginning - dy, not point)
                 across = 1.0 if point else 1.0 - np.abs(v - dx)
                 total += (parts * across * light).sum(axis=0)
     return np.asarray(total)
@@ -125,9 +91,7 @@ def _stacked(values: NDArray[Any], axes: int) -> Array:
 
 
 class _Opening:
-    """Opening of a lens cut by rims, in px around a source; with `hole`, only its part that the hole covers. Columns
-    from `low` to `high` are open.
-    """
+    """Opening of a lens cut by rims, from `low` to `high` px around a source, or its part that `hole` covers."""
 
     def __init__(
         self, radius: Array, shape: Array, rims: Sequence[Circle], borders: Borders | None = None,
@@ -187,8 +151,8 @@ class _Opening:
         """
         middle = 0.5 * (self.low + self.high)
         straddles = ~flat & (start < middle) & (middle < end)
-        places, parts = (_stacked(values, axes) for values in chord_nodes(count))
-        few = _stacked(np.pad(chord_nodes(FLAT_CHORDS)[0], (0, count - FLAT_CHORDS)), axes)
+        places, parts = (_stacked(values, axes) for values in unit_nodes(count))
+        few = _stacked(np.pad(unit_nodes(FLAT_CHORDS)[0], (0, count - FLAT_CHORDS)), axes)
         even = _stacked(np.arange(count) < FLAT_CHORDS, axes) / FLAT_CHORDS
         for second in range(2 if straddles.any() else 1):
             right = straddles if second else start >= middle
@@ -201,9 +165,7 @@ class _Opening:
             yield v, np.where(flat, (end - start) * even, steep) * (straddles if second else 1.0)
 
     def is_flat(self, column: Array) -> NDArray[np.bool_]:
-        """True if all chords from `column` to 1 px right of it begin on the same border and end on the same border,
-        away from the ends of the opening.
-        """
+        """True if all chords within 1 px right of `column` begin on one border, and end on one, away from the ends."""
         flat = (column - self.low >= FLAT) & (self.high - column - 1.0 >= FLAT)
         if len(self.circles) + len(self.edges) == 1:
             return np.asarray(flat)
@@ -213,14 +175,3 @@ class _Opening:
         for first_edges, second_edges in ((first, first_end), (last, last_end)):
             flat = flat & (first_edges.max(axis=0) < second_edges.min(axis=0))
         return np.asarray(flat)
-
-
-def _below(t: Array) -> Array:
-    """Integral of the convolution of both pixels, a tent, up to t, minus 1/2."""
-    t = np.clip(t, -1.0, 1.0)
-    return t - 0.5 * t * np.abs(t)
-
-
-def _in_pixel(t: Array) -> Array:
-    """Fraction of the detector's pixel up to t, minus 1/2."""
-    return np.clip(t, -0.5, 0.5)

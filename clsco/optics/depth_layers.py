@@ -17,11 +17,7 @@ MOST_LAYERS = 8
 
 @dataclass(frozen=True)
 class LayerBounds:
-    """Depth layers of one time sample.
-
-    bounds: first bin (`bins_of`) of each layer but the first; deep: distance in px behind an edge within which the
-    hidden surface may be visible.
-    """
+    """Depth layers of one time sample: first bin (`bins_of`) of each but the first; deep: see `depth_of_hidden`."""
 
     bounds: tuple[int, ...]
     deep: int
@@ -53,8 +49,7 @@ def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
 
 
 def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
-    """Distance in px behind an edge within which the hidden surface may be visible: the sum of the reaches of both
-    sides' blurs.
+    """Distance in px behind an edge within which the hidden surface may be visible: the reach of both sides' blurs.
 
     largest_sum: sum of the |radii| on both sides of a discontinuity, px.
     """

@@ -18,6 +18,7 @@ from clsco.scene.model import Camera, Object
 SAME_SURFACE = 1.02
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
@@ -28,36 +29,23 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
     return np.asarray(rays * np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)[..., None])
 
 
-def _difference(point: Array, valid: NDArray[np.bool_], axis: int) -> Array:
+def _difference(point: Array, valid: Mask, axis: int) -> Array:
     """Step along an axis between a pixel's point and the neighbor whose depth differs less; 0 without a neighbor."""
     step = np.diff(point, axis=axis)
     both_valid = np.logical_and(*(np.delete(valid, end, axis=axis) for end in (0, -1)))
     step = np.where(both_valid[..., None], step, np.inf)
-    edge = np.full_like(np.take(step, [0], axis=axis), np.inf) if step.shape[axis] else np.full_like(point, np.inf)
-    ahead = np.concatenate([step, edge], axis=axis) if step.shape[axis] else edge
-    behind = np.concatenate([edge, step], axis=axis) if step.shape[axis] else edge
+    ahead, behind = (
+        np.pad(step, [side if k == axis else (0, 0) for k in range(3)], constant_values=np.inf)
+        for side in ((0, 1), (1, 0))
+    )
     shorter = np.where(np.abs(ahead[..., 2:]) <= np.abs(behind[..., 2:]), ahead, behind)
     return np.where(np.isfinite(shorter), shorter, 0.0)
 
 
 def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
-    """Unit normals of a depth map by finite differences.
+    """Unit normals (rows, columns, 3) of a depth map in mm, towards the lens; 0 without a surface (depth +inf).
 
-    Parameters
-    ----------
-    camera : Camera
-    depth : ndarray of float, (rows, columns)
-        mm, +inf without a surface.
-
-    Returns
-    -------
-    ndarray of float32, (rows, columns, 3)
-        In the camera frame, towards the lens; 0 without a surface.
-
-    Notes
-    -----
-    Of the two neighbors on an axis, the one whose depth differs less is used, so that differences are not across a
-    depth discontinuity. Validated on the depths of analytic surfaces.
+    Of two neighbors on an axis, the one whose depth differs less is used: differences cross no depth discontinuity.
     """
     point, valid = _points(camera, depth), np.isfinite(depth)
     right, down = (_difference(point, valid, axis) for axis in (1, 0))
@@ -73,17 +61,7 @@ def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
 class MapPoints:
     """Surface points visible in the pixels of a depth map.
 
-    Attributes
-    ----------
-    items : sequence of Object
-    depth : ndarray of float, (rows, columns)
-        mm, +inf without a surface.
-    object_id : ndarray of int32, (rows, columns)
-        -1 without a surface.
-    camera : Camera
-        The camera of the depth map.
-    poses : sequence of Pose
-        Poses of all objects relative to it.
+    depth: mm, +inf without a surface; object_id: -1 without one; poses: of all objects, relative to the map's camera.
     """
 
     items: Sequence[Object]
@@ -103,24 +81,8 @@ class MapPoints:
 
 
 def map_flow(points: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
-    """Optical flow of the visible surface from one pose to another.
-
-    Parameters
-    ----------
-    points : MapPoints
-    camera : Camera
-        The camera at the other time.
-    then : sequence of Pose
-        Poses of all objects relative to it.
-
-    Returns
-    -------
-    ndarray of float32, (rows, columns, 2)
-        px, right and down; 0 without a surface, and if the point moves behind the lens.
-
-    Notes
-    -----
-    Validated against the flow of the surface that a depth map was made from.
+    """Optical flow (rows, columns, 2) to poses `then`, relative to `camera`: px, right and down; 0 without a surface,
+    and if the point moves behind the lens.
     """
     point, step, ratio = points.points, ray_step(camera), ray_step(points.camera) / ray_step(camera)
     flow = np.zeros((*points.depth.shape, 2))
@@ -138,50 +100,21 @@ def map_flow(points: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
 
 def map_stereo(
     points: MapPoints, poses: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Disparity and occlusion of a view, from depth.
+) -> tuple[Floats, Mask]:
+    """Disparity (x in the left view minus x in the right view, px) and occlusion (by `map_occluded`) of the view `eye`.
 
-    Parameters
-    ----------
-    points : MapPoints
-        Points of this view.
-    poses : sequence of Pose
-        Poses relative to the other view.
-    opposite : ndarray of float, (rows, columns)
-        Depth of the other view, mm.
-    eye : {"left", "right"}
-        This view.
-
-    Returns
-    -------
-    disparity : ndarray of float32, (rows, columns)
-        px: x in the left view minus x in the right view.
-    occluded : ndarray of bool, (rows, columns)
-        As by `map_occluded`.
+    poses: relative to the other view; opposite: its depth, mm.
     """
     flow = map_flow(points, points.camera, poses)
     occluded = map_occluded(points, points.camera, poses, opposite)
     return (flow[..., 0] * (1.0 if eye == "right" else -1.0)).astype(np.float32), occluded
 
 
-def map_occluded(
-    points: MapPoints, camera: Camera, poses: Sequence[Pose], opposite: NDArray[np.floating]
-) -> NDArray[np.bool_]:
-    """Mask of points that are not visible in other poses, from depth.
+def map_occluded(points: MapPoints, camera: Camera, poses: Sequence[Pose], opposite: NDArray[np.floating]) -> Mask:
+    """Mask of points that are not visible in other poses, such as those of the next frame.
 
-    Parameters
-    ----------
-    points : MapPoints
-    camera, poses
-        As for `map_flow`, such as those of the next frame.
-    opposite : ndarray of float, (rows, columns)
-        Depth in these poses, mm.
-
-    Returns
-    -------
-    ndarray of bool, (rows, columns)
-        True where a surface at the point's position is nearer by more than the factor SAME_SURFACE, or the position is
-        outside the frame.
+    True where a surface at the point's position is nearer by more than the factor SAME_SURFACE, or the position is
+    outside the frame. camera, poses: as for `map_flow`; opposite: depth in these poses, mm.
     """
     flow = map_flow(points, camera, poses)
     rows, columns = points.depth.shape

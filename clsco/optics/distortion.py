@@ -31,26 +31,10 @@ class Distortion:
 
         x_d = x q + 2 p1 x y + p2 (r^2 + 2 x^2),   y_d = y q + p1 (r^2 + 2 y^2) + 2 p2 x y.
 
-    Attributes
-    ----------
-    radial : tuple of float
-        k1, k2, k3.
-    tangential : tuple of float
-        p1, p2; p1 for y up, the negative of OpenCV's, whose y goes down.
-
-    Notes
-    -----
-    The mapping is the gradient of a potential: its Jacobian is symmetric, and has no eigenvalue below min(q, q + 2 r^2
-    dq/d(r^2)) - 6 |p| r (Weyl). The mapping is one-to-one up to the r at which this bound reaches 0. Beyond `reach`,
-    which is slightly smaller, it is continued linearly, so that points far outside of the frame stay outside.
-
-    Examples
-    --------
-    >>> from clsco.optics.distortion import Distortion
-    >>> barrel = Distortion((-0.3, 0.0, 0.0))
-    >>> x, y = barrel.image(0.5, 0.0)
-    >>> float(x), round(float(barrel.undistorted(x, y)[0]), 12)
-    (0.4625, 0.5)
+    `radial` is k1, k2, k3, `tangential` p1, p2: p1 for y up, the negative of OpenCV's, whose y goes down. The mapping
+    is the gradient of a potential: its Jacobian is symmetric, and has no eigenvalue below min(q, q + 2 r^2 dq/d(r^2)) -
+    6 |p| r (Weyl). The mapping is one-to-one up to the r at which this bound reaches 0. Beyond `reach`, which is
+    slightly smaller, it is continued linearly, so that points far outside of the frame stay outside.
     """
 
     radial: tuple[float, float, float]
@@ -109,9 +93,7 @@ class Distortion:
     def undistorted(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         """Undistorted slopes from distorted slopes x and y, which broadcast, by Newton's method that starts there.
 
-        Notes
-        -----
-        Accurate to 1e-14 within `image_reach`; beyond it, the result is a slope at `reach`. Validated against `image`.
+        Accurate to 1e-14 within `image_reach`; beyond it, the result is a slope at `reach`.
         """
         target_x, target_y = np.broadcast_arrays(*(np.asarray(slope, dtype=np.float64) for slope in (x, y)))
         at_x, at_y = target_x.copy(), target_y.copy()

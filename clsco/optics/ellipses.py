@@ -13,8 +13,7 @@ Array = NDArray[np.float64]
 def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
     """Quadratic forms q (..., 3) of blur ellipses on rays of slopes x and y: det(J) J^-2, J the distortion's Jacobian.
 
-    An offset (dx right, dy down) is inside if q0 dx^2 + 2 q1 dx dy + q2 dy^2 <= R^2, with R the radius of the disc of
-    the same area.
+    An offset (dx right, dy down) is inside if q0 dx^2 + 2 q1 dx dy + q2 dy^2 <= R^2, R the radius for the same area.
     """
     xx, xy, yy = distortion.jacobian(x, y)
     over = 1.0 / (xx * yy - xy * xy)
@@ -22,9 +21,7 @@ def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
 
 
 def across_of(shape: Array) -> Array:
-    """Symmetric matrices (..., 3), as xx, xy and yy, that map offsets in ellipses to offsets in discs of the same area:
-    square roots of the forms `shape` (..., 3).
-    """
+    """Roots of `shape` (..., 3): matrices, as xx, xy and yy, from offsets in ellipses to offsets in discs."""
     xx, xy, yy = np.moveaxis(np.asarray(shape), -1, 0)
     over = 1.0 / np.sqrt(xx + yy + 2.0)  # closed form of the root of a matrix of determinant 1
     return np.stack([(xx + 1.0) * over, xy * over, (yy + 1.0) * over], axis=-1)

@@ -29,22 +29,8 @@ AT_AN_END = 1e-9  # fraction of an exposure: a jump this near to one of its ends
 class Exposure:
     """Time samples of a frame, and the weights of their blurred images.
 
-    Attributes
-    ----------
-    times : ndarray of float64, (samples,)
-        Seconds since the reference pose.
-    weights : ndarray of float64, (samples,) or (samples, lines)
-        Weight of each time sample for the whole frame, or for each line; the weights of a line sum to 1.
-    by_columns : bool, optional
-        True if lines are columns, not rows.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.exposure import Exposure
-    >>> rolling = Exposure(np.array([0.0, 0.5]), np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]]))
-    >>> rolling.line_weights(3)[1].tolist(), rolling.is_one_image
-    ([0.0, 0.5, 1.0], False)
+    times: (samples,), s since the reference pose. weights: (samples,) for the whole frame, or (samples, lines), those
+    of a line with sum 1. by_columns: True if lines are columns, not rows.
     """
 
     times: Array
@@ -64,29 +50,9 @@ class Exposure:
 def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     """Exposure of a frame: one time sample in the reference pose if nothing moves.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with a resolution, if rows or columns are exposed one after another.
-    frame : int
-    samples : int
-        Number N of time samples while a line of the frame is exposed. "midpoint": t = (i + 1/2) T / N after the shutter
-        opens; "endpoint": t = (i + 1) T / N, as in the thesis, which displaces the image by half an interval.
-
-    Returns
-    -------
-    Exposure
-        The weight of a time sample is the integral of the shutter curve over its interval of the exposure, for each
-        line.
-
-    Examples
-    --------
-    >>> import clsco
-    >>> from clsco.optics.exposure import frame_exposure
-    >>> ball = clsco.Sphere(center=(0, 0, 280), radius=30, motion=clsco.ObjectMotion(velocity=(10, 0, 0)))
-    >>> exposure = frame_exposure(clsco.Scene(objects=(ball,)), 0, 2)
-    >>> exposure.times.tolist(), exposure.weights.tolist()
-    ([0.25, 0.75], [0.5, 0.5])
+    samples: number N of time samples while a line of the frame is exposed. "midpoint": t = (i + 1/2) T / N after the
+    shutter opens; "endpoint": t = (i + 1) T / N, as in the thesis, which displaces the image by half an interval. The
+    weight of a time sample is the integral of the shutter curve over its interval of the exposure, for each line.
     """
     if not scene.moves:
         return Exposure(np.zeros(1), np.ones(1))
@@ -132,9 +98,7 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
 
 
 def jump_times(scene: Scene, frame: int) -> Array:
-    """Times (n,) in s, increasing, at which stepped keyframes make an object or the camera jump while a frame's shutter
-    is open.
-    """
+    """Times (n,) in s, increasing, of jumps of objects or the camera, by stepped keyframes, while a shutter is open."""
     jumps = _all_jumps(scene)
     if not jumps.size:
         return jumps
@@ -159,25 +123,7 @@ def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, An
 def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
     """Ends (count + 1,) of the intervals of an exposure.
 
-    Parameters
-    ----------
-    span : (float, float)
-        Beginning and end of the exposure.
-    jumps : ndarray of float64, (n,)
-        Jumps inside the exposure, increasing. Intervals between two jumps are equal; longer pieces have more.
-    count : int
-        Number of intervals, more than n.
-
-    Returns
-    -------
-    ndarray of float64
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.exposure import share_ends
-    >>> share_ends((0.0, 1.0), np.array([0.7]), 4).round(3).tolist()
-    [0.0, 0.233, 0.467, 0.7, 1.0]
+    jumps: inside `span`, increasing, fewer than `count`; intervals between two are equal, and longer pieces have more.
     """
     if not jumps.size:
         return np.linspace(*span, count + 1)
@@ -230,9 +176,7 @@ def line_openings(scene: Scene) -> Array:
 
 
 def line_times(scene: Scene, frame: int) -> Array:
-    """Middles (lines,) of the exposures of a frame's lines, s since the reference pose: the times of their ground
-    truth.
-    """
+    """Middles (lines,) of the exposures of lines, s since the reference pose: the times of their ground truth."""
     return shutter_span(scene.sequence, frame)[0] + line_openings(scene) + 0.5 * scene.sequence.shutter
 
 
@@ -244,26 +188,10 @@ def pixel_time(scene: Scene, frame: int, column: int, row: int) -> float:
 
 
 def curve_integral(curve: ShutterCurve, times: Array) -> Array:
-    """Fraction of an exposure's light that a shutter has passed up to given times.
+    """Fraction of an exposure's light, 0 to 1, that a shutter has passed up to given times.
 
-    Parameters
-    ----------
-    curve : str or tuple of float
-        Name of a shutter curve, or weights at equal times, linear between them.
-    times : ndarray of float64
-        From 0, when the shutter opens, to 1, when it closes; other times are clamped.
-
-    Returns
-    -------
-    ndarray of float64
-        From 0 to 1, of the shape of `times`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.exposure import curve_integral
-    >>> curve_integral("triangle", np.array([0.0, 0.25, 0.5, 1.0])).tolist()
-    [0.0, 0.125, 0.5, 1.0]
+    curve: name of a shutter curve, or weights at equal times, linear between them; times: from 0, when the shutter
+    opens, to 1, when it closes; other times are clamped.
     """
     weights = np.asarray(CURVES[curve] if isinstance(curve, str) else curve, dtype=np.float64)
     weights = weights / weights.max()  # so that sums of huge weights are finite, and sums of tiny weights not 0
@@ -279,8 +207,7 @@ def curve_integral(curve: ShutterCurve, times: Array) -> Array:
 def _differences(light: Array) -> Array:
     """Weights (samples, ...) of the intervals of an exposure, from the light up to their ends (samples + 1, ...).
 
-    Each is the light up to its end minus the sum of the earlier weights, so that added in order they sum to
-    exactly 1.
+    Each is the light up to its end minus the sum of the earlier weights, so that added in order they sum to exactly 1.
     """
     total, weights = np.zeros(light.shape[1:]), np.empty((len(light) - 1, *light.shape[1:]))
     for k, end in enumerate(light[1:]):
@@ -290,9 +217,7 @@ def _differences(light: Array) -> Array:
 
 
 def shutter_span(sequence: Sequence, frame: int) -> tuple[float, float]:
-    """Times at which the shutter of a frame opens for its first line and closes for its last line, s since the
-    reference pose.
-    """
+    """Times at which the shutter opens for the first line and closes for the last one, s since the reference pose."""
     opens = frame * sequence.interval + sequence.shutter_start
     return opens, opens + sequence.shutter + sequence.readout
 
@@ -305,9 +230,7 @@ def middle_time(sequence: Sequence, frame: int) -> float:
 
 
 def sequence_times(scene: Scene) -> list[float]:
-    """Times over the whole sequence, s since the reference pose; few, because predictions use them before every
-    rendering.
-    """
+    """Times over the whole sequence, s since the reference pose; few, as predictions use them before each rendering."""
     if not scene.moves:
         return [0.0]
     last = scene.sequence.frames - 1

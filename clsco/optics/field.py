@@ -1,7 +1,6 @@
 """Wavefront errors that depend on the position in the frame: Seidel's terms (float64, pure).
 
-PSF weights are tabulated at the nodes of a grid over the frame; those of a source are blended from the four nodes
-around it.
+PSF weights are tabulated at the nodes of a grid over the frame; a source blends those of the four nodes around it.
 """
 
 from __future__ import annotations
@@ -28,29 +27,10 @@ class SeidelField:
     h: position relative to the middle of the frame, 1 in the corner; rho: lens point, 1 at the edge of the aperture;
     phi: angle between the two.
 
-    Attributes
-    ----------
-    coma : float
-        Coefficient of h rho^3 cos(phi), W131: optical path in px at the aperture's edge, in the corner of the frame
-        (`clsco.optics.pupils.wavefront`).
-    astigmatism : float
-        Coefficient of h^2 rho^2 cos^2(phi), W222, px.
-    curvature : float
-        Coefficient of h^2 rho^2, W220, px.
-    waves : float
-        Size of the terms in waves of green light, or in px for rays; it decides the number of cells.
-    frame : tuple of int
-        Columns and rows of the frame, px.
-    by_rays : bool
-        True if light follows rays, whose spots have sharp edges.
-
-    Examples
-    --------
-    >>> from clsco.optics.field import SeidelField
-    >>> from clsco.optics.pupils.wavefront import Wavefront
-    >>> field = SeidelField(0.3, 0.0, 0.0, 1.0, (65, 49))
-    >>> field.wavefront(Wavefront(), 1.0, 0.0).coma
-    (0.3, 0.0)
+    coma: coefficient of h rho^3 cos(phi), W131: optical path in px at the aperture's edge, in the corner of the frame
+    (`clsco.optics.pupils.wavefront`). astigmatism: of h^2 rho^2 cos^2(phi), W222, px. curvature: of h^2 rho^2, W220,
+    px. waves: size of the terms in waves of green light, or in px for rays; it decides the number of cells. frame:
+    columns and rows. by_rays: True if light follows rays, whose spots have sharp edges.
     """
 
     coma: float
@@ -78,12 +58,7 @@ class SeidelField:
 
     @property
     def blending(self) -> float:
-        """Estimate of the largest fraction of a source's light that blending puts in wrong pixels (L1 norm).
-
-        Notes
-        -----
-        Validated against exact weights at the middles of cells (tests/optics/test_field.py).
-        """
+        """Estimate of the largest fraction of a source's light that blending puts in wrong pixels (L1 norm)."""
         size = CELLS_PER_WAVE * self.waves / self._cells_to_corner
         return BLENDED_RAYS * size if self.by_rays else BLENDED * size**2
 

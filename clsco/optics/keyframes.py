@@ -4,8 +4,7 @@ Between two keys a path is a polynomial of degree 3 or less. Orientations are un
 q(t) = q_0 exp(c_1(t) w_1) ... exp(c_n(t) w_n) with the rotation vectors w_k = log(q_(k-1)^-1 q_k), where c_k is the
 path through the numbers 0 at keys before key k and 1 from key k on (Kim, Kim and Shin, "A general construction scheme
 for unit quaternion curves with simple high order derivatives", SIGGRAPH 1995). With linear paths this is spherical
-linear interpolation; with cubics and B-splines it is as smooth as the path of positions, and passes through the same
-keys.
+linear interpolation; with cubics and B-splines it is as smooth as the path of positions, through the same keys.
 """
 
 from __future__ import annotations
@@ -30,15 +29,10 @@ HALF_TURN = 1e-9  # least |w| of a rotation whose direction is defined: 1e-7 deg
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Path of a vector through keys.
+    """Path of a vector through keys at `times` (n,) in s.
 
-    Attributes
-    ----------
-    times : ndarray of float64, (n,)
-        Times of the keys, s.
-    pieces : ndarray of float64, (n + 1, 4, size)
-        Coefficients of the polynomials before the first key, between keys, and after the last one, in powers of the
-        time since the preceding key (before the first key: relative to the first).
+    pieces: coefficients (n + 1, 4, size) of the polynomials before the first key, between keys, and after the last one,
+    in powers of the time since the preceding key (before the first key: relative to the first).
     """
 
     times: Array
@@ -52,34 +46,12 @@ class Path:
 
 
 def path_through(times: ArrayLike, values: ArrayLike, interpolation: Interpolation, outside: Outside) -> Path:
-    """Path through keys.
+    """Path through keys with `values` (n, size) at `times` (n,) in s, increasing; equally spaced for a B-spline.
 
-    Parameters
-    ----------
-    times : array_like of float64, (n,)
-        s, increasing; equally spaced for a B-spline.
-    values : array_like of float64, (n, size)
-    interpolation : {"step", "linear", "cubic", "bspline"}
-        "step": the value of the latest key. "linear": lines. "cubic": the natural spline, whose second derivative is
-        continuous, and 0 at the ends. "bspline": a uniform cubic B-spline with the keys as control points; it passes
-        through the first and the last.
-    outside : {"hold", "linear", "error"}
-        "hold": the value of the first or the last key. "linear", "error": a line with the velocity at that key.
-
-    Returns
-    -------
-    Path
-
-    Notes
-    -----
-    Validated against scipy.interpolate (`CubicSpline`, `BSpline`).
-
-    Examples
-    --------
-    >>> from clsco.optics.keyframes import path_through
-    >>> path = path_through([0.0, 2.0, 4.0], [[0.0], [8.0], [0.0]], "cubic", "hold")
-    >>> [float(path.at(t)[0]) for t in (-1.0, 0.0, 1.0, 2.0, 9.0)]
-    [0.0, 0.0, 5.5, 8.0, 0.0]
+    "step": the value of the latest key. "linear": lines. "cubic": the natural spline, whose second derivative is
+    continuous, and 0 at the ends. "bspline": a uniform cubic B-spline with the keys as control points; it passes
+    through the first and the last. Outside of the keys, "hold": the value of the first or the last key; "linear",
+    "error": a line with the velocity at that key.
     """
     t, v = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
     pieces = np.zeros((len(t) + 1, 4, v.shape[1]))
@@ -125,14 +97,8 @@ def _second_derivatives(steps: Array, values: Array) -> Array:
 class Orientations:
     """Path of an orientation through keys.
 
-    Attributes
-    ----------
-    first : Quaternion
-        Orientation of the first key.
-    turns : tuple of Vector
-        Rotation vector from each key to the next along the shorter way, rad.
-    shares : Path
-        Path of the completed fraction (n - 1,) of each rotation.
+    first: orientation of the first key; turns: rotation vector from each key to the next along the shorter way, rad;
+    shares: path of the completed fraction (n - 1,) of each rotation.
     """
 
     first: Quaternion
@@ -144,9 +110,7 @@ class Orientations:
         return _matrix(self._quaternion_at(time))
 
     def angles_at(self, time: float, rotation: str) -> Vector:
-        """Rotation at a time in s, in the form of a keyframe: Euler angles, or a rotation vector of at most half a
-        turn; deg.
-        """
+        """Rotation at a time in s as a keyframe has it, in deg; a rotation vector is at most half a turn."""
         return _angles(self._quaternion_at(time), rotation)
 
     def _quaternion_at(self, time: float) -> Quaternion:
@@ -161,32 +125,9 @@ def orientations_through(
 ) -> Orientations:  # fmt: skip
     """Path of an orientation through keys.
 
-    Parameters
-    ----------
-    times : array_like of float64, (n,)
-        s, as for `path_through`.
-    angles : sequence of Vector
-        Rotation of each key, deg: Euler angles, or a rotation vector.
-    rotation : {"euler", "axis"}
-    interpolation, outside
-        As for `path_through`.
-
-    Returns
-    -------
-    Orientations
-
-    Notes
-    -----
-    A quaternion and its negative are one orientation, so from one key to the next the path turns by at most 180 deg; a
-    turn of exactly 180 deg is positive about the axis whose largest component is positive (right, up and towards the
-    camera). Validated against scipy.spatial.transform (`Slerp`), and the exponential map.
-
-    Examples
-    --------
-    >>> from clsco.optics.keyframes import orientations_through
-    >>> path = orientations_through([0, 1], [(0, 0, 0), (0, 90, 0)], "euler", "linear", "hold")
-    >>> path.at(0.5).round(3).tolist()
-    [[0.707, 0.0, 0.707], [0.0, 1.0, 0.0], [-0.707, 0.0, 0.707]]
+    angles: rotation of each key, deg, as Euler angles or as a rotation vector; other arguments as for `path_through`. A
+    quaternion and its negative are one orientation, so from one key to the next the path turns by at most 180 deg; a
+    turn of exactly 180 deg is positive about the axis whose largest component is positive (right, up, to the camera).
     """
     keys = [_quaternion(key_angles, rotation) for key_angles in angles]
     turns = [_logarithm(_product((a[0], -a[1], -a[2], -a[3]), b)) for a, b in pairwise(keys)]
@@ -206,9 +147,7 @@ def _quaternion(angles: Vector, rotation: str) -> Quaternion:
 
 
 def _angles(q: Quaternion, rotation: str) -> Vector:
-    """Angles in deg of an orientation, the inverse of `_quaternion`; at a quarter turn about y, the angle about x is
-    0.
-    """
+    """Angles in deg of an orientation, the inverse of `_quaternion`; about x 0 at a quarter turn about y."""
     if rotation == "axis":
         x, y, z = _logarithm(q)
         return degrees(x), degrees(y), -degrees(z)

@@ -12,6 +12,7 @@ from clsco.optics.distortion import Distortion, distortion_of
 from clsco.scene.lens import Lens as Aberrations
 from clsco.scene.model import Camera
 
+Array = NDArray[np.float64]
 LARGEST_BLUR = 512.0  # px; a source beyond it spreads over a million pixels
 SHARP = 0.5  # px, |R| up to which a point counts as in focus
 
@@ -20,33 +21,12 @@ SHARP = 0.5  # px, |R| up to which a point counts as in focus
 class Lens:
     """A lens for one color, or for all colors if they are blurred equally.
 
-    Attributes
-    ----------
-    blur_scale : float
-        Blur radius per unit of inverse depth, kappa = s0 D / (2 p), in px mm (2.33).
-    focus_power : float
-        Inverse depth in focus on the axis, K = 1/f - 1/s, in 1/mm (2.24). The two terms nearly cancel for long lenses,
-        hence float64 on the host.
-    radius : float
-        Radius of the aperture, D / 2, in mm.
-    detector_power : float
-        Inverse distance of the detector, 1/s, in 1/mm.
-    sag : float
-        Field curvature, -c s0^2 / (2 s) for a curvature c: the image of a plane lies sag t^2 s in front of the
-        detector on rays of slope t.
-    sphere : float
-        Inverse radius, K in 1/mm, of the sphere around the lens that is in focus for light of the camera's focal
-        length; 0 if a plane is in focus.
-    distortion : Distortion, optional
-        Distorts the image, and its blur.
-
-    Examples
-    --------
-    >>> from clsco import Camera
-    >>> from clsco.optics.lens import Lens
-    >>> lens = Lens.of(Camera(f_number=2.0, focal_length=20.0, sensor_distance=20.0))
-    >>> lens.radius, lens.focus_power
-    (5.0, 0.0)
+    blur_scale: blur radius per unit of inverse depth, kappa = s0 D / (2 p), px mm (2.33). focus_power: inverse depth in
+    focus on the axis, K = 1/f - 1/s, 1/mm (2.24); the two terms nearly cancel for long lenses, hence float64 on the
+    host. radius: of the aperture, D / 2, mm. detector_power: inverse distance of the detector, 1/s, 1/mm. sag: field
+    curvature, -c s0^2 / (2 s) for a curvature c: the image of a plane lies sag t^2 s in front of the detector on rays
+    of slope t. sphere: inverse radius, K in 1/mm, of the sphere around the lens that is in focus for light of the
+    camera's focal length; 0 if a plane is in focus. distortion: of the image, and of its blur.
     """
 
     blur_scale: float
@@ -59,19 +39,8 @@ class Lens:
 
     @classmethod
     def of(cls, camera: Camera, real: Aberrations | None = None, color: int | None = None) -> Self:
-        """The lens of a camera.
-
-        Parameters
-        ----------
-        camera : Camera
-        real : clsco.Lens, optional
-            Differences from a thin lens.
-        color : int, optional
-            0, 1, 2 for red, green, blue light; by default, light for which the focal length is the camera's.
-
-        Returns
-        -------
-        Lens
+        """The lens of a camera; real: its differences from a thin lens; color: 0, 1, 2 for red, green, blue light, None
+        for light for which the focal length is the camera's.
         """
         f, s, scale = camera.focal_length, camera.sensor_distance, camera.normalization_distance
         longer = 0.0 if real is None or color is None else real.axial[color]
@@ -91,54 +60,34 @@ class Lens:
         """True if the surface in focus is not a plane."""
         return self.sag != 0.0 or self.sphere != 0.0
 
-    def focus_rise(self, squared_slope: NDArray[np.float64]) -> NDArray[np.float64]:
+    def focus_rise(self, squared_slope: Array) -> Array:
         """Derivative (dK/dt) / t of the inverse depth K in focus on rays of slope t, 1/mm; squared_slope: t^2."""
         bend = 1.0 + self.sag * squared_slope
         by_field = 2.0 * self.detector_power * self.sag / (bend * bend)
         return np.asarray(by_field + self.sphere / np.sqrt(1.0 + squared_slope))
 
-    def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
-        """The lens for rays of slopes x and y only; with distortion, `blur_scale` is an array that includes the local
-        scale of the image.
-        """
+    def along(self, x: Array | float, y: Array | float) -> Self:
+        """The lens for rays of slopes x and y; with distortion, `blur_scale` is an array with the local scale."""
         if self.distortion is None:
             return self
         return replace(self, blur_scale=cast(float, self.blur_scale * self.distortion.stretch(x, y)))
 
-    def image_radius(
-        self, inverse_depth: NDArray[np.float64] | float, x: NDArray[np.float64] | float,
-        y: NDArray[np.float64] | float,
-    ) -> NDArray[np.float64]:  # fmt: skip
+    def image_radius(self, inverse_depth: Array | float, x: Array | float, y: Array | float) -> Array:
         """Signed blur radius in px for inverse depths in 1/mm on rays of slopes x and y, which broadcast; with
         distortion, the radius of the disc of the same area.
         """
         squared = np.asarray(x) ** 2 + np.asarray(y) ** 2 if self.is_curved else 0.0
         return self.along(x, y).blur_radius(inverse_depth, squared)
 
-    def blur_radius(
-        self, inverse_depth: NDArray[np.float64] | float, squared_slope: NDArray[np.float64] | float = 0.0
-    ) -> NDArray[np.float64]:
-        """Signed blur radius R = kappa (K - w) of inverse depths w = 1/Z (2.33).
+    def blur_radius(self, inverse_depth: Array | float, squared_slope: Array | float = 0.0) -> Array:
+        """Signed blur radius R = kappa (K - w) in px of inverse depths w = 1/Z in 1/mm (2.33): positive behind the
+        surface that is in focus, negative in front of it.
 
-        Parameters
-        ----------
-        inverse_depth : array_like of float64, any shape
-            1/mm.
-        squared_slope : array_like of float64, broadcastable
-            Squared slope t^2 = x^2 + y^2 of the ray (x, y, 1), used if the surface in focus is curved.
-
-        Returns
-        -------
-        ndarray of float64
-            px; positive behind the surface that is in focus, negative in front of it.
-
-        Notes
-        -----
-        With field curvature the image of a plane is in front of the detector by d = -c s0^2 t^2 / 2, so that K(t) = 1/f
-        - 1/(s + d) = K + d / (s (s + d)). If a sphere is in focus, the depth in focus along a ray is its radius times
-        cos(theta) = 1 / sqrt(1 + t^2), so that K / cos(theta) replaces K. Both are added to K - w as differences, which
-        preserves digits where R is almost 0. Validated against these formulas evaluated directly, and rays through the
-        lens (tests/optics/test_lens.py).
+        squared_slope: t^2 = x^2 + y^2 of the ray (x, y, 1), used if the surface in focus is curved. With field
+        curvature the image of a plane is in front of the detector by d = -c s0^2 t^2 / 2, so that K(t) = 1/f - 1/(s +
+        d) = K + d / (s (s + d)). If a sphere is in focus, the depth in focus along a ray is its radius times cos(theta)
+        = 1 / sqrt(1 + t^2), so that K / cos(theta) replaces K. Both are added to K - w as differences, which preserves
+        digits where R is almost 0.
         """
         w = np.asarray(inverse_depth, dtype=np.float64)
         power = self.focus_power - w
@@ -150,24 +99,8 @@ class Lens:
         return np.asarray(self.blur_scale * power)
 
 
-def blur_radius(camera: Camera, inverse_depth: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Signed blur radius R = kappa (K - w) of inverse depths w = 1/Z (2.33), by a thin lens.
-
-    Parameters
-    ----------
-    camera : Camera
-    inverse_depth : array_like of float64, any shape
-        1/mm.
-
-    Returns
-    -------
-    ndarray of float64
-        px, of the same shape; positive behind the focal surface, negative in front of it.
-
-    Notes
-    -----
-    Validated against the thesis' camera: 0 at 250.017 mm.
-    """
+def blur_radius(camera: Camera, inverse_depth: Array | float) -> Array:
+    """Signed blur radius in px of inverse depths in 1/mm by a thin lens, as by `Lens.blur_radius`."""
     return Lens.of(camera).blur_radius(inverse_depth)
 
 

@@ -28,34 +28,11 @@ def reference_camera(scene: Scene) -> Camera:
 
 
 def camera_at(scene: Scene, time: float) -> Camera:
-    """The camera with its lens at a time.
+    """The camera with its lens at a time in s; the scene's camera if its lens does not change.
 
-    Parameters
-    ----------
-    scene : Scene
-    time : float
-        Seconds since the reference pose.
-
-    Returns
-    -------
-    Camera
-        The scene's camera if its lens does not change. With a zoom, the image scale s0 is proportional to the focal
-        length; but if the scene does not give s0, it is the sensor distance, which focusing changes as well. Focus
-        distance and f-number without keyframes stay constant: a zoom changes sensor distance and aperture.
-
-    Raises
-    ------
-    SceneError
-        The path between keyframes has values that no lens can have.
-
-    Examples
-    --------
-    >>> import clsco
-    >>> from clsco.optics.lens_path import camera_at
-    >>> keys = {"keyframe": [{"time": 0, "f_number": 2}, {"time": 1, "f_number": 4}], "interpolation": "linear"}
-    >>> scene = clsco.parse_scene({"lens": keys, "object": [{"shape": "plane"}]})
-    >>> camera_at(scene, 1.0).aperture_diameter, camera_at(scene, 0.5).aperture_diameter
-    (5.0, 7.5)
+    With a zoom, the image scale s0 is proportional to the focal length; but if the scene does not give s0, it is the
+    sensor distance, which focusing changes as well. Focus distance and f-number without keyframes stay constant: a zoom
+    changes sensor distance and aperture. Raises SceneError if a path between keyframes has values of no lens.
     """
     if scene.lens is None or not scene.lens.moves:
         return reference_camera(scene)
@@ -103,10 +80,9 @@ def lens_at(scene: Scene, time: float, color: int | None = None) -> Lens:
 
 
 def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
-    """The lenses of red, green and blue if they differ, else one for all colors, on the rays of the camera.
+    """The lenses of red, green and blue if they differ, else one for all colors, on the rays of the camera; time in s.
 
-    A color with another magnification shows the same surface at another position, and its blur radius is proportional
-    to the magnification. Arguments as for `lens_at`.
+    A color with another magnification shows a surface at another position, with a proportional blur radius.
     """
     camera, lens = camera_at(scene, time), scene.lens
     if lens is None or not scene.separates_colors:

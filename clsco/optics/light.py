@@ -15,16 +15,8 @@ from clsco.scene.model import Scene
 class PlacedLight:
     """A light in the frame of the camera at one time.
 
-    Attributes
-    ----------
-    place : ndarray of float64, (3,)
-        Unit vector towards the light, or its position in mm.
-    is_near : bool
-        True if the light is at a position, False if it is infinitely far.
-    ambient : float
-        Fraction of a texture's radiance that is visible without the light.
-    members : int
-        Bit mask of the objects that it lights: all but the background.
+    place: unit vector (3,) towards the light, or its position in mm if `is_near`. ambient: fraction of a texture's
+    radiance that is visible without the light. members: bit mask of the objects that it lights: all but the background.
     """
 
     place: NDArray[np.float64]
@@ -34,19 +26,7 @@ class PlacedLight:
 
 
 def place_light(scene: Scene, time: float, eye: Eye = "left") -> PlacedLight | None:
-    """The light of a scene, if any, in the frame of a camera that moves while the light stands still.
-
-    Parameters
-    ----------
-    scene : Scene
-    time : float
-        Seconds since the reference pose.
-    eye : {"left", "right"}
-
-    Returns
-    -------
-    PlacedLight, optional
-    """
+    """The light of a scene, if any, in the frame of a camera that moves while the light stands still; time in s."""
     light = scene.light
     if light is None:
         return None

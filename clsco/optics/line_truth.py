@@ -28,6 +28,7 @@ from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 STEPS, CLOSE = 24, 1e-9  # largest number of Newton's steps, and change in lines at which they end
 STEEP = 0.5  # lines from line to line: a point that moves by more may be on several lines
 SAMPLED = 64  # number of points of an object, and of lines, that are tested for STEEP
@@ -36,19 +37,7 @@ NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor belongs to another 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Times of the lines of a frame, with the camera and the poses of objects at each.
-
-    Attributes
-    ----------
-    by_columns : bool
-        True if lines are columns, not rows.
-    times : ndarray of float64, (lines,)
-        Seconds since the reference pose.
-    cameras : tuple of Camera
-        Camera at each time.
-    poses : tuple of tuple of Pose
-        Poses of all objects at each time.
-    """
+    """Times (lines,) in s of the rows or columns of a frame, with the camera and the poses of all objects at each."""
 
     by_columns: bool
     times: Array
@@ -61,9 +50,7 @@ class Lines:
         return np.array([ray_step(camera) for camera in self.cameras])
 
     def slopes(self, line: Pixels, right: Array, up: Array) -> tuple[Array, Array]:
-        """Slopes of the rays through image points in px right of and above the middle of the image, each at its line's
-        time.
-        """
+        """Slopes of rays at their line's time, through points in px right of and above the middle of the image."""
         x, y, distortion = right * self.steps[line], up * self.steps[line], distortion_of(self.cameras[0])
         return (x, y) if distortion is None else distortion.undistorted(x, y)
 
@@ -81,9 +68,7 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
     return Lines(scene.sequence.by_columns, times, cameras, poses)
 
 
-def _first_crossing(
-    at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
-) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
+def _first_crossing(at: Callable[[int], tuple[Array, Mask]], last: int, axis: int) -> tuple[Array, Mask]:
     """Positions and mask as by `LinePoints._positions`, for points that several lines may show, on the first of these.
 
     at: returns the positions of the points at a line's time, and a mask of points in front of the lens; last: number of
@@ -107,19 +92,7 @@ def _first_crossing(
 class LinePoints:
     """Surface points visible in the pixels of a frame, each at its line's time.
 
-    Parameters
-    ----------
-    items : sequence of Object
-    depth : ndarray of float, (rows, columns)
-        mm, +inf without a surface.
-    object_id : ndarray of int32, (rows, columns)
-        -1 without a surface.
-    now : Lines
-        Lines of the frame.
-
-    Notes
-    -----
-    Validated against closed forms for constant velocity, and against the reference, which searches all lines.
+    depth: mm, +inf without a surface; object_id: -1 without one; now: lines of the frame.
     """
 
     def __init__(
@@ -140,17 +113,10 @@ class LinePoints:
             )
 
     def flow(self, then: Lines) -> Array:
-        """Flow to the lines of another frame, or another view, that show the points.
+        """Flow (rows, columns, 2) in px, right and down, to the lines of another frame or view that show the points.
 
-        Parameters
-        ----------
-        then : Lines
-
-        Returns
-        -------
-        ndarray of float64, (rows, columns, 2)
-            px, right and down; 0 without a surface, inf if no single line shows the point: where the image moves by a
-            line or more from line to line, and where the point moves behind the lens.
+        0 without a surface, inf if no single line shows the point: where the image moves by a line or more from line to
+        line, and where the point moves behind the lens.
         """
         flow = np.zeros((*self.shape, 2))
         for k in range(len(self.items)):
@@ -159,18 +125,18 @@ class LinePoints:
             flow[row, column] = np.where(valid[:, None], positions - np.stack([column, row], axis=-1), np.inf)
         return flow
 
-    def _positions(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, NDArray[np.bool_]]:
+    def _positions(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, Mask]:
         """Positions (points, 2), column and row, at which the lines `then` show points of object k, and a mask of
         points that they show; pixels: rows and columns of the points.
         """
         axis, last, (rotations, shifts) = int(not then.by_columns), len(then.times) - 1, then.object_poses(k)
         body, center = self.bodies[pixels], rest_center(self.items[k])
 
-        def at(line: Pixels | int, of: Any = ...) -> tuple[Array, NDArray[np.bool_]]:
+        def at(line: Pixels | int, of: Any = ...) -> tuple[Array, Mask]:
             moved = np.einsum("...ij,...j->...i", rotations[line], body[of])
             return self._project(center + shifts[line] + moved, then, line)
 
-        def fast(line: int, of: Any = ...) -> NDArray[np.bool_]:
+        def fast(line: int, of: Any = ...) -> Mask:
             return np.asarray(np.abs((at(line + 1, of)[0] - at(line, of)[0])[:, axis]) > STEEP)
 
         u, steep = pixels[int(then.by_columns)].astype(np.float64), np.zeros(len(body), np.bool_)
@@ -191,7 +157,7 @@ class LinePoints:
             positions[steep], valid[steep] = _first_crossing(lambda line: at(line, steep), last, axis)
         return positions, valid
 
-    def _project(self, point: Array, then: Lines, line: Pixels | int) -> tuple[Array, NDArray[np.bool_]]:
+    def _project(self, point: Array, then: Lines, line: Pixels | int) -> tuple[Array, Mask]:
         """Positions (points, 2) in px, column and row, of points (points, 3) in mm, and a mask of points in front of
         the lens; line: one line for all points, or a line for each.
         """
@@ -201,19 +167,9 @@ class LinePoints:
         right, up = (slope / then.steps[line] for slope in slopes)
         return np.stack([0.5 * (columns - 1) + right, 0.5 * (rows - 1) - up], axis=-1), before
 
-    def occluded(self, then: Lines, flow: Array) -> NDArray[np.bool_]:
-        """Mask of points that are not visible at the end of their flow.
-
-        Parameters
-        ----------
-        then : Lines
-        flow : ndarray of float64, (rows, columns, 2)
-            Flow to these lines.
-
-        Returns
-        -------
-        ndarray of bool, (rows, columns)
-            True if there is no flow, if it leads out of the frame, or if another point is nearer there.
+    def occluded(self, then: Lines, flow: Array) -> Mask:
+        """Mask of points that are not visible at the end of their flow to the lines `then`: True if there is no flow,
+        if it leads out of the frame, or if another point is nearer there.
         """
         rows, columns = self.shape
         row, column = np.nonzero(self.number >= 0)
@@ -232,7 +188,7 @@ class LinePoints:
                 hidden[pixels] = self._covered(pixels, poses)
         return hidden
 
-    def _covered(self, pixels: tuple[Pixels, Pixels], poses: tuple[Pose, ...]) -> NDArray[np.bool_]:
+    def _covered(self, pixels: tuple[Pixels, Pixels], poses: tuple[Pose, ...]) -> Mask:
         """Mask (points,) of the points of these pixels that a nearer surface hides, with all objects in `poses`."""
         point, number, nearest = self.bodies[pixels], self.number[pixels], np.zeros(len(pixels[0]))
         for k, (item, pose) in enumerate(zip(self.items, poses, strict=True)):

@@ -18,6 +18,7 @@ from clsco.scene.quantities import Vector
 from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
 
+Array = NDArray[np.float64]
 Eye = Literal["left", "right"]
 # The thesis turns an object in a frame whose z axis points towards the camera (2.13).
 TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])
@@ -27,17 +28,10 @@ EPSILON = float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of an object at one time, in the camera frame: P = center + shift + rotation (P0 - center).
+    """Pose of an object at one time, in the camera frame: P = center + shift + rotation (P0 - center); shift in mm."""
 
-    Attributes
-    ----------
-    rotation : ndarray of float64, (3, 3)
-    shift : ndarray of float64, (3,)
-        mm.
-    """
-
-    rotation: NDArray[np.float64]
-    shift: NDArray[np.float64]
+    rotation: Array
+    shift: Array
 
 
 UNTURNED, UNMOVED = np.eye(3), np.zeros(3)
@@ -45,24 +39,11 @@ UNTURNED.flags.writeable = UNMOVED.flags.writeable = False
 AT_REST = Pose(UNTURNED, UNMOVED)
 
 
-def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
-    """Rotation matrix in the object's frame.
+def rotation_matrix(angles: Array, rotation: str) -> Array:
+    """Rotation matrix (3, 3) of three angles in rad, in the object's frame.
 
-    Parameters
-    ----------
-    angles : ndarray of float64, (3,)
-        Radians.
-    rotation : {"euler", "axis"}
-        "euler": the matrix of 2.14 to 2.23. "axis": a rotation by |angles| about the vector `angles` (Rodrigues), in
-        the same sense as the matrix for a single axis, which is opposite to the right-hand rule.
-
-    Returns
-    -------
-    ndarray of float64, (3, 3)
-
-    Notes
-    -----
-    Validated: both kinds agree for every single axis, are orthonormal, and are the identity for zero angles.
+    "euler": the matrix of 2.14 to 2.23. "axis": a rotation by |angles| about the vector `angles` (Rodrigues), in the
+    same sense as the matrix for a single axis, which is opposite to the right-hand rule.
     """
     if rotation == "axis":
         angle = float(np.linalg.norm(angles))
@@ -82,28 +63,15 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
     )
 
 
-def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sine_cosine(angles: Array) -> tuple[Array, Array]:
     """Sines and cosines, exact for quarter turns: pi/2 in float64 is slightly off and would tilt a plane."""
     sines, cosines = np.sin(angles), np.cos(angles)
     return sines * (np.abs(sines) >= EPSILON) + 0.0, cosines * (np.abs(cosines) >= EPSILON) + 0.0  # no -0.0
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
-    """Pose of a motion at a time, by constant accelerations or between keyframes.
+    """Pose of a motion at a time in s, by constant accelerations or between keyframes.
 
-    Parameters
-    ----------
-    motion : ObjectMotion
-    time : float
-        Seconds since the reference pose.
-    rotation : {"euler", "axis"}
-
-    Returns
-    -------
-    Pose
-
-    Notes
-    -----
     Poses are always computed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
     to one turn before conversion to radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
     vector instead of its components. With accelerations each Euler angle, or component of the rotation vector, is w t +
@@ -115,51 +83,25 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     if motion.keyframe is None:
         degrees = _displacement(motion.angular_velocity, motion.angular_acceleration, time)
         return Pose(_camera_rotation(degrees, rotation), _displacement(motion.velocity, motion.acceleration, time))
-    track = _track(motion, rotation)
-    turned = track.turns.at(time)
-    matrix = turned if isinstance(track.turns, Orientations) else _camera_rotation(turned, rotation)
-    return Pose(matrix, track.shifts.at(time))
+    shifts, turns = _track(motion, rotation)
+    turned = turns.at(time)
+    return Pose(turned if isinstance(turns, Orientations) else _camera_rotation(turned, rotation), shifts.at(time))
 
 
 def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
-    """Keyframe with the pose of a motion at a time.
-
-    Parameters
-    ----------
-    motion : ObjectMotion
-    time : float
-        Seconds since the reference pose.
-    rotation : {"euler", "axis"}
-
-    Returns
-    -------
-    Keyframe
-        Rounded to 1e-9 mm and deg. Angles about one axis keep their whole turns.
-
-    Notes
-    -----
-    Validated: `pose_at` for a motion with only this keyframe equals that of the motion at the time.
-
-    Examples
-    --------
-    >>> from clsco.optics.motion import keyframe_at
-    >>> from clsco.scene.motions import ObjectMotion
-    >>> keyframe_at(ObjectMotion(velocity=(1, 0, 0), angular_velocity=(0, 90, 0)), 5.0, "euler")
-    Keyframe(time=5.0, position=(5.0, 0.0, 0.0), rotation=(0.0, 450.0, 0.0))
-    """
+    """Keyframe with the pose of a motion at a time in s, to 1e-9 mm and deg; angles about one axis keep whole turns."""
     if motion.keyframe is None:
         angles = _displacement(motion.angular_velocity, motion.angular_acceleration, time).tolist()
         shift = _displacement(motion.velocity, motion.acceleration, time)
     else:
-        track = _track(motion, rotation)
-        turns = track.turns
+        shifts, turns = _track(motion, rotation)
         angles = turns.angles_at(time, rotation) if isinstance(turns, Orientations) else turns.at(time).tolist()
-        shift = track.shifts.at(time)
+        shift = shifts.at(time)
     (x, y, z), (a, b, c) = ((round(part, 9) + 0.0 for part in values) for values in (shift.tolist(), angles))
     return Keyframe(time=time, position=(x, y, z), rotation=(a, b, c))
 
 
-def _camera_rotation(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
+def _camera_rotation(degrees: Array, rotation: str) -> Array:
     """Rotation matrix (3, 3) for angles in deg, in the axes of the camera."""
     if not degrees.any():
         return UNTURNED
@@ -171,23 +113,15 @@ def _camera_rotation(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.
     return np.asarray(TOWARDS_CAMERA @ rotation_matrix(angles, rotation) @ TOWARDS_CAMERA)
 
 
-def _displacement(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
+def _displacement(speed: Vector, gain: Vector | None, time: float) -> Array:
     """Displacement (3,) v t + a t^2 / 2; speed: v; gain: acceleration a, None for 0."""
     displacement = np.asarray(speed, dtype=np.float64) * time
     return displacement if gain is None else displacement + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
 
 
-@dataclass(frozen=True, eq=False)
-class _Track:
-    """Paths through keyframes: of the shift in mm, and of the rotation, as angles in deg or as an orientation."""
-
-    shifts: Path
-    turns: Path | Orientations
-
-
 @lru_cache(maxsize=512)
-def _track(motion: ObjectMotion, rotation: str) -> _Track:
-    """Paths through the keyframes of a motion."""
+def _track(motion: ObjectMotion, rotation: str) -> tuple[Path, Path | Orientations]:
+    """Paths through keyframes: of the shift in mm, and of the rotation, as angles in deg or as an orientation."""
     keys, interpolation, outside = motion.keyframe, motion.interpolation, motion.outside
     assert keys is not None
     assert interpolation is not None
@@ -195,16 +129,16 @@ def _track(motion: ObjectMotion, rotation: str) -> _Track:
     times, angles = [key.time for key in keys], [key.rotation for key in keys]
     shifts = path_through(times, [key.position for key in keys], interpolation, outside)
     if sum(motion.turns) < 2:
-        return _Track(shifts, path_through(times, angles, interpolation, outside))
-    return _Track(shifts, orientations_through(times, angles, rotation, interpolation, outside))
+        return shifts, path_through(times, angles, interpolation, outside)
+    return shifts, orientations_through(times, angles, rotation, interpolation, outside)
 
 
-def rest_center(item: Object) -> NDArray[np.float64]:
-    """Center of rotation (3,) of an object in its reference pose, mm, as by `clsco.scene.shapes.origin`."""
+def rest_center(item: Object) -> Array:
+    """Center of rotation (3,) of an object in its reference pose, mm."""
     return np.asarray(origin(item), dtype=np.float64)
 
 
-def static_rotation(item: Object) -> NDArray[np.float64]:
+def static_rotation(item: Object) -> Array:
     """Matrix R0 (3, 3) from an object's own frame to the camera's axes in its reference pose.
 
     In a `Pose`, a point p of the object's own frame is at center + shift + rotation R0 p. R0 is exactly orthonormal for
@@ -214,21 +148,8 @@ def static_rotation(item: Object) -> NDArray[np.float64]:
 
 
 def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
-    """Pose of the camera, or of one view of a stereo pair, in the frame of the camera's reference pose.
+    """Pose of the camera at a time in s, or of one view of a stereo pair, in the frame of the camera's reference pose.
 
-    Parameters
-    ----------
-    scene : Scene
-    eye : {"left", "right"}
-    time : float
-        Seconds.
-
-    Returns
-    -------
-    Pose
-
-    Notes
-    -----
     A camera moves and rotates about the center of its lens; shake is applied first, in the camera's own axes. The left
     camera of a stereo pair is the scene's; the right one is `baseline` to its right. `toe_in` turns both inwards.
     """
@@ -245,36 +166,14 @@ def eye_pose(scene: Scene, eye: Eye, time: float) -> Pose:
 
 
 def shake_pose(shake: CameraShake, time: float) -> Pose:
-    """Displacement of a shaking camera.
+    """Displacement of a shaking camera at a time in s, in the frame of the camera without shake.
 
-    Parameters
-    ----------
-    shake : CameraShake
-    time : float
-        Seconds.
-
-    Returns
-    -------
-    Pose
-        In the frame of the camera without shake.
-
-    Notes
-    -----
     Each component of the rotation vector (right, up, backwards) and of the shift (right, up, forwards) is a sum of
     SHAKE_SINES sines of equal amplitude, one in each of as many equal parts of the frequency band. The frequency's
     place in its part, and the phase in turns, are 2^-53 (n >> 11), with n from `numpy.random.Philox(key=seed)` (Salmon
-    et al., 2011), component by component and sine by sine. The path's bits depend only on seed and time. Validated:
-    root mean squares over a long time, within 1 %.
-
-    Examples
-    --------
-    >>> from clsco.optics.motion import shake_pose
-    >>> from clsco.scene.motions import CameraShake, Keyframe
-    >>> shake_pose(CameraShake(rotation_rms=0.0, translation_rms=0.5, seed=7), 0.25).shift.round(6).tolist()
-    [0.17156, 0.29817, 0.241686]
+    et al., 2011), component by component and sine by sine. The path's bits depend only on seed and time.
     """
-    turns, shifts = shake.rotation_rms, shake.translation_rms
-    amplitudes = [radians(turns)] * 3 + [shifts] * 3
+    amplitudes = [radians(shake.rotation_rms)] * 3 + [shake.translation_rms] * 3
     waves = _shake_waves(shake.seed, shake.band)
     sums = [fsum(sin(2.0 * pi * ((f * time + phase) % 1.0)) for f, phase in sines) for sines in waves]
     scale = sqrt(2.0 / (3 * SHAKE_SINES))  # of a sine: three components together have an rms of 1
@@ -299,19 +198,7 @@ def rest_poses(scene: Scene) -> tuple[Pose, ...]:
 
 
 def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
-    """Poses of all objects in the frame of the camera at that time.
-
-    Parameters
-    ----------
-    scene : Scene
-    time : float
-        Seconds since the reference pose.
-    eye : {"left", "right"}
-
-    Returns
-    -------
-    tuple of Pose, one for each object
-    """
+    """Poses of all objects at a time in s, in the frame of the camera at that time."""
     camera, poses = eye_pose(scene, eye, time), []
     groups = {group.name: _group_pose(scene, group, time) for group in scene.groups}
     for item in scene.objects:
@@ -326,45 +213,20 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
     return tuple(poses)
 
 
-def moved_points(
-    points: NDArray[np.float64], center: NDArray[np.float64], before: Pose, after: Pose
-) -> NDArray[np.float64]:
-    """Points of a rigid object moved from one pose to another.
-
-    Parameters
-    ----------
-    points : ndarray of float64, (..., 3)
-        mm, in the pose `before`.
-    center : ndarray of float64, (3,)
-        See `rest_center`.
-    before, after : Pose
-
-    Returns
-    -------
-    ndarray of float64, (..., 3)
-        mm.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.motion import Pose, moved_points
-    >>> quarter = Pose(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.0, 5.0]))
-    >>> still = Pose(np.eye(3), np.zeros(3))
-    >>> moved_points(np.array([[2.0, 0.0, 100.0]]), np.array([1.0, 0.0, 100.0]), still, quarter).tolist()
-    [[1.0, 1.0, 105.0]]
-    """
+def moved_points(points: Array, center: Array, before: Pose, after: Pose) -> Array:
+    """Points (..., 3) in mm of a rigid object, moved from one pose to another; center: see `rest_center`."""
     body = (points - center - before.shift) @ before.rotation  # turned back
     return np.asarray(center + after.shift + body @ after.rotation.T)
 
 
-def _group_pose(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[np.float64]]:
+def _group_pose(scene: Scene, group: Group, time: float) -> tuple[Pose, Array]:
     """Pose of a group, and its center of rotation (3,), mm."""
     members = [item for item in scene.objects if item.group == group.name]
     origin = np.asarray(group_origin(group, members)) if members else np.zeros(3)
     return pose_at(group.motion, time, scene.motion.rotation), origin
 
 
-def _compose(pose: Pose, center: NDArray[np.float64], group: Pose, origin: NDArray[np.float64]) -> Pose:
+def _compose(pose: Pose, center: Array, group: Pose, origin: Array) -> Pose:
     """Pose of an object that moves within a group: first its own pose moves P0 to P1, then the group's pose moves P1 to
     P = origin + shift + rotation (P1 - origin).
     """

@@ -33,6 +33,7 @@ GREEN = 1  # color of gray images
 POINT = 1e-9  # px; smaller radii are 0
 MOST_MARGIN = 256.0  # px outside of the blur's rim that light may reach
 LEAST_UNIT, MOST_UNIT = 0.02, 8.0  # px, Q: diffraction is not visible below, and no image is left above
+UNIT_RULE = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2: variance per axis that `edge` adds
 
 Edge = Literal["integrated", "area", "sampled"]
@@ -41,15 +42,7 @@ Layout = Literal["disc", "separable", "symmetric", "general"]
 
 @dataclass(frozen=True)
 class Rim:
-    """Circle that light must pass through in front of or behind the aperture.
-
-    Attributes
-    ----------
-    distance : float
-        Distance from the aperture, mm, positive towards the scene.
-    radius : float
-        mm.
-    """
+    """Circle that light must pass through; distance from the aperture, positive towards the scene, and radius in mm."""
 
     distance: float
     radius: float
@@ -59,35 +52,13 @@ class Rim:
 class PointSpread:
     """Point spread function (PSF) of a lens: the pupil, and the evaluation on pixels. Made by `point_spread`.
 
-    Equal instances have equal weights apart from rims, so they are the keys of cached tables.
-
-    Attributes
-    ----------
-    pupil : Pupil
-    edge : str
-        "integrated" over source and detector pixel, over the detector's "area" only, or "sampled" at pixel centers.
-    alignment : int
-        If not 0, weights have corners where the blur ends at multiples of 1 / alignment px, so that intervals of tables
-        must begin there.
-    rims : tuple of Rim
-        Circles that cut off light from some directions.
-    varying : SeidelField, optional
-        Change of the wavefront over the frame; `pupil` then has the wavefront on the axis.
-    stretched : float
-        In a distorted image, the fraction of R by which ellipses reach beyond discs; 0 for discs only.
-    most : tuple of float
-        Largest |R| in px of negative radii, and of the other radii, for which a wave or aberration PSF is needed; -1
-        for none.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.point_spread import PointSpread
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> psf = PointSpread(Circle())
-    >>> x = np.arange(-4.0, 5.0)
-    >>> float(psf.weights(x, x[:, None], np.asarray(3.0)).sum().round(12))
-    1.0
+    Equal instances have equal weights apart from rims, so they are the keys of cached tables. edge: "integrated" over
+    source and detector pixel, over the detector's "area" only, or "sampled" at pixel centers. alignment: if not 0,
+    weights have corners where the blur ends at multiples of 1 / alignment px, so that intervals of tables must begin
+    there. rims: circles that cut off light from some directions. varying: change of the wavefront over the frame;
+    `pupil` then has the wavefront on the axis. stretched: in a distorted image, the fraction of R by which ellipses
+    reach beyond discs; 0 for discs only. most: largest |R| in px of negative radii, and of the other radii, for which a
+    wave or aberration PSF is needed; -1 for none.
     """
 
     pupil: Pupil
@@ -112,9 +83,7 @@ class PointSpread:
         return "general" if self.signed else "symmetric"
 
     def between(self, lowest: float, highest: float) -> PointSpread:
-        """The PSF of sources with signed blur radii from `lowest` to `highest` px, rounded to powers of 2 so that a few
-        tables serve all ranges.
-        """
+        """The PSF for signed radii from `lowest` to `highest` px, rounded to powers of 2 for fewer tables."""
         if not (self.diffracted and self.layout == "general"):
             return self
         sizes = -lowest if lowest < 0.0 else -1.0, highest if highest >= 0.0 else -1.0
@@ -221,12 +190,11 @@ class PointSpread:
         return reaches.astype(np.int64)
 
     def weights(self, dx: Array, dy: Array, radius: Array) -> Array:
-        """Fraction of a source's light at integer offsets (dx, dy) px for blur radius `radius` px; sums to 1, or to
-        `Wavefront.grown` in a field.
+        """Fraction of a source's light at integer offsets (dx, dy) px for a blur radius in px; the arrays broadcast.
 
-        The three arrays broadcast; the sign of the radius matters if the PSF is `signed`. Equations are (2.26) for a
-        pillbox, and (2.27) for a Gaussian. At radius 0, all light stays in its pixel, unless `diffracted`. Validated:
-        sum 1 to 1e-12, quadrature, continuity.
+        Sums to 1 within 1e-12, or to `Wavefront.grown` in a field. The sign of the radius matters if the PSF is
+        `signed`. Equations are (2.26) for a pillbox, (2.27) for a Gaussian. At radius 0, all light stays, unless
+        `diffracted`.
         """
         tent = self.edge == "integrated"
         if self.signed or self.diffracted:
@@ -264,8 +232,7 @@ class PointSpread:
     def lens_cells(self) -> Array:
         """Light through the cells (2 LENS_CELLS, 2 LENS_CELLS) of a square around the lens, up to a factor.
 
-        Cells are oriented as in the image for a positive blur radius; for a negative one they are mirrored if the PSF
-        is `signed`.
+        Cells are oriented as in the image of a positive blur radius; a negative one mirrors them if `signed`.
         """
         return self.pupil.cells(LENS_CELLS)
 
@@ -296,40 +263,12 @@ class PointSpread:
 
 
 def point_spread(
-    psf: Psf,
-    aperture: Aperture | None = None,
-    image: Pupil | None = None,
-    camera: Camera | None = None,
+    psf: Psf, aperture: Aperture | None = None, image: Pupil | None = None, camera: Camera | None = None
 ) -> PointSpread:
-    """The PSF that sections of a scene define.
+    """The PSF that sections of a scene define; for waves, that of a gray image.
 
-    Parameters
-    ----------
-    psf : Psf
-        Section [psf].
-    aperture : Aperture, optional
-        Section [aperture]; by default a circle.
-    image : Pupil, optional
-        Pupil of aperture.shape = "image".
-    camera : Camera, optional
-        Its f-number and pixels are needed for psf.model = "wave" and for aberrations.
-
-    Returns
-    -------
-    PointSpread
-        For waves, the PSF of a gray image.
-
-    Raises
-    ------
-    SceneError
-        Waves or aberrations without a camera, or far finer or far coarser than its pixels.
-
-    Examples
-    --------
-    >>> from clsco.optics.point_spread import point_spread
-    >>> from clsco.scene.model import Psf
-    >>> point_spread(Psf(model="gaussian")).layout
-    'separable'
+    aperture: by default a circle; image: pupil of aperture.shape = "image"; camera: for psf.model = "wave" and for
+    aberrations. Raises SceneError for these without a camera, or if they are far finer or far coarser than its pixels.
     """
     aperture = aperture or Aperture()
     rims = tuple(Rim(rim.distance, 0.5 * rim.diameter) for rim in aperture.rim)
@@ -352,20 +291,7 @@ def point_spread(
 
 
 def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> tuple[PointSpread, ...]:
-    """PSFs of red, green and blue, from that of a gray image.
-
-    Parameters
-    ----------
-    spread : PointSpread
-        Made by `point_spread` of the other arguments.
-    psf : Psf
-    camera : Camera
-
-    Returns
-    -------
-    tuple of three PointSpread
-        Three equal PSFs, except for waves.
-    """
+    """PSFs of red, green and blue, from that of a gray image by `point_spread`; equal ones, except for waves."""
     if psf.model != "wave" or camera is None:
         return spread, spread, spread
     from clsco.optics.pupils.diffracted import Diffracted
@@ -388,8 +314,7 @@ def _diffract(
     nodes = (middle - offset, middle + offset) if offset else (middle,)
     units = [diffraction_unit(camera, node) for node in nodes]
     if not units[0] >= LEAST_UNIT or not units[-1] <= MOST_UNIT:
-        rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
-        raise SceneError(f"psf.wavelengths: {rule}; got {units[0]:.3g} px, of {nodes[0]:.4g} nm")
+        raise SceneError(f"psf.wavelengths: {UNIT_RULE}; got {units[0]:.3g} px, of {nodes[0]:.4g} nm")
     bands, keeps = tuple((unit, 1.0 / len(units)) for unit in units), psf.rest == "renormalize"
     wavefront = _wavefront(psf, camera)
     diffracted: Diffracted
@@ -419,9 +344,7 @@ def _trace_rays(pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | N
 
 
 def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
-    """Wavefront errors as optical paths in px; errors given in waves of green light are the same lengths for all
-    colors.
-    """
+    """Wavefront errors as optical paths in px; waves of green light are the same lengths for all colors."""
     from clsco.optics.pupils.wavefront import Wavefront
 
     unit = diffraction_unit(camera, psf.wavelengths[GREEN])
@@ -442,15 +365,7 @@ def _field(psf: Psf, camera: Camera) -> SeidelField | None:
 
 
 def diffraction_unit(camera: Camera, wavelength: float) -> float:
-    """Unit of diffraction Q = wavelength s0 / (D pitch), px; wavelength in nm.
-
-    Examples
-    --------
-    >>> from clsco import Camera
-    >>> from clsco.optics.point_spread import diffraction_unit
-    >>> round(diffraction_unit(Camera(), 550.0), 6)
-    0.11
-    """
+    """Unit of diffraction Q = wavelength s0 / (D pitch), px; wavelength in nm."""
     f_number = camera.normalization_distance / camera.aperture_diameter
     return 1e-6 * wavelength * f_number / camera.pixel_pitch
 
@@ -458,10 +373,7 @@ def diffraction_unit(camera: Camera, wavelength: float) -> float:
 def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float) -> PointSpread:
     """The PSF for light of one wavelength in nm, through the same lens.
 
-    Raises
-    ------
-    SceneError
-        The PSF is not by waves, or diffraction is far finer or far coarser than pixels.
+    Raises SceneError if the PSF is not by waves, or if diffraction is far finer or far coarser than pixels.
     """
     from clsco.optics.pupils.diffracted import Diffracted
     from clsco.optics.pupils.traced import Traced
@@ -470,22 +382,12 @@ def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float)
         raise SceneError(f'psf: wavelengths need psf.model = "wave"; got {spread.pupil.name}')
     unit = diffraction_unit(camera, wavelength)
     if not LEAST_UNIT <= unit <= MOST_UNIT:
-        rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
-        raise SceneError(f"psf: wavelengths {rule}; got {unit:.3g} px, of {wavelength:.4g} nm")
+        raise SceneError(f"psf: wavelengths {UNIT_RULE}; got {unit:.3g} px, of {wavelength:.4g} nm")
     return replace(spread, pupil=replace(spread.pupil, bands=((unit, 1.0),)))
 
 
 def exposure_factor(aperture: Aperture, psf: PointSpread) -> float:
-    """Irradiance of a frame relative to an open circular aperture: the ratio of areas if exposure = "area", else 1.
-
-    Examples
-    --------
-    >>> from clsco.optics.point_spread import exposure_factor, point_spread
-    >>> from clsco.scene.model import Aperture, Psf
-    >>> ring = Aperture(shape="ring", obstruction=0.5, exposure="area")
-    >>> exposure_factor(ring, point_spread(Psf(), ring))
-    0.75
-    """
+    """Irradiance of a frame relative to an open circular aperture: the ratio of areas if exposure = "area", else 1."""
     return psf.pupil.light if aperture.exposure == "area" else 1.0
 
 

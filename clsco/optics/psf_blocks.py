@@ -1,6 +1,4 @@
-"""Blocks of PSF tables: each block always has the same intervals, so that a weight has the same bits in every table
-(float64, pure).
-"""
+"""Blocks of PSF tables, always of the same intervals, so that a weight has the same bits in all (float64, pure)."""
 
 from __future__ import annotations
 
@@ -16,6 +14,7 @@ from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths, octant_taps, row_lanes, table_radius
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 OUTLINE, OUTLINE_RUN = 2, 4  # lengths of the last axis of outlines, without and with a run of equal weights
 SAME = 1e-9  # relative difference of weights that count as equal: those of wide blurs are exact to 1e-10
 RUN = 16  # largest number of intervals of one half-width whose weights are computed at once
@@ -25,25 +24,16 @@ RUN = 16  # largest number of intervals of one half-width whose weights are comp
 class WeightBlock:
     """Weights of `block_intervals` intervals of a table, see `clsco.optics.psf_tables.PsfTable`.
 
-    Attributes
-    ----------
-    widths : ndarray of int32, (count,)
-        Half-widths of the intervals, px.
-    coefficients : ndarray of float32
-        Coefficients of all intervals, concatenated.
-    negative : ndarray of float32
-        The same for negative radii of a signed shape, else empty.
-    taps : ndarray of float32, (taps, POWERS, count)
-        Coefficients by tap, for a main table (sources at pixel centers).
-    outlines : ndarray of int32, (count, half-width + 1, 2)
-        Outlines of a main table, see `_outline`; for a ring (.., 4), see `_ring_outline`, and for a general shape
-        (count, 2 half-width + 1, 4), see `_column_outline`.
+    widths: half-widths (count,) of the intervals, px. coefficients: of all intervals, concatenated; negative: the same
+    for negative radii of a signed shape, else empty. taps: coefficients by tap (taps, POWERS, count), for a main table
+    (sources at pixel centers). outlines: (count, half-width + 1, 2) for a main table, see `_outline`; for a ring (..,
+    4), see `_ring_outline`, and for a general shape (count, 2 half-width + 1, 4), see `_column_outline`.
     """
 
     widths: NDArray[np.int32]
-    coefficients: NDArray[np.float32]
-    negative: NDArray[np.float32]
-    taps: NDArray[np.float32]
+    coefficients: Floats
+    negative: Floats
+    taps: Floats
     outlines: NDArray[np.int32]
 
     @property
@@ -53,25 +43,9 @@ class WeightBlock:
 
 
 def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock:
-    """The block that begins at interval `first`.
+    """The block that begins at interval `first`, a multiple of `block_intervals`; subpixel: sources per axis, or 0.
 
-    Parameters
-    ----------
-    psf : PointSpread
-        Not a sampled disc, which has one weight per interval and needs no block.
-    first : int
-        Number of an interval, a multiple of `block_intervals`.
-    subpixel : int
-        Sub-pixel sources per axis for a table of these, else 0.
-
-    Returns
-    -------
-    WeightBlock
-
-    Notes
-    -----
-    Weights at the radii of NODES determine a cubic in the position within an interval. Validated against
-    `PointSpread.weights` (tests/optics/test_point_spread.py).
+    Weights at the radii of NODES determine a cubic in the position within an interval. A sampled disc has no blocks.
     """
     span = range(first, first + block_intervals(psf, subpixel > 0))
     if psf.layout == "general":
@@ -83,7 +57,7 @@ def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock
 
 def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
     fine, hollow, widths = subpixel > 0, int(psf.pupil.hollow), half_widths(psf, span, subpixel > 0)
-    reach, coefficients = int(widths[-1]), list[NDArray[np.float32]]()
+    reach, coefficients = int(widths[-1]), list[Floats]()
     taps = np.zeros((0 if fine else octant_taps(reach) + hollow, POWERS, len(span)), np.float32)
     outlines = np.zeros((0 if fine else len(span), reach + 1, OUTLINE_RUN if hollow else OUTLINE), np.int32)
     outlines[..., 1] = -1
@@ -113,7 +87,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     """
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
-    coefficients: tuple[list[NDArray[np.float32]], ...] = ([], [])
+    coefficients: tuple[list[Floats], ...] = ([], [])
     widths = half_widths(psf, span, fine).astype(np.int32)
     reach, by_columns = int(widths[-1]), psf.has_runs and not fine
     outlines = np.zeros((len(span) if by_columns else 0, 2 * reach + 1, OUTLINE_RUN), np.int32)
@@ -141,7 +115,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
 
 def _separable(psf: PointSpread, span: range) -> WeightBlock:
     """Block of a Gaussian, for one of its axes."""
-    widths, rows = half_widths(psf, span, False), list[NDArray[np.float32]]()
+    widths, rows = half_widths(psf, span, False), list[Floats]()
     sides = np.zeros((int(widths[-1]) + 1, POWERS, len(span)), np.float32)
     for number, radii, half_width in _runs(psf, span, False):
         offsets = np.arange(-half_width, half_width + 1.0)
@@ -155,7 +129,7 @@ def _separable(psf: PointSpread, span: range) -> WeightBlock:
     return WeightBlock(widths.astype(np.int32), np.concatenate(rows), _none(), sides, outlines)
 
 
-def _none() -> NDArray[np.float32]:
+def _none() -> Floats:
     return np.zeros(0, np.float32)
 
 
@@ -170,7 +144,7 @@ def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, 
         first = end
 
 
-def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
+def _cubics(values: Array, half_width: int) -> Iterator[Floats]:
     """Coefficients (rows, POWERS, lanes) of each interval, from values (nodes of all intervals, rows, dx)."""
     count = len(values) // len(NODES)
     coefficients = np.tensordot(values.reshape(count, len(NODES), *values.shape[1:]), TO_POWERS, axes=(1, 1))
@@ -180,7 +154,7 @@ def _cubics(values: Array, half_width: int) -> Iterator[NDArray[np.float32]]:
         yield block
 
 
-def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
+def _outline(block: Floats) -> NDArray[np.int32]:
     """Outline of an interval's weights, and of the part where they are all equal: int32 (half-width + 1, 2).
 
     block: coefficients (|dy|, powers, |dx|). For the column |dx| = n: the first |dy| at which the weight differs from
@@ -188,10 +162,12 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
     """
     same = (block == block[:1, :, :1]).all(axis=1)
     first = np.where(same.all(axis=0), len(same), same.argmin(axis=0))
-    lit = (block != 0).any(axis=1)
-    last = len(lit) - 1 - lit[::-1].argmax(axis=0)
-    last = np.where(lit.any(axis=0), last, -1)
-    return np.stack([np.minimum.accumulate(first), last], axis=1).astype(np.int32)
+    return np.stack([np.minimum.accumulate(first), _last((block != 0).any(axis=1))], axis=1).astype(np.int32)
+
+
+def _last(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Last row in which each column of a mask is True, -1 for none."""
+    return np.where(mask.any(axis=0), len(mask) - 1 - mask[::-1].argmax(axis=0), -1)
 
 
 def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]:
@@ -208,8 +184,7 @@ def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int
     """
     lit, count = np.asarray((values > 0.0).any(axis=0)), len(is_open)
     place, half_width = np.arange(count)[:, None], count // 2
-    any_lit = lit.any(axis=0)
-    first, last = lit.argmax(axis=0) - half_width, count - 1 - lit[::-1].argmax(axis=0) - half_width
+    any_lit, first, last = lit.any(axis=0), lit.argmax(axis=0) - half_width, _last(lit) - half_width
     length = place - np.maximum.accumulate(np.where(is_open, -1, place), axis=0)
     most, stop = length.max(axis=0), length.argmax(axis=0) + 1 - half_width
     run = np.stack([stop - most, stop], axis=1) * (most > 0)[:, None]
@@ -217,17 +192,14 @@ def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int
     return np.concatenate([ends, run], axis=1).astype(np.int32)
 
 
-def _ring_outline(block: NDArray[np.float32], is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _ring_outline(block: Floats, is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Outline of an interval's weights for a ring: int32 (half-width + 1, 4).
 
     block: coefficients (|dy|, powers, |dx|); is_open (|dy|, |dx|). For the column |dx| = n: the first and the last |dy|
     with a positive weight, and the first and the end of the taps fully inside the ring.
     """
-    lit, count = (block != 0).any(axis=1), len(block)
-    last = np.where(lit.any(axis=0), count - 1 - lit[::-1].argmax(axis=0), -1)
-    stop = np.where(is_open.any(axis=0), count - is_open[::-1].argmax(axis=0), 0)
-    start = np.where(is_open.any(axis=0), is_open.argmax(axis=0), count)
-    return np.stack([lit.argmax(axis=0), last, start, stop], axis=1).astype(np.int32)
+    lit, start = (block != 0).any(axis=1), np.where(is_open.any(axis=0), is_open.argmax(axis=0), len(block))
+    return np.stack([lit.argmax(axis=0), _last(lit), start, _last(is_open) + 1], axis=1).astype(np.int32)
 
 
 def _main_rows(psf: PointSpread, radii: Array, half_width: int) -> Array:

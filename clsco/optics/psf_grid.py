@@ -33,9 +33,7 @@ BLOCK = 64  # intervals of a sampled Gaussian, or of waves, that are computed to
 
 
 def sampled_steps(psf: PointSpread) -> tuple[int, int]:
-    """Intervals of a sampled PSF per unit of dx^2 + dy^2 near 0, and the number of such units; beyond, 1 interval per
-    unit.
-    """
+    """Intervals of a sampled PSF per unit of dx^2 + dy^2 near 0, and the number of such units; beyond, 1 per unit."""
     return (1, 0) if psf.uniform else (FINE_STEPS, FINE_UNTIL)
 
 

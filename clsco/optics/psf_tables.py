@@ -26,11 +26,12 @@ from clsco.optics.psf_grid import (
 )
 from clsco.optics.ray_means import has_ray_means, ray_floats
 
+Floats = NDArray[np.float32]
 LARGEST_TABLES = 2**30  # bytes
 SHARED_BYTES = 2**26  # up to which a table is rounded to whole blocks, so that other ranges share it
 Blocks = Callable[[PointSpread, int, int], WeightBlock]
 """Function like `weight_block`: takes a PSF, the first interval and sub-pixel sources per axis; returns the block."""
-Join = Callable[[list[NDArray[np.float32]]], NDArray[np.float32]]
+Join = Callable[[list[Floats]], Floats]
 """Function that concatenates arrays."""
 
 
@@ -68,10 +69,10 @@ class PsfTable:
     low: int
     end: int
     intervals: NDArray[np.int32]
-    coefficients: NDArray[np.float32]
+    coefficients: Floats
     reach: int
     count: int
-    taps: NDArray[np.float32]
+    taps: Floats
     outlines: NDArray[np.int32]
     stride: int = 0
     place: Hashable = None
@@ -99,25 +100,21 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
         size = 4 * len(span)
         return {"intervals": 2 * size, "coefficients": size, "taps": size, "outlines": 4 * span.stop}
     widths = half_widths(psf, span, subpixel > 0)
-    widest, row = int(widths[-1]), 4 * POWERS * row_lanes(widths)
-    sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
-    tap_bytes = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
+    widest, each = int(widths[-1]), 4 * _interval_size(psf, widths, subpixel)
+    sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0, "coefficients": int(each.sum())}
     if psf.layout == "general":
-        each = row * (2 * widths + 1) * max(subpixel, 1) ** 2
-        coefficients = len(psf.places) * sum(int(each[:count].sum()) for count in _counts(psf, span, subpixel))
-        sizes |= {"intervals": 16 * len(span), "coefficients": coefficients}
+        counts = _counts(psf, span, subpixel)
+        sizes["coefficients"] = len(psf.places) * sum(int(each[:count].sum()) for count in counts)
+        sizes["intervals"] *= 2
         if psf.has_runs and not subpixel:
             sides = _window_sides(widths)
             sizes["taps"] = int(4 * POWERS * WIDE_LANES * (sides * sides + 1).sum())
             sizes["outlines"] = 4 * OUTLINE_RUN * (len(span) * (2 * widest + 1) + len(sides))
-        return sizes
-    if subpixel:
-        return sizes | {"coefficients": int((row * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())}
-    if psf.layout == "separable":
-        return sizes | {"coefficients": int(row.sum()), "taps": tap_bytes * (widest + 1)}
-    outline = 4 * OUTLINE_RUN if psf.pupil.hollow else 4 * OUTLINE
-    sizes |= {"taps": tap_bytes * _tap_count(psf, widest), "outlines": outline * len(span) * (widest + 1)}
-    return sizes | {"coefficients": int((row * (widths + 1)).sum())}
+    elif not subpixel:
+        sizes["taps"] = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES) * _tap_count(psf, widest)
+        if psf.layout == "symmetric":
+            sizes["outlines"] = 4 * (OUTLINE_RUN if psf.pupil.hollow else OUTLINE) * len(span) * (widest + 1)
+    return sizes
 
 
 def table_bytes(psf: PointSpread, smallest: float, largest: float, subpixel: int = 0) -> int:
@@ -130,10 +127,8 @@ def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes:
 
     silhouettes: sub-pixel sources per axis, 0 for none; occluded: True to include ray means (`clsco.optics.ray_means`).
     """
-    size = table_bytes(psf, smallest, largest)
-    size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     means = 4 * ray_floats(psf, largest) if occluded and has_ray_means(psf) else 0
-    size += means
+    size = sum(table_bytes(psf, smallest, largest, subpixel) for subpixel in {0, silhouettes}) + means
     if size > LARGEST_TABLES:
         from clsco.optics.pupils.traced import Traced
 
@@ -169,22 +164,7 @@ def rounded_span(psf: PointSpread, smallest: float, largest: float, subpixel: in
 def psf_table(
     psf: PointSpread, smallest: float, largest: float, subpixel: int = 0, blocks: Blocks = weight_block
 ) -> PsfTable:  # fmt: skip
-    """Table for a range of |blur radii|.
-
-    Parameters
-    ----------
-    psf : PointSpread
-    smallest, largest : float
-        px.
-    subpixel : int
-        Sub-pixel sources per axis for a table of these, else 0.
-    blocks : callable
-        Returns the blocks that make up the table.
-
-    Returns
-    -------
-    PsfTable
-    """
+    """Table for |blur radii| from smallest to largest px; subpixel: sub-pixel sources per axis, 0 for a main table."""
     span = rounded_span(psf, smallest, largest, subpixel)
     return narrow_table(table_of(psf, span, subpixel, blocks), psf, smallest, largest, subpixel > 0)
 
@@ -198,21 +178,13 @@ def narrow_table(table: PsfTable, psf: PointSpread, smallest: float, largest: fl
 def table_of(
     psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = weight_block, join: Join = np.concatenate
 ) -> PsfTable:  # fmt: skip
-    """The table of a range of intervals, rounded to whole TAP_LANES; see `psf_table`. join: concatenates the
-    coefficients, most of a table.
-    """
+    """The table of a range of intervals, in whole TAP_LANES, see `psf_table`; join: concatenates coefficients."""
     if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
     starts = range(span.start // size * size, span.stop, size)
     # Block by block: positions of a field that mirror each other share weights, which stay cached for a short time.
-    by_start = [
-        [
-            _part(place, blocks(_of_block(place, start, subpixel), start, subpixel), start, span, subpixel)
-            for place in psf.places
-        ]
-        for start in starts
-    ]
+    by_start = [[_part(place, blocks, start, span, subpixel) for place in psf.places] for start in starts]
     parts = [of_places[0] for of_places in by_start]
     by_place = [
         [*(b.coefficients for b in blocks), *(b.negative for b in blocks)] for blocks in zip(*by_start, strict=True)
@@ -222,7 +194,7 @@ def table_of(
     if psf.has_runs and not subpixel:
         taps, outlines = _windows(parts)
     else:
-        taps, outlines = _join_taps(parts), _join_outlines(parts)
+        taps, outlines = _join_taps(parts), _join_outlines(parts, psf.has_runs)
     stride = coefficients.size // len(psf.places) if psf.varying is not None else 0
     reach = int(intervals[:, 1].max())
     return PsfTable(
@@ -260,27 +232,22 @@ def _intervals(psf: PointSpread, widths: NDArray[np.int32], span: range, subpixe
     return np.concatenate([part[np.minimum(np.arange(len(widths)), len(part) - 1)] for part in signs])
 
 
-def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixel: int) -> WeightBlock:
-    """The intervals of a block that are in a span; start: first interval of the block."""
+def _part(psf: PointSpread, blocks: Blocks, start: int, span: range, subpixel: int) -> WeightBlock:
+    """The intervals in a span of the block that begins with interval `start`."""
+    block = blocks(_of_block(psf, start, subpixel), start, subpixel)
     first, end = max(span.start - start, 0), min(span.stop - start, len(block.widths))
     if (first, end) == (0, len(block.widths)):
         return block
     sizes = np.cumsum(_interval_size(psf, block.widths.astype(np.int64), subpixel))
     selection = slice(int(sizes[first - 1]) if first else 0, int(sizes[end - 1]))
-    widest = int(block.widths[end - 1])
+    widest, middle = int(block.widths[end - 1]), block.outlines.shape[1] // 2 if psf.has_runs else 0
     return WeightBlock(
         block.widths[first:end],
         block.coefficients[selection],
         block.negative[selection],
         block.taps[: _tap_count(psf, widest), :, first:end],
-        _widest_columns(psf, block.outlines[first:end], widest),
+        block.outlines[first:end, max(middle - widest, 0) : middle + widest + 1],
     )
-
-
-def _widest_columns(psf: PointSpread, outlines: NDArray[np.int32], widest: int) -> NDArray[np.int32]:
-    """Outlines of the columns up to a half-width."""
-    middle = outlines.shape[1] // 2 if psf.has_runs else 0
-    return outlines[:, max(middle - widest, 0) : middle + widest + 1]
 
 
 def _tap_count(psf: PointSpread, widest: int) -> int:
@@ -297,7 +264,7 @@ def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -
     return row if psf.layout == "separable" else row * (widths + 1)
 
 
-def _join_taps(parts: list[WeightBlock]) -> NDArray[np.float32]:
+def _join_taps(parts: list[WeightBlock]) -> Floats:
     """Coefficients by tap, in windows of WIDE_LANES intervals every TAP_LANES, on axis 1; 0 beyond a block's taps."""
     most, count = max(len(block.taps) for block in parts), sum(block.taps.shape[2] for block in parts)
     if not count:
@@ -317,12 +284,10 @@ def _window_sides(widths: NDArray[np.int64]) -> NDArray[np.int64]:
     return 2 * widths[last].astype(np.int64) + 1
 
 
-def _windows(parts: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Coefficients by tap of each window of intervals of a general shape, and outlines followed by the starts of
-    windows, see `PsfTable`.
-    """
+def _windows(parts: list[WeightBlock]) -> tuple[Floats, NDArray[np.int32]]:
+    """Coefficients by tap of windows of a general shape, and outlines followed by starts of windows, see `PsfTable`."""
     widths = np.concatenate([block.widths for block in parts]).astype(np.int64)
-    sides, outlines = _window_sides(widths), _center_outlines(parts, int(widths[-1]))
+    sides, outlines = _window_sides(widths), _join_outlines(parts, has_runs=True)
     places = np.concatenate([[0], np.cumsum(sides * sides + 1)])
     taps = np.zeros((int(places[-1]), POWERS, WIDE_LANES), np.float32)
     intervals = (item for block in parts for item in _interval_taps(block))
@@ -342,7 +307,7 @@ def _windows(parts: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.
     return taps, np.concatenate([_share_outlines(outlines).reshape(-1, OUTLINE_RUN), heads])
 
 
-def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, Floats]]:
     """Half-width and coefficients (dx, dy, POWERS) of each interval of a general shape."""
     start = 0
     for half in block.widths.tolist():
@@ -350,20 +315,6 @@ def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32
         rows = block.coefficients[start : start + side * POWERS * lanes].reshape(side, POWERS, lanes)
         yield half, rows[..., :side].transpose(2, 0, 1)
         start += rows.size
-
-
-def _center_outlines(parts: list[WeightBlock], widest: int) -> NDArray[np.int32]:
-    """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape; unlit columns have empty
-    ones.
-    """
-    joined = np.zeros((sum(len(block.outlines) for block in parts), 2 * widest + 1, OUTLINE_RUN), np.int32)
-    joined[..., 1] = -1
-    start = 0
-    for block in parts:
-        beside, end = widest - block.outlines.shape[1] // 2, start + len(block.outlines)
-        joined[start:end, beside : 2 * widest + 1 - beside] = block.outlines
-        start = end
-    return joined
 
 
 def _share_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -383,8 +334,8 @@ def _share_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.stack(ends, axis=-1)
 
 
-def _join_outlines(parts: list[WeightBlock]) -> NDArray[np.int32]:
-    """Outlines of all intervals, empty beyond those of a block."""
+def _join_outlines(parts: list[WeightBlock], has_runs: bool) -> NDArray[np.int32]:
+    """Outlines of all intervals, empty beyond those of a block; with `has_runs`, the middle column is dx = 0."""
     most = max(block.outlines.shape[1] for block in parts)
     if not most:
         return np.zeros(0, np.int32)
@@ -392,8 +343,10 @@ def _join_outlines(parts: list[WeightBlock]) -> NDArray[np.int32]:
     joined, start = np.zeros((sum(len(block.outlines) for block in parts), most, numbers), np.int32), 0
     joined[..., 1] = -1
     for block in parts:
-        joined[start : start + len(block.outlines), : block.outlines.shape[1]] = block.outlines
-        start += len(block.outlines)
+        count, columns, _ = block.outlines.shape
+        beside = (most - columns) // 2 if has_runs else 0
+        joined[start : start + count, beside : beside + columns] = block.outlines
+        start += count
     return joined
 
 
@@ -409,32 +362,10 @@ def _disc_table(psf: PointSpread, span: range) -> PsfTable:
     )  # fmt: skip
 
 
-def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[np.float32]:
-    """Weights of a source, as a device reads them from a main table.
+def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> Floats:
+    """Weights (2 h + 1, 2 h + 1) of a source in the middle, as a device reads them from a main table.
 
-    Parameters
-    ----------
-    table : PsfTable
-        Table from `psf_table` for a range that includes this |blur radius|, without sub-pixel sources.
-    psf : PointSpread
-    radius : float
-        Signed blur radius, px.
-
-    Returns
-    -------
-    ndarray of float32, (2 h + 1, 2 h + 1)
-        Weights of the pixels from h rows above to h rows below the source, and from h columns left to h columns right
-        of it.
-
-    Examples
-    --------
-    >>> from clsco.optics.point_spread import PointSpread
-    >>> from clsco.optics.psf_tables import psf_table, table_weights
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> psf = PointSpread(Circle())
-    >>> weights = table_weights(psf_table(psf, 3.0, 3.0), psf, -3.0)
-    >>> weights.shape, round(float(weights.sum()), 5)
-    ((9, 9), 1.0)
+    table: for a range that includes |radius|; radius: signed blur radius, px.
     """
     coordinate = float(table_coordinate(psf, np.asarray(radius)))
     index = int(coordinate)

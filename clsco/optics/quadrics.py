@@ -16,20 +16,9 @@ from numpy.typing import NDArray
 from clsco.optics.bounds import Bounds, cutting
 from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose, rest_center, static_rotation
-from clsco.scene.model import (
-    Background,
-    Cone,
-    Cylinder,
-    Disc,
-    Ellipsoid,
-    Object,
-    Plane,
-    Quadric,
-    Rectangle,
-    Sphere,
-)
+from clsco.scene.model import Background, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
-Vector = NDArray[np.float64]
+Array = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
 NULL_CURVATURE = 1e-13
 # The square is completed along an axis only if this moves the origin by at most this multiple of the center's distance.
@@ -38,29 +27,17 @@ FARTHEST_CENTER = 4.0
 
 @dataclass(frozen=True)
 class Canonical:
-    """A shape in its canonical frame X = axes (X_object - origin).
+    """A shape in its canonical frame X = axes (X_object - origin): sum q_i X_i^2 + 2 sum l_i X_i = k.
 
-    Attributes
-    ----------
-    q, l : ndarray of float64, (3,)
-        Coefficients of X_i^2 and 2 X_i.
-    k : float
-        Constant in sum q_i X_i^2 + 2 sum l_i X_i = k.
-    axes : ndarray of float64, (3, 3)
-        Rows are the canonical axes in the object's frame.
-    origin : ndarray of float64, (3,)
-        mm.
-    nappe : int
-        Sign that the third canonical coordinate must have, 0 for either.
-    radius : float
-        Radius in mm of the disc about the third axis to which a plane is cut; infinite if it is not cut.
+    axes: rows are the canonical axes in the object's frame. origin: mm. nappe: sign that the third canonical coordinate
+    must have, 0 for either. radius: in mm, of the disc about the third axis to which a plane is cut, or infinite.
     """
 
-    q: Vector
-    l: Vector  # noqa: E741 - the name of the linear part in physics
+    q: Array
+    l: Array  # noqa: E741 - the name of the linear part in physics
     k: float
-    axes: NDArray[np.float64]
-    origin: Vector
+    axes: Array
+    origin: Array
     nappe: int = 0
     radius: float = inf
 
@@ -81,46 +58,30 @@ EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
 class PlacedSurface:
     """A surface at one time in the camera's frame; the point at depth Z on ray d has canonical X = offset + Z turn d.
 
-    Attributes
-    ----------
-    canonical : Canonical
-    turn : ndarray of float64, (3, 3)
-    offset : ndarray of float64, (3,)
-        Position of the lens in the canonical frame, mm.
-    body_turn, body_offset
-        Turn and offset from the camera's frame to a frame at the object's center, with the axes of the reference pose:
-        they move points back to that pose.
-    own_turn, own_offset
-        Turn and offset to the object's own frame, for bounds: the static rotation is undone as well.
-    rest : ndarray of float64, (3,)
-        Center in the reference pose, mm.
-    constant : float
-        The quadric's value at the lens center.
-    ball : ndarray of float64, (4,)
-        Center x, y, z and radius of a ball around the part of the surface in front of the camera, mm; infinite radius
-        without one.
-    extent : Extent
-        Bounds of the surface in the image and in depth.
-    width : float
-        Approximate width of the image across its longest direction, as a difference of slopes; infinite for unbounded
-        surfaces, negative for cylinders and cones, whose width varies (`outline_lines`).
+    offset: position of the lens in the canonical frame, mm. body_turn, body_offset: from the camera's frame to a frame
+    at the object's center, with the axes of the reference pose: they move points back to that pose. own_turn,
+    own_offset: to the object's own frame, for bounds: the static rotation is undone as well. rest: center in the
+    reference pose, mm. constant: the quadric's value at the lens center. ball: center x, y, z and radius of a ball
+    around the part of the surface in front of the camera, mm; infinite radius without one. width: approximate width of
+    the image across its longest direction, as a difference of slopes; infinite for unbounded surfaces, negative for
+    cylinders and cones, whose width varies (`outline_lines`).
     """
 
     canonical: Canonical
-    turn: NDArray[np.float64]
-    offset: Vector
-    body_turn: NDArray[np.float64]
-    body_offset: Vector
-    own_turn: NDArray[np.float64]
-    own_offset: Vector
-    rest: Vector
+    turn: Array
+    offset: Array
+    body_turn: Array
+    body_offset: Array
+    own_turn: Array
+    own_offset: Array
+    rest: Array
     constant: float
-    ball: Vector
+    ball: Array
     extent: Extent = EVERYWHERE
     width: float = inf
 
 
-def _axes_along(axis: Vector) -> NDArray[np.float64]:
+def _axes_along(axis: Array) -> Array:
     """Right-handed orthonormal axes as rows, the third along `axis`."""
     third = axis / np.linalg.norm(axis)
     helper = np.eye(3)[int(np.argmin(np.abs(third)))]
@@ -154,32 +115,18 @@ def _canonical_quadric(coefficients: tuple[float, ...], farthest: float) -> Cano
 
 
 def canonical(item: Object) -> Canonical:
-    """Canonical form of a shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39).
+    """Canonical form of an analytic shape (3.7, 3.11, 3.18, 3.23, 3.33, 3.39); lengths in mm.
 
-    Parameters
-    ----------
-    item : Object
-        Analytic; lengths in mm.
-
-    Returns
-    -------
-    Canonical
-
-    Notes
-    -----
-    Coefficients are scaled to the size of the shape if their scale is free, so that sizes from 1e-6 to 1e9 mm stay in
-    the range of float32.
+    Coefficients of free scale are scaled to the shape, so that sizes from 1e-6 to 1e9 mm stay in the range of float32.
     """
-    still, zero = np.eye(3), np.zeros(3)
+    still, zero, flat = np.eye(3), np.zeros(3), np.array([0.0, 0.0, 0.5])
     if isinstance(item, Plane):
         return Canonical(zero, np.array([-item.slope_x, -item.slope_y, 1.0]) / 2, 0.0, still, zero)
-    if isinstance(item, Rectangle):
-        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, np.array([0.0, 0.0, item.offset]))
-    if isinstance(item, Disc):
-        middle = np.array([0.0, 0.0, item.offset])
-        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, middle, radius=item.radius)
     if isinstance(item, Background):
-        return Canonical(zero, np.array([0.0, 0.0, 0.5]), 0.0, still, zero)
+        return Canonical(zero, flat, 0.0, still, zero)
+    if isinstance(item, Rectangle | Disc):
+        radius = item.radius if isinstance(item, Disc) else inf
+        return Canonical(zero, flat, 0.0, still, np.array([0.0, 0.0, item.offset]), radius=radius)
     if isinstance(item, Sphere):
         return Canonical(np.ones(3), zero, item.radius**2, still, zero)
     if isinstance(item, Cylinder):
@@ -202,17 +149,9 @@ def canonical(item: Object) -> Canonical:
 
 
 def cutting_bounds(item: Object) -> Bounds | None:
-    """Bounds of an object that really cut its surface; rays and visibility tests use only these.
+    """Bounds in mm that really cut an object, in its own frame; rays and visibility tests use only these.
 
-    Parameters
-    ----------
-    item : Object
-        Analytic, or a depth map, which has none.
-
-    Returns
-    -------
-    tuple of three (low, high), or None
-        mm, in the object's own frame; infinite for a bound that the surface at most touches. None if no bound cuts it.
+    A bound that the surface at most touches is infinite; None if no bound cuts it, and for a depth map.
     """
     if item.bounds is None:
         return None
@@ -225,17 +164,7 @@ def cutting_bounds(item: Object) -> Bounds | None:
 
 
 def place(item: Object, pose: Pose) -> PlacedSurface:
-    """Surface of an analytic object in a pose, in the frame of the lens.
-
-    Parameters
-    ----------
-    item : Object
-    pose : Pose
-
-    Returns
-    -------
-    PlacedSurface
-    """
+    """Surface of an analytic object in a pose, in the frame of the lens."""
     shape, rest = canonical(item), rest_center(item)
     body_turn = pose.rotation.T
     body_offset = body_turn @ (-rest - pose.shift)
@@ -256,7 +185,7 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
     return replace(placed, width=_width(item, placed))
 
 
-def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
+def outline_form(surface: PlacedSurface) -> Array:
     """Symmetric matrix M (3, 3) such that r M r is the discriminant of a curved surface along ray r.
 
     A ray misses if r M r < 0. The surface's outline in the image is the conic r M r = 0.
@@ -266,7 +195,7 @@ def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
     return np.asarray(np.outer(gradient, gradient) - surface.constant * square)
 
 
-def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector, Vector]:
+def outline_lines(surface: PlacedSurface, x: Array, y: Array) -> tuple[Array, Array]:
     """Approximate distances, as slopes, of rays from the midline of the two lines that outline a cylinder or a cone,
     and half of the distance between these lines.
 
@@ -303,9 +232,9 @@ def _width(item: Object, surface: PlacedSurface) -> float:
     return ball_width
 
 
-def _ball(item: Object, pose: Pose) -> Vector:
+def _ball(item: Object, pose: Pose) -> Array:
     """Value of `PlacedSurface.ball`."""
-    balls: list[tuple[Vector, float]] = []
+    balls: list[tuple[Array, float]] = []
     if isinstance(item, Sphere):
         balls.append((np.zeros(3), item.radius))
     if isinstance(item, Disc):
@@ -339,26 +268,9 @@ def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
     return float(lens.blur_radius(inverse_depth))
 
 
-def predict_inverse_depth(
-    item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Inverse depth along rays (x, y, 1), for predictions and ground truth, not for rendering.
-
-    Parameters
-    ----------
-    item : Object
-    surface : PlacedSurface
-    x, y : ndarray of float64, any one shape
-        Slopes of the rays.
-
-    Returns
-    -------
-    ndarray of float64
-        1/mm, 0 if a ray misses.
-
-    Notes
-    -----
-    The textbook formula in float64; renders use `solve_quadric`.
+def predict_inverse_depth(item: Object, surface: PlacedSurface, x: Array, y: Array) -> Array:
+    """Inverse depth in 1/mm along rays (x, y, 1), 0 if a ray misses, for predictions and ground truth, not for
+    rendering: the textbook formula in float64; renders use `solve_quadric`.
     """
     rays, shape, bounds = np.stack([x, y, np.ones_like(x)]), surface.canonical, cutting_bounds(item)
     d = np.tensordot(surface.turn, rays, axes=1)

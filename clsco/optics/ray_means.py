@@ -40,20 +40,14 @@ LOPSIDED = (0.3, 0.1)  # asymmetry that decides which of two sheets counts as fa
 class RayMeans:
     """Mean lens points by position of the field, blur radius and pixel.
 
-    Attributes
-    ----------
-    first : int
-        Number, by `step_of`, of the first radius; negative radii come first.
-    half_width : int
-        Farthest pixel from the source along an axis, px.
-    scales : ndarray, (places, radii)
-        px per lens radius of the blur, from its second moments, unsigned; for each position of the field.
-    means : ndarray, (places, radii, planes, rows, pitch)
-        Rows and columns are relative to the source; rows are padded with 0. Planes: mean x and y of the lens point l
-        (`Wavefront.crossings`), in lens radii; xx, xy and yy of I - s^2 cov(l, l) / v, with s the scale and v the
-        variance of a tent. With bent rays, the first plane is the fraction of the light on the second sheet; then for
-        each sheet, times its fraction of the light: the same five planes; mean x and y of o, twice the origin in the
-        source, px; xx, xy and yy of s (cov(o, l) + cov(l, o)) / v.
+    first: number, by `step_of`, of the first radius; negative radii come first. half_width: farthest pixel from the
+    source along an axis, px. scales: (places, radii), px per lens radius of the blur, from its second moments,
+    unsigned. means: (places, radii, planes, rows, pitch), rows and columns relative to the source, rows padded with 0.
+
+    Planes: mean x and y of the lens point l (`Wavefront.crossings`), in lens radii; xx, xy and yy of I - s^2 cov(l, l)
+    / v, with s the scale and v the variance of a tent. With bent rays, the first plane is the fraction of the light on
+    the second sheet; then for each sheet, times its fraction of the light: the same five planes; mean x and y of o,
+    twice the origin in the source, px; xx, xy and yy of s (cov(o, l) + cov(l, o)) / v.
     """
 
     first: int
@@ -156,9 +150,7 @@ def _pitch(half_width: int) -> int:
 
 
 def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int, bent: bool) -> tuple[float, Array]:
-    """Scale of a blur, and planes (planes, rows, columns) of means for square sources: each ray lights four pixels;
-    bent: True for two sheets.
-    """
+    """Scale of a blur, and planes (planes, rows, columns) of means for square sources: a ray lights four pixels."""
     from clsco.optics.pupils.traced import bends, lens_points
 
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope

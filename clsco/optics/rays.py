@@ -13,27 +13,7 @@ Array = NDArray[np.float64]
 
 
 def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array, Array]:
-    """Slopes X / Z right and Y / Z up of the rays through pixels (3.1, 3.2).
-
-    Parameters
-    ----------
-    camera : Camera
-        Camera with a resolution.
-    row, column : array_like
-        Pixel positions, px, which broadcast; may be fractional and outside of the frame.
-
-    Returns
-    -------
-    x, y : ndarray of float64, of the shape to which `row` and `column` broadcast
-
-    Examples
-    --------
-    >>> from clsco import Camera
-    >>> from clsco.optics.rays import ray_slopes
-    >>> x, y = ray_slopes(Camera(resolution=(3, 3), pixel_pitch=0.01), 0, 2)  # the upper right corner
-    >>> float(x), float(y)
-    (0.0005, 0.0005)
-    """
+    """Slopes X / Z right and Y / Z up of rays through pixels (3.1, 3.2), also fractional ones and beyond the frame."""
     columns, rows = camera.frame_size
     return slopes_at(camera, np.asarray(column) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.asarray(row))
 

@@ -24,19 +24,9 @@ def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> 
     """Circle in lens coordinates inside which light from points passes a rim: x, y of its center, right and down, and
     its radius (N,), in lens radii; the radius is infinite for points between rim and lens.
 
-    A ray to lens point l (of radius D / 2) passes a rim at distance d in front of the lens at l D/2 (1 - d w) + d
-    slope, and behind it, d < 0, on its way to the detector, at l D/2 (1 + d / s + d R / kappa) + d slope.
-
-    Parameters
-    ----------
-    lens : Lens
-    rim : Rim
-    slopes : ndarray (N, 2)
-        X / Z and Y / Z of the points, right and up.
-    w : ndarray (N,)
-        1 / Z, 1/mm.
-    radius : ndarray (N,)
-        Signed blur radius, px.
+    slopes: X / Z and Y / Z (N, 2) of the points, right and up; w: 1 / Z, 1/mm; radius: signed blur radius, px. A ray to
+    lens point l (of radius D / 2) passes a rim at distance d in front of the lens at l D/2 (1 - d w) + d slope, and
+    behind it, d < 0, on its way to the detector, at l D/2 (1 + d / s + d R / kappa) + d slope.
     """
     d = rim.distance
     spread = 1 + d * (-w if d > 0 else lens.detector_power + radius / lens.blur_scale)
@@ -46,22 +36,8 @@ def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> 
 
 
 def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
-    """Irradiance of each pixel relative to the middle of the frame, by vignetting and rims.
+    """Irradiance (rows, columns) of each pixel relative to the middle of the frame, by vignetting and rims; time in s.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with a resolution.
-    time : float
-        s.
-    psf : PointSpread
-
-    Returns
-    -------
-    ndarray of float64, (rows, columns)
-
-    Notes
-    -----
     A pixel sees the same part of the lens through the rims at any depth: that of its own point in focus. In frames of
     more than 257 pixels along a side it is evaluated at 257 positions and interpolated linearly: within 1e-3, from
     where rims begin to cut to where they block all light.

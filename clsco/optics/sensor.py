@@ -29,26 +29,10 @@ MOST_DOUBLINGS = 100.0  # doublings of the dark current: any pixel is full
 class SensorModel:
     """Numbers of a sensor that convert the irradiance of an exposure to codes.
 
-    Attributes
-    ----------
-    scale : tuple of float
-        Electrons for irradiance 1 in red, green, blue, e-.
-    white : tuple of float
-        Electrons that correspond to 1 in the developed image, e-.
-    dark : float
-        Mean dark electrons, e-.
-    leak : float
-        Largest mean of a hot pixel's additional electrons, e-.
-    gain : float
-        DN/e-.
-    largest : int
-        Largest code, DN.
-    channels : {1, 3}
-        Channels of the light.
-    filters : tuple of tuple of int
-        For each plane of codes, the colors that pixels (0, 0), (0, 1), (1, 0), (1, 1) measure; a mosaic has one plane.
-    sensor : Sensor
-        The scene's section, for the other parameters.
+    scale: electrons for irradiance 1 in red, green, blue; white: electrons that correspond to 1 in the developed image;
+    dark: mean dark electrons; leak: largest mean of a hot pixel's additional electrons; gain: DN/e-; largest: largest
+    code, DN; channels: of the light; filters: for each plane of codes, the colors that pixels (0, 0), (0, 1), (1, 0),
+    (1, 1) measure; a mosaic has one plane; sensor: the scene's section, for the other parameters.
     """
 
     scale: tuple[float, float, float]
@@ -74,33 +58,13 @@ class SensorModel:
 
 
 def sensor_model(scene: Scene, channels: int) -> SensorModel:
-    """Numbers of the sensor of a scene that has one, for light of `channels` channels.
+    """Numbers of the sensor of a scene that has one, for light of `channels` channels, 1 or 3.
 
-    Parameters
-    ----------
-    scene : Scene
-    channels : {1, 3}
-
-    Returns
-    -------
-    SensorModel
-
-    Notes
-    -----
     Order and notation are those of EMVA 1288. The mean number of electrons is e = white_electrons qe light + i t, with
     the dark current i = dark_current 2^((temperature - temperature_reference) / temperature_doubling) over the time t
     that the shutter is open. The code is gain e + black_level. With iso, irradiance 1 gives iso_base / iso times as
     many electrons. A physical exposure instead gives t / reference_shutter (reference_f_number / N)^2 times as many,
     with N = s0 / D, for any iso.
-
-    Examples
-    --------
-    >>> import clsco
-    >>> from clsco.optics.sensor import sensor_model
-    >>> sensor = clsco.Sensor(dark_current=8.0, temperature=28.0, iso=200.0)
-    >>> model = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
-    >>> model.dark, model.scale[0], round(model.gain, 4)
-    (16.0, 5000.0, 0.6718)
     """
     sensor = scene.sensor
     assert sensor is not None
@@ -161,30 +125,9 @@ def reciprocals_of_counts() -> NDArray[np.float32]:
 
 
 def noise_variance(model: SensorModel, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Variance of a pixel's reading over exposures and sensors, without clipping, e-^2.
+    """Variance in e-^2 of a pixel's reading over exposures and sensors, without clipping, for a mean of photoelectrons.
 
-    Parameters
-    ----------
-    model : SensorModel
-    photoelectrons : ndarray of float64, any shape
-        Mean electrons of the light, e-.
-
-    Returns
-    -------
-    ndarray of float64, the same shape
-
-    Notes
-    -----
     The sum of shot noise of light and dark current, PRNU, DSNU, read noise, and 1/12 DN^2 of rounding; no hot pixels.
-
-    Examples
-    --------
-    >>> import clsco, numpy as np
-    >>> from clsco.optics.sensor import noise_variance, sensor_model
-    >>> sensor = clsco.Sensor(prnu=0.0, dsnu=0.0, read_noise=3.0, gain=1.0)
-    >>> model = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
-    >>> noise_variance(model, np.array([0.0, 100.0])).round(3).tolist()
-    [9.083, 109.083]
     """
     sensor = model.sensor
     still = model.dark + sensor.dsnu**2 + sensor.read_noise**2 + 1.0 / (12.0 * model.gain**2)

@@ -24,18 +24,10 @@ Rectangle = tuple[int, int]
 class Stencil:
     """The PSF of one radius, or one of its two factors, as a sum of runs and rectangles, exact up to float32.
 
-    Attributes
-    ----------
-    runs : ndarray of int32, (count, 4)
-        |dx|, first dy, number of weights, index of the first in `weights`. The kernel adds every run at -dx and at dx,
-        so weights of runs with dx = 0 are halved.
-    weights : ndarray of float32
-        Weights of all runs, concatenated.
-    rectangles : tuple of (half-width in x, half-width in y)
-        Ordered from wide to narrow, which is from low to high. Their union has the weight `share`; runs add to this
-        weight or subtract from it.
-    share : float
-        Weight of the union of the rectangles.
+    runs: int32 (count, 4): |dx|, first dy, number of weights, index of the first in `weights`. The kernel adds every
+    run at -dx and at dx, so weights of runs with dx = 0 are halved. weights: of all runs, concatenated. rectangles:
+    half-widths in x and in y, ordered from wide to narrow, which is from low to high. Their union has the weight
+    `share`; runs add to this weight or subtract from it.
     """
 
     runs: NDArray[np.int32]
@@ -93,19 +85,7 @@ def stencil_sizes(psf: PointSpread, far: int) -> dict[str, int]:
 
 @lru_cache(maxsize=64)
 def stencils(psf: PointSpread, radius: float) -> tuple[Stencil, ...]:
-    """Stencils whose convolution is the PSF of one radius.
-
-    Parameters
-    ----------
-    psf : PointSpread
-    radius : float
-        |R| in px.
-
-    Returns
-    -------
-    tuple of Stencil
-        One stencil, or for a separable PSF one per axis.
-    """
+    """Stencils whose convolution is the PSF of one |R| in px: one, or for a separable PSF one per axis."""
     far = psf.reach(radius)
     offset = np.arange(far + 1.0)
     if is_by_axes(psf):
@@ -125,8 +105,7 @@ def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Recta
     """Rectangles for a quadrant of a disc with a constant weight in its middle, chosen to minimize time.
 
     same: mask of pixels with that weight; half: mask of pixels with at least half of it. Rectangles may cover `half`,
-    because runs that subtract the excess are needed anyway. The optimum is a shortest path over the rows where a
-    rectangle ends.
+    because runs that subtract the excess are needed anyway. The optimum is a shortest path over rows of their ends.
     """
     filled, allowed = same.sum(axis=1), half.sum(axis=1)
     count = int((allowed > 0).sum())

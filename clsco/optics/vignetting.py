@@ -15,32 +15,11 @@ Array = NDArray[np.float64]
 
 
 def throughput(camera: Camera, vignetting: Vignetting) -> Array:
-    """Irradiance of pixels relative to the middle of the frame.
+    """Irradiance (rows, columns) of pixels relative to the middle of the frame, for a value of lens.vignetting.
 
-    Parameters
-    ----------
-    camera : Camera
-        Camera with a resolution.
-    vignetting : {"none", "natural"} or tuple of float
-        Value of the scene's key lens.vignetting.
-
-    Returns
-    -------
-    ndarray of float64, (rows, columns)
-        "natural": cos^4 of the angle between ray and axis, (1 + t^2)^-2 for slope t. Coefficients a1, a2, a3: 1 + a1
-        r^2 + a2 r^4 + a3 r^6, with r the distance from the middle of the frame, relative to that of its corner.
-
-    Notes
-    -----
-    For a thin lens, cos^4 holds for a small aperture: the mean over an aperture of f/2 is 0.6 % higher in the corner of
-    the thesis' frame. Validated against these formulas at single pixels (tests/optics/test_vignetting.py).
-
-    Examples
-    --------
-    >>> from clsco import Camera
-    >>> from clsco.optics.vignetting import throughput
-    >>> float(throughput(Camera(resolution=(3, 1), pixel_pitch=20.0), "natural")[0, 0])  # at 45 degrees
-    0.25
+    "natural": cos^4 of the angle between ray and axis, (1 + t^2)^-2 for slope t. Coefficients a1, a2, a3: 1 + a1 r^2 +
+    a2 r^4 + a3 r^6, with r the distance from the middle of the frame, relative to that of its corner. For a thin lens,
+    cos^4 holds for a small aperture: the mean over one of f/2 is 0.6 % higher in the corner of the thesis' frame.
     """
     columns, rows = camera.frame_size
     x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import lru_cache
 from math import inf
 
 import numpy as np
@@ -68,8 +68,8 @@ def lens_floats(psf: PointSpread) -> Array:
 def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.0) -> Extent:
     """Bounds of an object's image and depth over all `poses`.
 
-    depths: inverse depths of the object along rays over the frame, 1/mm, 0 where a ray misses; slack: each bound is
-    widened by this fraction of its range over the poses.
+    depths: inverse depths of the object along rays over the frame, 1/mm, 0 where a ray misses; slack: each bound that
+    is finite in all poses is moved outwards by this fraction of its range over them; inverse depths stay at least 0.
     """
     hit = depths[depths > 0]
     depth_range = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
@@ -80,36 +80,18 @@ def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.
         bounds = place(item, pose).extent
         # An unbounded object, or one around the lens, is as deep as the rays that hit it; without a hit, at any depth.
         extents.append(bounds if bounds.w[1] < inf else replace(bounds, w=depth_range))
-    hull = reduce(_hull, extents)
-    return _widen(hull, extents, slack) if slack > 0.0 else hull
 
+    def hull(axis: str) -> tuple[float, float]:
+        sides = lows, highs = tuple(zip(*(getattr(bounds, axis) for bounds in extents), strict=True))
+        low, high = (slack * (max(side) - min(side)) if np.isfinite(side).all() else 0.0 for side in sides)
+        return min(lows) - low, max(highs) + high
 
-def _widen(hull: Extent, extents: Sequence[Extent], slack: float) -> Extent:
-    """`hull` with each bound moved outwards by `slack` times the range of this bound over `extents`.
-
-    A bound that is infinite in any extent is not moved; inverse depths remain at least 0.
-    """
-
-    def widen(ends: tuple[float, float], intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
-        lows, highs = zip(*intervals, strict=True)
-        low, high = (slack * (max(side) - min(side)) if np.isfinite(side).all() else 0.0 for side in (lows, highs))
-        return ends[0] - low, ends[1] + high
-
-    w = widen(hull.w, [extent.w for extent in extents])
-    return Extent(widen(hull.x, [e.x for e in extents]), widen(hull.y, [e.y for e in extents]), (max(w[0], 0.0), w[1]))
-
-
-def _hull(a: Extent, b: Extent) -> Extent:
-    def join(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
-        return min(first[0], second[0]), max(first[1], second[1])
-
-    return Extent(join(a.x, b.x), join(a.y, b.y), join(a.w, b.w))
+    nearest, deepest = hull("w")
+    return Extent(hull("x"), hull("y"), (max(nearest, 0.0), deepest))
 
 
 def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
-    """True if a point in `near` can be between a point in `far` and the lens; reach: extent of the lens in lens
-    radii.
-    """
+    """True if a point in `near` can be between one in `far` and the lens; reach: extent of the lens in lens radii."""
     depth = near.w[1] - far.w[0]
     if depth <= 0.0:
         return False

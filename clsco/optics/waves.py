@@ -17,12 +17,7 @@ ADEQUATE, PER_DECADE = 29.3, 20.5  # dB: PSNR of a disc instead of waves is abou
 
 
 def disc_psnr(unit: float) -> float:
-    """PSNR in dB, within 1.5 dB, of the blur of black and white squares by a disc instead of waves; unit: Q in px.
-
-    Notes
-    -----
-    Validated against rendered images of both (benchmarks/truth/wave.py).
-    """
+    """PSNR in dB, within 1.5 dB, of the blur of black and white squares by a disc instead of waves; unit: Q in px."""
     return ADEQUATE - PER_DECADE * log10(unit)
 
 
@@ -42,9 +37,7 @@ def check_waves(psf: PointSpread, largest: float) -> None:
 
 @lru_cache(maxsize=64)
 def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
-    """Largest fraction of a point's light that is cut off, for |blur radii| from smallest to largest px; 0 except for
-    waves.
-    """
+    """Largest fraction of light that waves cut off for |blur radii| from smallest to largest px; 0 for other PSFs."""
     pupils = [place.pupil for place in (*psf.places[:1], psf)]  # of a field in a corner, and on the axis
     fractions = (
         pupil.left_out(r) for pupil in pupils if isinstance(pupil, Diffracted) for r in {smallest, largest, -largest}
@@ -74,26 +67,23 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
     if not isinstance(pupil, Diffracted):
         return ()
     cut = light_cut(psf, smallest, largest)
-    size = table_bytes(psf, smallest, largest) + (
-        table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
-    )
+    size = sum(table_bytes(psf, smallest, largest, subpixel) for subpixel in {0, silhouettes})
     rest = "given to the rest" if pupil.keeps else "lost"
     seconds = table_seconds(psf, smallest, largest, silhouettes)
     once = f", made once in about {ceil(seconds)} s" if seconds >= 0.5 else ""
-    words: tuple[tuple[str, str], ...] = (("tables", f"{size / 2**20:.2g} MiB{once}"),)
+    words = [("tables", f"{size / 2**20:.2g} MiB{once}")]
     if isinstance(pupil, Traced):
-        words += (
-            ("rays", f"bent by up to {pupil.margin:.3g} px, {pupil.samples(largest):.0f} of them over the diameter"),
-        )
+        count = pupil.samples(largest)
+        words += [("rays", f"bent by up to {pupil.margin:.3g} px, {count:.0f} of them over the diameter")]
     else:
-        words += (
+        words += [
             ("waves", f"Q = {pupil.widest:.3g} px, {pupil.waves(largest):.3g} waves of defocus at the largest R"),
             ("tail", f"{100.0 * cut:.2g} % of the light, beyond {pupil.margin:.3g} px from the rim, is {rest}"),
             ("disc", f"would have about {disc_psnr(pupil.widest):.0f} dB against waves"),
-        )
+        ]
         if isinstance(pupil, FourierDiffracted):
-            words += (("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms"),)
-    if psf.varying is None:
-        return words
-    (across, down), off = psf.varying.cells, psf.varying.blending
-    return *words, ("field", f"{across} x {down} cells, between whose corners weights are blended, {off:.1g} off (L1)")
+            words += [("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms")]
+    if psf.varying is not None:
+        (across, down), off = psf.varying.cells, psf.varying.blending
+        words += [("field", f"{across} x {down} cells, between whose corners weights are blended, {off:.1g} off (L1)")]
+    return tuple(words)

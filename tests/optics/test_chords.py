@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -22,6 +24,12 @@ OPENINGS: dict[str, Rims] = {
 
 def scaled(rims: Rims, radius: float) -> list[tuple[Array, Array, Array]]:
     return [(np.asarray(x * radius), np.asarray(y * radius), np.asarray(size * radius)) for x, y, size in rims]
+
+
+def light(name: str, radius: float, right: float = 0.0, down: float = 0.0, point: bool = False) -> float:
+    """Sum of the weights of an opening, for a source off the middle of its pixel."""
+    x, rims = np.arange(-np.ceil(radius + 1.0), np.ceil(radius + 1.0) + 1.0), scaled(OPENINGS[name], radius)
+    return float(chord_weights(x - right, x[:, None] - down, np.asarray(radius), rims=rims, point=point).sum())
 
 
 def brute(radius: float, rims: Rims, count: int = 900) -> tuple[Array, Array]:
@@ -50,19 +58,9 @@ def test_light_is_the_area_of_the_opening_at_any_radius(name: str) -> None:
     area = float(open_share(scaled(OPENINGS[name], 1.0)))
     assert area == pytest.approx(float(brute(1.0, OPENINGS[name], 2000)[1].sum()), abs=3e-4)
     for radius in (0.1, 0.5, 1.0, 2.0, 3.1, 3.2, 3.5, 5.0, 9.0, 30.0):
-        x = np.arange(-np.ceil(radius + 1.0), np.ceil(radius + 1.0) + 1.0)
-        rims = scaled(OPENINGS[name], radius)
-        assert float(chord_weights(x, x[:, None], np.asarray(radius), rims=rims).sum()) == pytest.approx(area, abs=5e-4)
-    points = [
-        float(
-            chord_weights(
-                x - right, x[:, None] - down, np.asarray(2.0), rims=scaled(OPENINGS[name], 2.0), point=True
-            ).sum()
-        )
-        for x in [np.arange(-4.0, 5.0)]
-        for right in (-0.375, -0.125, 0.125, 0.375)
-        for down in (-0.125, 0.375)
-    ]
+        assert light(name, radius) == pytest.approx(area, abs=5e-4)
+    offsets = product((-0.375, -0.125, 0.125, 0.375), (-0.125, 0.375))
+    points = [light(name, 2.0, right, down, point=True) for right, down in offsets]
     assert points == pytest.approx([area] * len(points), abs=2e-3)
     assert np.mean(points) == pytest.approx(area, abs=5e-4)
 

@@ -98,6 +98,5 @@ def test_a_lens_without_it_has_none() -> None:
     camera = clsco.Camera(resolution=SIZE)
     assert with_distortion(camera, clsco.Lens(lateral=(1.01, 1.0, 1.0))) is camera
     assert distortion_of(camera) is None
-    assert distortion_of(camera_of(KEYS[0]).model_copy(update={"f_number": 2.0})) == Distortion(
-        (-0.3, 0.0, 0.0), (-0.0, 0.0)
-    )
+    faster = camera_of(KEYS[0]).model_copy(update={"f_number": 2.0})
+    assert distortion_of(faster) == Distortion((-0.3, 0.0, 0.0), (-0.0, 0.0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +16,8 @@ from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.wavefront import Wavefront
 from clsco.reference.spreads import spread_weights
 from clsco.scene.model import Aperture, Camera, Psf
+from tests.optics.grids import square
 
-Array = np.ndarray[Any, Any]
 CAMERA = Camera(resolution=(65, 49), f_number=2.0, focal_length=20.0, pixel_pitch=0.01)
 LONG = {"model": "wave", "wavelengths": [2500.0] * 3, "tail": 0.05}  # Q = 0.5 px
 HALF = np.array([32.0, 24.0]) / 40.0
@@ -31,11 +30,6 @@ def lens(
     model = {"model": "pillbox", "wavelengths": LONG["wavelengths"]} if by_rays else LONG
     seidel = {"W131": w131, "W222": w222, "W220": w220, "W040": w040}
     return point_spread(Psf.model_validate({**model, "seidel": seidel}), Aperture(), camera=CAMERA)
-
-
-def weights_of(psf: PointSpread, radius: float) -> Array:
-    span = np.arange(-14, 15.0)
-    return psf.weights(span, span[:, None], np.asarray(radius))
 
 
 def test_a_lens_that_varies_has_places_on_the_frame() -> None:
@@ -82,15 +76,15 @@ def test_parts_of_places_add_up_between_them_and_end_at_the_border() -> None:
 def test_the_field_curves_as_another_blur_radius() -> None:
     """W220 h^2 waves are 4 Q W220 h^2 px of R."""
     psf = lens(w220=0.5)
-    found, flat = weights_of(psf.at(0.8, 0.6), 2.0), weights_of(lens(w040=1e-9), 3.0)
+    found, flat = square(psf.at(0.8, 0.6), 2.0, 14), square(lens(w040=1e-9), 3.0, 14)
     assert np.abs(found - flat).sum() < 2e-3
-    assert np.abs(weights_of(psf.at(0.0, 0.0), 2.0) - flat).sum() > 0.1
+    assert np.abs(square(psf.at(0.0, 0.0), 2.0, 14) - flat).sum() > 0.1
 
 
 @pytest.mark.parametrize("place", [(0.8, 0.0), (-0.8, 0.6), (0.0, -0.6)])
 def test_tails_of_coma_point_away_from_the_middle(place: tuple[float, float]) -> None:
     """Light is 2 Q W131 h px farther out on average, as by rays, less what the tail leaves out."""
-    span, weights = np.arange(-14, 15.0), weights_of(lens(0.4).at(*place), 0.0)
+    span, weights = np.arange(-14, 15.0), square(lens(0.4).at(*place), 0.0, 14)
     center = np.array([(weights * span).sum(), (weights * span[:, None]).sum()]) / weights.sum()
     assert center == pytest.approx(0.894 * 2.0 * 0.5 * 0.4 * np.array(place), abs=0.004)
 
@@ -104,21 +98,21 @@ def test_rays_pass_occluders_at_finite_places_where_the_image_folds() -> None:
 
 
 def test_astigmatism_blurs_along_the_way_from_the_middle() -> None:
-    span, weights = np.arange(-14, 15.0), weights_of(lens(w222=0.6).at(0.0, 1.0), 0.0)
+    span, weights = np.arange(-14, 15.0), square(lens(w222=0.6).at(0.0, 1.0), 0.0, 14)
     across, along = (weights * span**2).sum(), (weights * span[:, None] ** 2).sum()
     assert along > 1.3 * across
-    turned = weights_of(lens(w222=0.6).at(1.0, 0.0), 0.0)
+    turned = square(lens(w222=0.6).at(1.0, 0.0), 0.0, 14)
     assert np.abs(turned - weights.T).max() < 1e-9
 
 
 def test_short_waves_come_near_to_rays() -> None:
     """The same path in px as some waves of Q = 0.5, and as 8 times as many of Q = 1 / 16."""
     waves = np.array([0.4, 0.3, -0.1])
-    rays, off = weights_of(lens(*waves, by_rays=True).at(0.8, 0.6), 2.0), []
+    rays, off = square(lens(*waves, by_rays=True).at(0.8, 0.6), 2.0, 14), []
     for times in (1.0, 8.0):
         seidel = dict(zip(("W131", "W222", "W220"), times * waves, strict=True))
         psf = Psf.model_validate({**LONG, "wavelengths": [2500.0 / times] * 3, "tail": 0.02, "seidel": seidel})
-        off.append(np.abs(weights_of(point_spread(psf, Aperture(), camera=CAMERA).at(0.8, 0.6), 2.0) - rays).sum())
+        off.append(np.abs(square(point_spread(psf, Aperture(), camera=CAMERA).at(0.8, 0.6), 2.0, 14) - rays).sum())
     assert off[1] < 0.4 * off[0]
     assert off[1] < 0.1
 
@@ -143,10 +137,7 @@ def test_mirrored_places_have_weights_of_their_own_wavefronts(place: tuple[float
     assert np.abs(found - expected).max() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("waves", "radius", "by_rays"),
-    [((0.6, 0.3, 0.0), 0.0, False), ((1.0, 0.5, 0.1), 2.0, True)],
-)
+@pytest.mark.parametrize(("waves", "radius", "by_rays"), [((0.6, 0.3, 0.0), 0.0, False), ((1.0, 0.5, 0.1), 2.0, True)])
 def test_blending_is_as_far_off_as_the_plan_says(
     waves: tuple[float, float, float], radius: float, by_rays: bool
 ) -> None:
@@ -156,9 +147,9 @@ def test_blending_is_as_far_off_as_the_plan_says(
     (across, down), (columns, rows) = field.cells, field.frame
     place = (columns - 1) * (1.0 - 0.5 / across), (rows - 1) * (1.0 - 0.5 / down)
     hx, hy = field.at(*place)
-    exact = weights_of(psf.at(float(hx), float(hy)), radius)
+    exact = square(psf.at(float(hx), float(hy)), radius, 14)
     numbers, shares = field.blend(*place)
-    blended = sum(share * weights_of(psf.places[n], radius) for n, share in zip(numbers, shares, strict=True))
+    blended = sum(share * square(psf.places[n], radius, 14) for n, share in zip(numbers, shares, strict=True))
     off = float(np.abs(blended - exact).sum())
     assert 0.1 * field.blending < off < 1.2 * field.blending
     table = spread_weights(psf, radius, place)
@@ -180,10 +171,8 @@ def test_tables_of_radii_of_one_sign_have_no_others(side: int) -> None:
     assert not (both.coefficients[: both.stride] == both.coefficients[-both.stride :]).all()
     assert table_bytes(lens(0.25), 0.3, 0.3) == both.coefficients.nbytes + both.intervals.nbytes
     assert table_bytes(psf, 0.3, 0.3) == table.coefficients.nbytes + table.intervals.nbytes
-    place = psf.places[-1]
-    assert (
-        table_weights(table_of_last(table), place, radius) == table_weights(table_of_last(both), place, radius)
-    ).all()
+    one, other = (table_weights(table_of_last(each), psf.places[-1], radius) for each in (table, both))
+    assert (one == other).all()
 
 
 def test_images_without_a_size_have_no_field() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.motion import Pose, pose_at, poses_at, rest_center
 from clsco.plan.image_motion import image_paths
-from clsco.scene.model import Camera, CameraMotion, Cylinder, Group, Motion, ObjectMotion, Plane, Scene, Sphere
+from clsco.scene.model import Camera, CameraMotion, Group, Motion, ObjectMotion, Plane, Scene, Sphere
 from tests.scenes import plan_of, scene_of
 
 Array = NDArray[np.float64]
@@ -45,16 +45,6 @@ def test_an_object_moves_in_its_group_and_then_with_it(own: ObjectMotion, rotati
     rig = pose_at(camera.motion, 0.7, rotation)
     before = (expected - rig.shift) @ rig.rotation
     np.testing.assert_allclose(moved(POINTS, seen, center), before, rtol=0, atol=1e-12)
-
-
-def test_distances_within_a_group_stay() -> None:
-    items = (Sphere(center=(5.0, -3.0, 280.0), group="cart"), Cylinder(center=(40.0, 9.0, 300.0), group="cart"))
-    scene = Scene(objects=items, groups=(Group(name="cart", motion=CART),))
-    one, two = poses_at(scene, 1.3)
-    for points in (POINTS, POINTS + 30.0):
-        np.testing.assert_allclose(
-            moved(points, one, rest_center(items[0])), moved(points, two, rest_center(items[1])), rtol=0, atol=1e-12
-        )
 
 
 def test_a_group_turns_about_its_first_object_unless_it_says_otherwise() -> None:

@@ -24,16 +24,8 @@ LENSES = [
 
 def exact_radius(camera: Camera, u: Fraction) -> Fraction:
     """R = (s0 D / 2 p) (1/f - 1/u - 1/s), 2.33 in pixels, in rational arithmetic."""
-    f, s, d, s0, p = (
-        Fraction(float(v))
-        for v in (
-            camera.focal_length,
-            camera.sensor_distance,
-            camera.aperture_diameter,
-            camera.normalization_distance,
-            camera.pixel_pitch,
-        )
-    )
+    keys = "focal_length", "sensor_distance", "aperture_diameter", "normalization_distance", "pixel_pitch"
+    f, s, d, s0, p = (Fraction(float(getattr(camera, key))) for key in keys)
     return s0 * d / (2 * p) * (1 / f - 1 / u - 1 / s)
 
 

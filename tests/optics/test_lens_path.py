@@ -18,14 +18,8 @@ from clsco.scene.model import Scene
 
 def scene(*keys: dict[str, Any], frames: int = 1, **lens: Any) -> Scene:
     camera = {"resolution": [48, 36], "pixel_pitch": 0.1, "focus_distance": 400.0, "f_number": 1.0}
-    return clsco.parse_scene(
-        {
-            "camera": camera,
-            "sequence": {"frames": frames},
-            "lens": {"keyframe": list(keys), **lens},
-            "object": [{"shape": "plane", "distance": 300.0}],
-        }
-    )
+    sections = {"camera": camera, "sequence": {"frames": frames}, "lens": {"keyframe": list(keys), **lens}}
+    return clsco.parse_scene(sections | {"object": [{"shape": "plane", "distance": 300.0}]})
 
 
 PULL = {"time": 0.0, "focus_distance": 200.0}, {"time": 1.0, "focus_distance": 400.0}
@@ -73,22 +67,20 @@ def test_steps() -> None:
 
 
 def test_a_path_that_no_lens_can_have_is_refused() -> None:
+    def cubic(keys: list[dict[str, float]]) -> list[clsco.Camera]:
+        return [camera_at(scene(*keys, interpolation="cubic"), t) for t in np.linspace(0.0, 1.0, 99)]
+
     keys = [{"time": t, "f_number": n} for t, n in ((0.0, 1e3), (0.4, 1e3), (0.5, 1.0), (0.6, 1e3), (1.0, 1e3))]
-    with pytest.raises(
-        SceneError, match=r'lens.keyframe: f_number must stay above 0, as with interpolation = "linear"; got'
-    ):
-        [camera_at(scene(*keys, interpolation="cubic"), t) for t in np.linspace(0.0, 1.0, 99)]
+    rule = 'f_number must stay above 0, as with interpolation = "linear"; got'
+    with pytest.raises(SceneError, match=f"lens.keyframe: {rule}"):
+        cubic(keys)
     near = [{"time": t, "focus_distance": u} for t, u in ((0.0, 1e3), (0.3, 1e3), (0.4, 20.5), (0.8, 20.5))]
-    with pytest.raises(
-        SceneError, match=r"lens.keyframe: focus_distance must stay greater than the focal length, 20 mm"
-    ):
-        [camera_at(scene(*near, interpolation="cubic"), t) for t in np.linspace(0.0, 1.0, 99)]
+    rule = "focus_distance must stay greater than the focal length, 20 mm"
+    with pytest.raises(SceneError, match=f"lens.keyframe: {rule}"):
+        cubic(near)
     # Beyond infinity a focus may be, as where the detector is within the focal length.
     far = [{"time": t, "focus_distance": u} for t, u in ((0.0, 1e6), (0.4, 1e6), (0.5, 200.0), (0.6, 1e6), (1.0, 1e6))]
-    assert (
-        min(Lens.of(camera_at(scene(*far, interpolation="cubic"), t)).focus_power for t in np.linspace(0.0, 1.0, 99))
-        < 0.0
-    )
+    assert min(Lens.of(camera).focus_power for camera in cubic(far)) < 0.0
 
 
 def test_the_widest_aperture_of_the_sequence() -> None:

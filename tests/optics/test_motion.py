@@ -10,30 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from clsco.optics.motion import (
-    TOWARDS_CAMERA,
-    Pose,
-    eye_pose,
-    pose_at,
-    poses_at,
-    rest_center,
-    rest_poses,
-    rotation_matrix,
-)
-from clsco.scene.model import (
-    AnyShape,
-    CameraMotion,
-    Cone,
-    Ellipsoid,
-    Motion,
-    Object,
-    ObjectMotion,
-    Plane,
-    Quadric,
-    Scene,
-    Sphere,
-    Stereo,
-)
+from clsco.optics.motion import TOWARDS_CAMERA, eye_pose, pose_at, poses_at, rest_center, rest_poses, rotation_matrix
+from clsco.scene.model import CameraMotion, Cone, Ellipsoid, Object, ObjectMotion, Plane, Quadric, Scene, Sphere, Stereo
 from tests.scenes import scene_of
 
 Array = NDArray[np.float64]
@@ -75,9 +53,8 @@ def test_points_move_as_the_thesis_says() -> None:
     rng = np.random.default_rng(1)
     for _ in range(200):
         center, point = np.array([0.0, 0.0, 280.0]) + rng.uniform(-50, 50, (2, 3))
-        motion = ObjectMotion(
-            velocity=tuple(rng.uniform(-90, 90, 3)), angular_velocity=tuple(rng.uniform(-400, 400, 3))
-        )
+        velocity, angular_velocity = rng.uniform(-90, 90, 3), rng.uniform(-400, 400, 3)
+        motion = ObjectMotion(velocity=tuple(velocity), angular_velocity=tuple(angular_velocity))
         t = float(rng.uniform(0.0, 2.0))
         expected = thesis_position(point, center, motion, t)
         assert np.linalg.norm(expected - point) > 1.0
@@ -164,17 +141,6 @@ def test_accelerations_add_half_their_time_squared(rotation: str) -> None:
         assert np.array_equal(resting.rotation, plain.rotation)
 
 
-def test_an_axis_stays_where_the_acceleration_is_along_it() -> None:
-    motion = ObjectMotion(angular_velocity=(10.0, 20.0, -20.0), angular_acceleration=(3.0, 6.0, -6.0))
-    for time in (0.5, 3.0):
-        angle = radians(30.0 * time + 4.5 * time**2)
-        # z of the axis is towards the camera, and the turn is clockwise seen from its tip.
-        axis = np.array([1.0, 2.0, 2.0]) / 3.0
-        cross = np.cross(np.eye(3), -axis)
-        expected = expm(-angle * cross)
-        np.testing.assert_allclose(pose_at(motion, time, "axis").rotation, expected, rtol=0, atol=1e-13)
-
-
 @pytest.mark.parametrize(
     ("item", "center"),
     [
@@ -186,7 +152,7 @@ def test_an_axis_stays_where_the_acceleration_is_along_it() -> None:
     ],
     ids=lambda value: getattr(value, "shape", ""),
 )
-def test_the_point_about_which_an_object_turns(item: AnyShape, center: tuple[float, float, float]) -> None:
+def test_the_point_about_which_an_object_turns(item: Object, center: tuple[float, float, float]) -> None:
     assert rest_center(item).tolist() == list(center)
 
 
@@ -211,7 +177,7 @@ def camera_scene(going: CameraMotion, **sections: Any) -> Scene:
 def test_a_moving_camera_sees_the_world_the_other_way(rotation: str) -> None:
     """Point p of the world is at R^T (p - s) for a camera at s turned by R, whatever moves the point itself."""
     motion = CameraMotion(velocity=(12.0, 5.0, -30.0), angular_velocity=(10.0, 25.0, -40.0))
-    scene = camera_scene(motion, motion=Motion(rotation="euler" if rotation == "euler" else "axis"))
+    scene = camera_scene(motion, motion={"rotation": rotation})
     rng = np.random.default_rng(2)
     for number, item in enumerate(ITEMS):
         for time in (0.0, 0.3, 1.7):
@@ -268,7 +234,6 @@ def test_what_does_not_turn_has_the_bits_of_a_turn_by_nothing(rotation: Literal[
 def test_textures_belong_to_the_camera_that_is_neither_moved_nor_turned() -> None:
     scene = camera_scene(CameraMotion(), stereo=Stereo(baseline=40.0, toe_in=1.5))
     for pose in rest_poses(scene):
-        assert isinstance(pose, Pose)
         np.testing.assert_array_equal(pose.rotation, np.eye(3))
         np.testing.assert_array_equal(pose.shift, np.zeros(3))
     assert len(rest_poses(scene)) == 3

@@ -19,34 +19,21 @@ from clsco.optics.pupils.circle import disc_coverage
 from clsco.optics.pupils.gaussian import Gaussian
 from clsco.reference.common.geometry import table_coordinate as float32_coordinate
 from clsco.scene.model import Psf
+from tests.optics.grids import Array, grid, square
 from tests.slow import mostly_slow
-
-Array = NDArray[np.float64]
 
 PSFS = [point_spread(Psf(model=m, edge=e)) for m in ("pillbox", "gaussian") for e in ("sampled", "area", "integrated")]
 SMOOTH = [psf for psf in PSFS if psf.edge != "sampled"]
 SAMPLED = [psf for psf in PSFS if psf.edge == "sampled"]
 # Radii of every kind: none, tiny, each side of the thresholds, whole numbers, and any.
-RADII = np.concatenate(
-    [
-        [0.0, 1e-12, 1e-9, 2e-9, 1e-6, 0.125, np.nextafter(0.5, 0.0), 0.5, 1.0, 2.0, 5.0, 13.0, 25.0, 60.0],
-        np.random.default_rng(1).uniform(0.0, 6.0, 20),
-        np.random.default_rng(2).uniform(6.0, 60.0, 4),
-    ]
-)
-
-
+RADII = [0.0, 1e-12, 1e-9, 2e-9, 1e-6, 0.125, np.nextafter(0.5, 0.0), 0.5, 1.0, 2.0, 5.0, 13.0, 25.0, 60.0]
+RADII += np.random.default_rng(1).uniform(0.0, 6.0, 20).tolist()
+RADII += np.random.default_rng(2).uniform(6.0, 60.0, 4).tolist()
 DISC = point_spread(Psf())
 
 
 def name_of(psf: PointSpread) -> str:
     return f"{psf.pupil.name}-{psf.edge}"
-
-
-def square(psf: PointSpread, radius: float, half_width: int) -> Array:
-    """Weights (rows, columns) around a source, up to `half_width` px away."""
-    span = np.arange(-half_width, half_width + 1.0)
-    return psf.weights(span[None, :], span[:, None], np.asarray(radius))
 
 
 def octant(half_width: int) -> tuple[Array, Array, Array]:
@@ -107,44 +94,40 @@ def test_disc_coverage_is_the_integral(tent: bool) -> None:
     assert worst < 1.0
 
 
-def test_gaussian_is_the_integral() -> None:
-    rng = np.random.default_rng(12)
-    for psf in SMOOTH:
-        if not isinstance(psf.pupil, Gaussian):
-            continue
-        tent = psf.edge == "integrated"
-        checked = 0
-        for _ in range(30):
-            radius = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
-            sigma = psf.pupil.sigma * radius
-            cut = psf.pupil.cut * sigma
-            half = 1.0 if tent else 0.5
-            offset = np.rint(rng.uniform(-cut - half, cut + half, 2))
+def gaussian_by_quadrature(at: float, sigma: float, cut: float, tent: bool) -> float:
+    """Weight along an axis of a pixel at `at` px, for a Gaussian that ends at `cut` px."""
 
-            def axis(at: float, sigma: float = sigma, cut: float = cut, half: float = half) -> float:
-                def density(u: float) -> float:
-                    return exp(-0.5 * (u / sigma) ** 2) / sqrt(2 * pi) / sigma
+    def density(u: float) -> float:
+        return exp(-0.5 * (u / sigma) ** 2) / sqrt(2 * pi) / sigma
 
-                def seen(u: float) -> float:
-                    return density(u) * (1.0 - abs(u - at) if half == 1.0 else 1.0)
+    def seen(u: float) -> float:
+        return density(u) * (1.0 - abs(u - at) if tent else 1.0)
 
-                low, high = max(at - half, -cut), min(at + half, cut)
-                if low >= high:
-                    return 0.0
-                ends = [low, at, high] if low < at < high else [low, high]
-                parts = [quad(seen, a, b, epsabs=1e-15)[0] for a, b in pairwise(ends)]
-                return sum(parts) / quad(density, -cut, cut, epsabs=1e-15)[0]
+    half = 1.0 if tent else 0.5
+    low, high = max(at - half, -cut), min(at + half, cut)
+    ends = [low, at, high] if low < at < high else [low, high] if low < high else []
+    parts = [quad(seen, a, b, epsabs=1e-15)[0] for a, b in pairwise(ends)]
+    return sum(parts) / quad(density, -cut, cut, epsabs=1e-15)[0]
 
-            expected = axis(float(offset[0])) * axis(float(offset[1]))
-            found = float(psf.weights(offset[0], offset[1], np.asarray(radius)))
-            checked += expected > 1e-6
-            assert abs(found - expected) < 1e-13, (radius, offset)  # quadrature and erf each give 1e-14
-        assert checked > 10
+
+@pytest.mark.parametrize("psf", [psf for psf in SMOOTH if isinstance(psf.pupil, Gaussian)], ids=name_of)
+def test_gaussian_is_the_integral(psf: PointSpread) -> None:
+    assert isinstance(psf.pupil, Gaussian)
+    rng, tent, checked = np.random.default_rng(12), psf.edge == "integrated", 0
+    for _ in range(30):
+        radius = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
+        sigma, far = psf.pupil.sigma * radius, psf.extent * radius + (1.0 if tent else 0.5)
+        offset = np.rint(rng.uniform(-far, far, 2))
+        x, y = (gaussian_by_quadrature(float(at), sigma, psf.pupil.cut * sigma, tent) for at in offset)
+        found = float(psf.weights(offset[0], offset[1], np.asarray(radius)))
+        checked += x * y > 1e-6
+        assert abs(found - x * y) < 1e-13, (radius, offset)  # quadrature and erf each give 1e-14
+    assert checked > 10
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_energy_is_one(psf: PointSpread) -> None:
-    for radius in RADII.tolist():
+    for radius in RADII:
         a, b, count = octant(psf.reach(radius))
         share = psf.weights(a, b, np.asarray(radius))
         assert (share >= 0.0).all()
@@ -156,9 +139,9 @@ def test_energy_is_one(psf: PointSpread) -> None:
 def test_energy_of_a_subpixel_source_is_one(model: str, samples: int) -> None:
     psf = point_spread(Psf.model_validate({"model": model}))
     x, y = subpixel_offsets(samples)[[0, -1]]
-    for radius in RADII[RADII < 20].tolist():
-        span = np.arange(-1.0 - psf.reach(radius, True), 2.0 + psf.reach(radius, True))
-        share = psf.subpixel_weights(span[None, :] - x, span[:, None] - y, np.asarray(radius))
+    for radius in (radius for radius in RADII if radius < 20.0):
+        dx, dy = grid(psf.reach(radius, True) + 1)
+        share = psf.subpixel_weights(dx - x, dy - y, np.asarray(radius))
         assert not share[[0, -1]].any()  # `reach` holds it all
         assert not share[:, [0, -1]].any()
         # A disc of 1e-9 px lies so near to nothing that (R - x)(R + x) keeps 7 digits; light is 1e-12 beyond.
@@ -228,9 +211,8 @@ def test_sampled_is_what_the_thesis_says(psf: PointSpread, k: float) -> None:
         assert psf.pupil.cut == 2.0
     for radius in (0.0, 0.3, 0.5, 0.93, 1.0, 1.42, 2.0, 3.3, 5.999, 6.1):
         half = psf.reach(radius) + 1
-        expected = [
-            [thesis(psf.pupil.name, x, y, radius, k) for x in range(-half, half + 1)] for y in range(-half, half + 1)
-        ]
+        span = range(-half, half + 1)
+        expected = [[thesis(psf.pupil.name, x, y, radius, k) for x in span] for y in span]
         np.testing.assert_allclose(square(psf, radius, half), expected, rtol=1e-12)  # a sum of some 200 terms
 
 
@@ -238,7 +220,7 @@ def test_sampled_is_what_the_thesis_says(psf: PointSpread, k: float) -> None:
 def test_reach_is_exact(psf: PointSpread) -> None:
     extent = psf.extent
     around = [(n + f) / extent for n in range(1, 14) for f in (-0.5, -0.499, -1e-9, 0.0, 1e-9, 0.499)]
-    for radius in [*RADII[RADII < 14].tolist(), *around]:
+    for radius in [*(radius for radius in RADII if radius < 14.0), *around]:
         held = psf.reach(radius)
         lit = np.argwhere(square(psf, radius, held + 2) > 0.0) - (held + 2)
         assert np.abs(lit).max() <= held <= np.abs(lit).max() + 1, radius
@@ -398,17 +380,15 @@ def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples:
     radii = [low, high, *np.random.default_rng(14).uniform(low, high, 20)]
     for radius in radii:
         coordinate = coordinate_of(table, psf, radius, True)
-        for i in range(samples):
-            for j in range(samples):
-                found = subpixel_table(table, coordinate, samples, i, j)
-                half = len(found) // 2
-                assert psf.reach(radius, True) <= half <= table.reach
-                span = np.arange(-half, half + 1.0)
-                exact = psf.subpixel_weights(span[None, :] - offset[j], span[:, None] - offset[i], np.asarray(radius))
-                # Point sources have the kinks of `area` in intervals 128 / 64 times as wide: 2^1.5 times 3e-5. The
-                # corners of Gaussians are between intervals.
-                assert np.abs(found - exact).sum() < (9e-5 if model == "pillbox" else 1e-6)
-                assert abs(found.sum() - 1.0) < 1e-7
+        for i, j in np.ndindex(samples, samples):
+            found = subpixel_table(table, coordinate, samples, i, j)
+            x, y = grid(len(found) // 2)
+            assert psf.reach(radius, True) <= len(found) // 2 <= table.reach
+            exact = psf.subpixel_weights(x - offset[j], y - offset[i], np.asarray(radius))
+            # Point sources have the kinks of `area` in intervals 128 / 64 times as wide: 2^1.5 times 3e-5. The
+            # corners of Gaussians are between intervals.
+            assert np.abs(found - exact).sum() < (9e-5 if model == "pillbox" else 1e-6)
+            assert abs(found.sum() - 1.0) < 1e-7
 
 
 @pytest.mark.parametrize("samples", [2, 4])
@@ -418,8 +398,8 @@ def test_intervals_of_subpixel_discs_begin_where_they_touch_pixel_edges(samples:
     table, (offset, *_) = psf_table(psf, 11.0, 15.0, samples), subpixel_offsets(samples)
     for radius in (11.735, 12.24, 13.63, 14.26):
         found = subpixel_table(table, coordinate_of(table, psf, radius, True), samples, 0, 0)
-        span = np.arange(-(len(found) // 2), len(found) // 2 + 1.0) - offset
-        exact = psf.subpixel_weights(span[None, :], span[:, None], np.asarray(radius))
+        x, y = grid(len(found) // 2)
+        exact = psf.subpixel_weights(x - offset, y - offset, np.asarray(radius))
         assert np.abs(found - exact).max() < 1e-3 * exact.max()  # up to 4e-3 with 48 intervals per octave
 
 

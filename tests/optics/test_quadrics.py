@@ -147,17 +147,11 @@ def test_a_placed_surface_moves_with_its_pose(name: str) -> None:
     seen = surface.rest + pose.shift + body @ pose.rotation.T  # P(t) = C + v t + M (P0 - C)
     length = 500.0
     np.testing.assert_allclose(surface.body_offset + seen @ surface.body_turn.T, body, rtol=0, atol=32 * EPS * length)
-    np.testing.assert_allclose(
-        surface.offset + seen @ surface.turn.T,
-        (body - surface.canonical.origin) @ surface.canonical.axes.T,
-        rtol=0,
-        atol=32 * EPS * (length + np.abs(surface.canonical.origin).max()),
-    )
-    at_lens = value(surface.canonical, surface.offset)
-    largest = float(
-        np.abs(surface.canonical.q) @ surface.offset**2 + 2 * np.abs(surface.canonical.l * surface.offset).sum()
-    )
-    assert surface.constant == pytest.approx(float(at_lens), abs=32 * EPS * (largest + abs(surface.canonical.k)))
+    own, offset = surface.canonical, surface.offset
+    expected, limit = (body - own.origin) @ own.axes.T, 32 * EPS * (length + np.abs(own.origin).max())
+    np.testing.assert_allclose(offset + seen @ surface.turn.T, expected, rtol=0, atol=limit)
+    largest = float(np.abs(own.q) @ offset**2 + 2 * np.abs(own.l * offset).sum()) + abs(own.k)
+    assert surface.constant == pytest.approx(float(value(own, offset)), abs=32 * EPS * largest)
 
 
 def test_a_far_sphere_keeps_the_digits_of_its_value_at_the_lens() -> None:

@@ -10,6 +10,7 @@ from clsco.constants import LONGEST_RUN
 from clsco.optics.point_spread import point_spread
 from clsco.optics.stencil import SUMMED, Stencil, is_summed, stencils
 from clsco.scene.model import Psf
+from tests.optics.grids import square
 from tests.spreads import PSFS, name_of
 
 
@@ -41,9 +42,8 @@ def test_a_stencil_is_its_psf(psf: Psf, radius: float) -> None:
         assert not np.delete(across, far, 0).any()
         assert not np.delete(down, far, 1).any()
         found = down[:, far, None] * across[far]
-    span = np.arange(-far, far + 1.0)
     # Rounded to float32 once, or a product of two that are.
-    expected = point_spread(psf).weights(span[None, :], span[:, None], np.asarray(radius))
+    expected = square(point_spread(psf), radius, far)
     np.testing.assert_allclose(found, expected, rtol=2.5 * 2.0**-24, atol=1e-14)
 
 

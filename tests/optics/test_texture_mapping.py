@@ -28,10 +28,10 @@ def item(shape: dict[str, Any], **keys: Any) -> Object:
     return found
 
 
-def texel(shape: Object, *points: list[float]) -> list[tuple[float, float]]:
+def texel(shape: Object, *points: Any, size: tuple[int, int] = (COLUMNS, ROWS)) -> list[tuple[float, float]]:
     """(column, row) of points in the object's own frame: right, up, away from the camera."""
-    found = texture_map(shape, COLUMNS, ROWS)
-    at = texel_at(found, np.array(points) @ found.frame.T)
+    found = texture_map(shape, *size)
+    at = texel_at(found, np.array(points, float) @ found.frame.T)
     return list(zip(at.column.tolist(), at.row.tolist(), strict=True))
 
 
@@ -104,7 +104,7 @@ MOVED_AND_TURNED = {"texture_offset": [0.5, 0.0], "texture_angle": 90.0}
 
 
 @pytest.mark.parametrize(
-    ("item", "point", "expected"),
+    ("keys", "point", "expected"),
     [
         ({"shape": "rectangle", "size": [40, 30], "texture_repeats": 2}, (-20.0, 0.0, 0.0), (-0.5, 0.5)),
         ({"shape": "rectangle", "size": [40, 20], **MOVED_AND_TURNED}, (0, 20, 0), (0.5, 0.5)),
@@ -112,18 +112,15 @@ MOVED_AND_TURNED = {"texture_offset": [0.5, 0.0], "texture_angle": 90.0}
         ({"shape": "ellipsoid", "semi_axes": [10, 20, 10]}, (0, 20 * sin(0.5), -10 * cos(0.5)), (0.5, 0.5 + 0.5 / pi)),
     ],
 )  # fmt: skip
-def test_what_the_page_of_scene_files_says(item: Any, point: Any, expected: Any) -> None:
+def test_what_the_page_of_scene_files_says(keys: dict[str, Any], point: Any, expected: Any) -> None:
     """An even number ends in halves; the offset turns with the image; repeats and latitude on round bodies."""
-    shown = scene_from({}, {"texture_mapping": "surface", **item}).objects[0]
-    found = texture_map(shown, 64, 32)
-    texel = texel_at(found, np.array([point], float) @ found.frame.T)
-    np.testing.assert_allclose([texel.column[0] / 64, 1 - texel.row[0] / 32], expected, rtol=0, atol=1e-6)
+    ((column, row),) = texel(item(keys), point, size=(64, 32))
+    np.testing.assert_allclose([column / 64, 1 - row / 32], expected, rtol=0, atol=1e-6)
 
 
 def test_triplanar_images_read_right_from_the_right_the_top_and_the_front() -> None:
     """Right and up for who looks from there: away, up; right, away; right, up."""
-    shown = scene_from({}, {"shape": "sphere", "texture_mapping": "triplanar", "texture_size": 10.0}).objects[0]
-    found = texture_map(shown, 32, 32)
+    found = texture_map(item(BALL, texture_mapping="triplanar", texture_size=10.0), 32, 32)
     for axis, (right, up) in enumerate((((0, 0, 1), (0, 1, 0)), ((1, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 1, 0)))):
         texel = texel_at(found, along_axis(np.array([right, up], float), axis))
         np.testing.assert_allclose(texel.column, [19.2, 16.0])

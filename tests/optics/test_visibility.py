@@ -290,9 +290,7 @@ def test_random_scenes_have_pairs_of_both_kinds() -> None:
 
 def test_order_of_the_scene_is_kept() -> None:
     items = (Sphere(center=(0.0, 0.0, 200.0), radius=5.0), Sphere(center=(0.0, 0.0, 300.0), radius=5.0))
-    extents = [extent(item, [STILL], np.zeros(1)) for item in items]
-    assert occlusion_groups(items, extents, CAMERA, point_spread(Psf())) == (OcclusionGroup(1, 0), OcclusionGroup(2, 1))
-    assert occlusion_groups(items[::-1], extents[::-1], CAMERA, point_spread(Psf())) == (
-        OcclusionGroup(1, 2),
-        OcclusionGroup(2, 0),
-    )
+    extents, psf = [extent(item, [STILL], np.zeros(1)) for item in items], point_spread(Psf())
+    assert occlusion_groups(items, extents, CAMERA, psf) == (OcclusionGroup(1, 0), OcclusionGroup(2, 1))
+    turned = occlusion_groups(items[::-1], extents[::-1], CAMERA, psf)
+    assert turned == (OcclusionGroup(1, 2), OcclusionGroup(2, 0))

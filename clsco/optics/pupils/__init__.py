@@ -1,8 +1,7 @@
 """Pupils: transmission of a lens's aperture as a function on [-1, 1]^2 (float64, pure).
 
-Each file holds one kind: its transmission, closed forms for its blur if known, and an example. A pupil without a closed
-form is an `image`. `clsco.optics.point_spread.PointSpread` computes weights for any pupil. The module of a kind is
-imported when a lens uses it.
+Each file holds one kind, with closed forms for its blur if known, and is imported when a lens uses it. A pupil without
+a closed form is an `image`. `clsco.optics.point_spread.PointSpread` computes weights for any pupil.
 """
 
 from __future__ import annotations

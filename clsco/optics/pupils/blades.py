@@ -13,25 +13,9 @@ from clsco.optics.pupils.pupil import Borders
 
 @dataclass(frozen=True)
 class CurvedPolygon(Outline):
-    """Aperture of curved blades, with corners on the unit circle.
+    """Aperture of curved blades, with corners on the unit circle; blades, rotation, squeeze: as for `Polygon`.
 
-    Attributes
-    ----------
-    blades : int
-        Number of arcs.
-    rotation : float
-        deg, counter-clockwise in the image; at 0 an arc faces to the right.
-    curvature : float
-        Height of an arc over its chord, relative to that of the unit circle: near 0 straight, 1 the circle, negative
-        concave.
-    squeeze : float
-        Height over width of the blur.
-
-    Examples
-    --------
-    >>> from clsco.optics.pupils.blades import CurvedPolygon
-    >>> [round(CurvedPolygon(6, 0.0, curvature).light, 4) for curvature in (-1.0, 0.0, 0.5, 1.0)]
-    [0.654, 0.827, 0.9126, 1.0]
+    curvature: height of an arc over its chord, relative to that of the unit circle: 1 the circle, negative concave.
     """
 
     blades: int

@@ -1,14 +1,14 @@
-"""Weights of pupils without symmetry for any blur radius, by differences of integrals with special care for small blurs
-(float64, pure).
-"""
+"""Weights of pupils without symmetry for any blur radius, by differences of integrals (float64, pure)."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from clsco.optics.pupils.pupil import Array
+from clsco.optics.pupils.pupil import Array, Pupil
 
 # px: weights of smaller radii follow from those of this one, where differences are exact to 1e-14.
 SMALL = 0.25
@@ -16,12 +16,45 @@ ROUNDING = 1e-14  # of an integral over a whole pupil: smaller shares are roundi
 SMALL_POINT = 1e-2  # px: smaller radii of point sources are replaced by this; pixel edges are 1 / 32 px or more away
 
 
-def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Fraction of the light in pixels at (dx, dy) px, see `Pupil.share`, from a function `share` that is accurate for
-    radii that are not small.
+class Asymmetric(Pupil):
+    """Aperture without symmetry, whose x is divided by `squeeze`, the height over width of its blur."""
 
-    With `tent`, offsets are integers; otherwise, pixel edges are SMALL_POINT px or more from the source, or the radius
-    is not smaller than that.
+    squeeze: float
+
+    @property
+    def signed(self) -> bool:
+        return True
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """Name without the squeeze."""
+
+    @property
+    def name(self) -> str:
+        return self.label if self.squeeze == 1.0 else f"{self.label}, squeezed {self.squeeze:g} times"
+
+    @property
+    def extent(self) -> float:
+        return max(1.0, 1.0 / self.squeeze)
+
+    @abstractmethod
+    def running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
+        """Integral for `grid_share`."""
+
+    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+        running = partial(self.running_integral, tent=tent)
+        return share_at(partial(corner_share, running, tent=tent, extent=self.extent), dx, dy, radius, tent)
+
+    def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
+        return grid_share(partial(self.running_integral, tent=tent), radii, dx, dy, tent)
+
+
+def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+    """Fraction of the light in pixels, see `Pupil.share`, from a function `share` for radii that are not small.
+
+    With `tent`, offsets are integers; else, the radius or the distance of the source from pixel edges is SMALL_POINT or
+    more.
     """
     dx, dy, radius = (np.asarray(v, np.float64) for v in np.broadcast_arrays(dx, dy, radius))
     at, part = _hold(radius, tent)

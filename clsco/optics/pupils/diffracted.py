@@ -23,15 +23,9 @@ PANEL_NODES = 10
 class Diffracted(Pupil):
     """Aperture with wave-optics blur: its edge diffracts light.
 
-    Attributes
-    ----------
-    opening : Pupil
-    bands : tuple of (float, float)
-        Q = wavelength s0 / (D pitch) in px, and fraction of the light, for each wavelength.
-    tail : float
-        Fraction of the light that is cut off, far from the blur's edge.
-    keeps : bool
-        True to spread the light that is cut off over the blur, so that the total is preserved.
+    bands: Q = wavelength s0 / (D pitch) in px, and fraction of the light, for each wavelength. tail: fraction of the
+    light that is cut off, far from the blur's edge. keeps: True to spread the light that is cut off over the blur, so
+    that the total is preserved.
     """
 
     STEPS: ClassVar[tuple[tuple[float, int], ...]]  # least Q, and intervals of tables per px from this Q on
@@ -135,14 +129,8 @@ def panels_of(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:  # fmt: skip
     """Interpolation in R of weights at signed radii, by polynomials with `count` nodes on panels of `panel` px.
 
-    Returns
-    -------
-    numbers : ndarray of int
-        Panels, increasing; panel n begins at n `panel`, with nodes by `panel_nodes`.
-    which : ndarray of int (radii,)
-        Index of each radius' panel.
-    factors : ndarray (radii, count)
-        Weights of the values at the nodes of that panel.
+    Numbers of the panels, increasing: panel n begins at n `panel`, with nodes by `panel_nodes`; index (radii,) of each
+    radius' panel; weights (radii, count) of the values at the nodes of that panel.
     """
     angles = (np.arange(count) + 0.5) * pi / count
     barycentric = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin(angles)

@@ -13,6 +13,7 @@ import numpy as np
 
 from clsco.optics.pupils.circle import disc_coverage
 from clsco.optics.pupils.pupil import Array
+from clsco.optics.pupils.quadrature import unit_nodes
 
 SERIES_UNTIL = 14.0  # argument of J0: its power series below, its asymptotic one above, both to 1e-11
 SERIES_TERMS, ASYMPTOTIC_TERMS = 48, 24
@@ -56,32 +57,16 @@ def cell_width(unit: float) -> float:
 def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Path) -> Array:
     """Light per px^2 around a defocused point, (r, radii), for a total of 1.
 
-    Parameters
-    ----------
-    r : ndarray (r,)
-        Distances from the point, px, increasing.
-    radii : ndarray (radii,)
-        Signed blur radii, px.
-    unit : float
-        Q, px.
-    inner : float
-        Radius of the central obstruction, in radii of the opening, 0 for none.
-    path : callable
-        Optical path of aberrations, see `Path`.
-
-    Returns
-    -------
-    ndarray (r, radii)
-
-    Notes
-    -----
-    The amplitude is a Hankel transform, U(v) = integral of exp(2 pi i W(t)) J0(v sqrt(t)) over t = inner^2 .. 1, with
-    v = pi r / Q, by Gauss-Legendre: its integrand is an entire function of t. Validated against Hopkins' transfer
-    function and against Airy's and the axis' closed forms.
+    r: distances from the point, px, increasing; radii: signed blur radii, px; unit: Q, px; inner: radius of the central
+    obstruction, in radii of the opening, 0 for none; path: of aberrations. The amplitude is a Hankel transform, U(v) =
+    integral of exp(2 pi i W(t)) J0(v sqrt(t)) over t = inner^2 .. 1, with v = pi r / Q, by Gauss-Legendre: its
+    integrand is an entire function of t.
     """
     waves = float(np.abs(radii).max(initial=0.0)) / (4.0 * unit)
     bend = float(np.abs(np.gradient(path(np.linspace(0.0, 1.0, 257)), 1.0 / 256)).max()) / unit
-    t, weight = _nodes(2.0 * np.pi * (waves + bend) + np.pi * r[-1] / unit, inner)
+    range_of_phase = 2.0 * np.pi * (waves + bend) + np.pi * r[-1] / unit
+    nodes, weight = (values * (1.0 - inner**2) for values in unit_nodes(32 + 16 * int(np.ceil(range_of_phase / 48.0))))
+    t = inner**2 + nodes
     phase = 2.0 * np.pi / unit * (0.25 * radii * t[:, None] + path(t)[:, None])
     real, imaginary = weight[:, None] * np.cos(phase), weight[:, None] * np.sin(phase)
     root, intensity = np.sqrt(t), np.empty((len(r), len(radii)))
@@ -99,28 +84,13 @@ def round_light(radii: Array, unit: float, inner: float, path: Path, width: floa
     return np.asarray(light[0::2] + light[1::2])
 
 
-def _nodes(phase: float, inner: float) -> tuple[Array, Array]:
-    """Nodes and weights of a quadrature over t = inner^2 .. 1 for an integrand with this range of phase."""
-    count = 32 + 16 * int(np.ceil(phase / 48.0))
-    x, weight = _legendre(count)
-    half = 0.5 * (1.0 - inner**2)
-    return inner**2 + half * (x + 1.0), half * weight
-
-
-@lru_cache(maxsize=32)
-def _legendre(count: int) -> tuple[Array, Array]:
-    x, weight = np.polynomial.legendre.leggauss(count)
-    return x, weight
-
-
 @lru_cache(maxsize=2**15)
 def pixel_rings(a: float, b: float, tent: bool, width: float) -> tuple[int, Array]:
-    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and the pixel's fractions of that ring and of the
-    following ones.
+    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and fractions of it and the following ones in the
+    pixel.
 
-    tent: True for a square source instead of a point, see `clsco.optics.pupils.pupil.Pupil.share`. Constant light
-    within rings causes an error quadratic in their width; the fractions include Richardson's extrapolation from rings
-    twice as wide.
+    tent: True for a square source instead of a point. Constant light within rings causes an error quadratic in their
+    width; the fractions include Richardson's extrapolation from rings twice as wide.
     """
     half = 1.0 if tent else 0.5
     first = int(np.hypot(max(a - half, 0.0), max(b - half, 0.0)) / width) // 2 * 2

@@ -12,20 +12,8 @@ from clsco.optics.pupils.pupil import Borders
 
 @dataclass(frozen=True)
 class Ellipse(Outline):
-    """Ellipse as high as the unit circle.
-
-    Attributes
-    ----------
-    squeeze : float
-        Height over width.
-    obstruction : float
-        Size of the central obstruction, an ellipse of the same shape, relative to the opening; 0 for none.
-
-    Examples
-    --------
-    >>> from clsco.optics.pupils.ellipse import Ellipse
-    >>> Ellipse(2.0).name, round(Ellipse(2.0).light, 12)
-    ('circle, squeezed 2 times', 0.5)
+    """Ellipse as high as the unit circle; squeeze: height over width; obstruction: size of a central obstruction of the
+    same shape, relative to the opening, 0 for none.
     """
 
     squeeze: float

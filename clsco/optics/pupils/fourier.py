@@ -14,14 +14,7 @@ from clsco.cache import Cache
 from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, panel_nodes, panels_of
 from clsco.optics.pupils.hankel import is_round
 from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.optics.pupils.transform import (
-    fast_length,
-    image_parts,
-    pixel_weights,
-    pupil_samples,
-    spectra,
-    spot_light,
-)
+from clsco.optics.pupils.transform import fast_length, image_parts, pixel_weights, pupil_samples, spectra, spot_light
 from clsco.optics.pupils.wavefront import Wavefront
 
 RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius for the measured length of the rim, and their blur in cells
@@ -37,21 +30,7 @@ spot_cache, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 class FourierDiffracted(Diffracted):
     """Aperture of any shape with an optional wavefront error, see `Diffracted`.
 
-    Attributes
-    ----------
-    wavefront : Wavefront
-    steepest : float
-        Largest slope over the frame, px per radius, which buffers allow for; 0 if the wavefront is constant.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> from clsco.optics.pupils.fourier import FourierDiffracted
-    >>> from clsco.optics.pupils.wavefront import Wavefront
-    >>> lens = FourierDiffracted(Circle(), ((0.5, 1.0),), wavefront=Wavefront(((3, 1, 0.1),)))
-    >>> lens.share(np.array([-1.0, 0.0, 1.0]), np.zeros(3), np.array(0.0), tent=True).round(3)
-    array([0.155, 0.22 , 0.083])
+    steepest: largest slope over the frame, px per radius, which buffers allow for; 0 if the wavefront is constant.
     """
 
     STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))
@@ -156,9 +135,7 @@ class FourierDiffracted(Diffracted):
 
     @property
     def upright(self) -> FourierDiffracted:
-        """The pupil with its wavefront mirrored to a canonical orientation, which several positions of the frame
-        share.
-        """
+        """The pupil with its wavefront mirrored to an orientation that several positions of the frame share."""
         return replace(self, wavefront=self.wavefront.upright) if is_round(self.opening) else self
 
     def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:

@@ -15,16 +15,8 @@ from clsco.optics.pupils.pupil import Array, Pupil
 
 @dataclass(frozen=True)
 class Gaussian(Pupil):
-    """Gaussian of standard deviation `sigma`, in aperture radii, cut off at `cut` sigma along each axis, or, if
-    `round`, at a circle of this radius.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.gaussian import Gaussian
-    >>> gaussian = Gaussian(0.7, 3.0)
-    >>> float(gaussian.share(np.array(0.0), np.array(0.0), np.array(2.0), tent=False).round(4))
-    0.0783
+    """Gaussian of standard deviation `sigma` lens radii, cut off at `cut` sigma along axes, or, if `round`, in a
+    circle.
     """
 
     sigma: float

@@ -20,17 +20,7 @@ PANEL = 0.25  # px of R that one polynomial covers, at most; but no more than ha
 
 @dataclass(frozen=True)
 class HankelDiffracted(Diffracted):
-    """Circle or ring without aberrations, see `Diffracted`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> from clsco.optics.pupils.hankel import HankelDiffracted
-    >>> lens = HankelDiffracted(Circle(), ((0.5, 1.0),))
-    >>> lens.share(np.array([0.0, 1.0]), np.zeros(2), np.array(0.0), tent=True).round(4)
-    array([0.6095, 0.0689])
-    """
+    """Circle or ring without aberrations, see `Diffracted`."""
 
     STEPS = ((1.6, 2), (0.8, 4), (0.2, 8), (0.05, 16))
 
@@ -58,7 +48,7 @@ class HankelDiffracted(Diffracted):
 
     def _weights(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
         """Weights (places, radii); places: a + b i for pixels at offsets a >= b >= 0 px."""
-        rings, width = _rings(self, radii.tobytes()), self._width
+        rings, width = _rings(self, radii.tobytes()), cell_width(self.narrowest)
         weights = np.empty((len(places), len(radii)))
         for k, (a, b) in enumerate(zip(places.real.tolist(), places.imag.tolist(), strict=True)):
             first, shares = pixel_rings(a, b, tent, width)
@@ -74,13 +64,9 @@ class HankelDiffracted(Diffracted):
         values = self._weights(places, nodes.ravel(), tent).reshape(len(places), -1, PANEL_NODES)
         return np.maximum(np.einsum("prn,rn->pr", values[:, which], factors), 0.0)
 
-    @property
-    def _width(self) -> float:
-        return cell_width(self.narrowest)
-
     def _light(self, radii: Array) -> Array:
         """Light in each ring (rings, radii)."""
-        width, end = self._width, np.abs(radii) * self.extent + self.margin
+        width, end = cell_width(self.narrowest), np.abs(radii) * self.extent + self.margin
         count = 2 * ceil(0.5 * float(end.max()) / width)
         light = sum(
             share * round_light(radii, unit, self.inner, np.zeros_like, width, count) for unit, share in self.bands

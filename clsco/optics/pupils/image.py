@@ -1,20 +1,18 @@
-"""Pupil given by an image, for shapes without a closed form: exact areas of its cells by running sums (float64,
-pure).
-"""
+"""Pupil given by an image: exact areas of its cells by running sums (float64, pure)."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.circle import disc_coverage
-from clsco.optics.pupils.differences import corner_share, grid_share, share_at
-from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.differences import Asymmetric
+from clsco.optics.pupils.pupil import Array
 
 MOST_CELLS = 512  # per side
 TURNED_PARTS = 4  # samples per side of a cell, for an image that is rotated
@@ -22,19 +20,11 @@ KEPT = 4  # number of pupils whose running sums are cached
 
 
 @dataclass(frozen=True)
-class Image(Pupil):
+class Image(Asymmetric):
     """Transmission that is constant in each cell of a square around the lens; create it with `image_pupil`.
 
-    Attributes
-    ----------
-    count : int
-        Cells per side.
-    digest : str
-        Digest of the cells, which identifies pupils in reports and files.
-    data : bytes
-        float32, row after row, row 0 on top.
-    squeeze : float
-        Height over width of the blur.
+    count: cells per side; digest: of the cells, identifies pupils in reports and files; data: float32, row after row,
+    row 0 on top; squeeze: height over width of the blur.
     """
 
     count: int
@@ -42,20 +32,11 @@ class Image(Pupil):
     data: bytes = field(repr=False)
     squeeze: float = 1.0
 
-    symmetry = "none"
+    has_plain_rim = False
 
     @property
-    def name(self) -> str:
-        image = f"image of {self.count} x {self.count}"
-        return image if self.squeeze == 1.0 else f"{image}, squeezed {self.squeeze:g} times"
-
-    @property
-    def extent(self) -> float:
-        return max(1.0, 1.0 / self.squeeze)
-
-    @property
-    def has_plain_rim(self) -> bool:
-        return False
+    def label(self) -> str:
+        return f"image of {self.count} x {self.count}"
 
     @property
     def light(self) -> float:
@@ -83,14 +64,7 @@ class Image(Pupil):
         inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < self.count)
         return np.where(inside, self.image[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
 
-    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        running = partial(self._running_integral, tent=tent)
-        return share_at(partial(corner_share, running, tent=tent, extent=self.extent), dx, dy, radius, tent)
-
-    def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
-        return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
-
-    def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
+    def running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
         """Integral for `grid_share`: a polynomial in each cell, plus the sums over all cells left of and above it."""
         scale = 0.5 * self.count / radius  # cells per px, down
         column, across = _cell(0.5 * self.count + x * (scale * self.squeeze), self.count)
@@ -104,31 +78,10 @@ class Image(Pupil):
 
 
 def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> Image:
-    """Pupil from a picture, whose inscribed circle is the edge of the lens.
+    """Pupil from a picture (n, n) whose inscribed circle is the edge of the lens, with a largest transmission of 1.
 
-    Parameters
-    ----------
-    picture : ndarray (n, n)
-        Transmission, not negative and positive somewhere in the circle; row 0 on top. It is oriented as the blur of a
-        far light. n at most MOST_CELLS.
-    rotation : float
-        Rotation of the picture before the squeeze, deg, counter-clockwise.
-    squeeze : float
-        Height over width of the blur.
-
-    Returns
-    -------
-    Image
-        Scaled to a largest transmission of 1; 0 outside of the circle.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.image import image_pupil
-    >>> half = np.zeros((64, 64))
-    >>> half[:, 32:] = 1.0
-    >>> image_pupil(half).name
-    'image of 64 x 64'
+    picture: transmission, not negative and positive somewhere in the circle, oriented as the blur of a far light, row 0
+    on top; n at most MOST_CELLS. rotation: before the squeeze, deg, counter-clockwise.
     """
     picture, count = turned(picture, rotation), len(picture)
     at = np.arange(float(count)) + 0.5 - 0.5 * count
@@ -169,10 +122,9 @@ def _powers(t: Array, order: int) -> Sequence[Array | float]:
 
 @lru_cache(maxsize=KEPT)
 def _running_sums(pupil: Image) -> list[list[Array]]:
-    """Running integrals of the image at the upper left corner of each cell; [i][j]: i times down and j times across.
+    """Running integrals (n + 1, n + 1) at the upper left corner of each cell; [i][j]: i times down and j times across.
 
-    i and j are 0, 1 or 2; 0 is the value of the cell itself. Arrays (n + 1, n + 1): an empty row and an empty column
-    of cells follow the last ones.
+    i and j are 0, 1 or 2; 0 is the value of the cell itself. An empty row and column of cells follow the last ones.
     """
     cells = np.pad(pupil.image, (0, 1))
     down = [cells, *_integrals(cells, axis=0)]

@@ -8,46 +8,28 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from math import atan2, ceil, cos, floor, hypot, pi, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.pupils.differences import ROUNDING, corner_share, grid_share, share_at
-from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.differences import ROUNDING, Asymmetric
+from clsco.optics.pupils.pupil import Array
+from clsco.optics.pupils.quadrature import unit_nodes
 
-LONGEST_ARC = pi / 4.0
+LONGEST_ARC, NODES = pi / 4.0, 8  # along such an arc, quadrature is exact to 1e-14 for cubics in both coordinates
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
 FILLED = 16.0  # px: for larger radii and point sources, pixels inside the outline get one weight without integrals
-
-
-@cache
-def _nodes() -> tuple[Array, Array]:
-    """Gauss-Legendre nodes and weights on [0, 1]; along arcs of LONGEST_ARC, exact to 1e-14 for cubics in both
-    coordinates.
-
-    Computed at the first use: importing numpy's polynomials takes as long as reading a small scene.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    return 0.5 * nodes + 0.5, 0.5 * weights
 
 
 @dataclass(frozen=True)
 class Arc:
     """Part of an outline that is monotonic in x and in y, directed with the inside always on the same side.
 
-    Attributes
-    ----------
-    start, end : tuple of float
-        Ends, in aperture radii.
-    center : tuple of float
-        Center of the circle; unused if `radius` is 0.
-    radius : float
-        Radius of the circle, 0 for a straight edge.
-    angles : tuple of float
-        Angles of the ends seen from the center, from x towards y, rad; within one quadrant.
+    start, end: in aperture radii; center, radius: of its circle; radius 0 for a straight edge; angles: of the ends seen
+    from the center, from x towards y, rad; within one quadrant.
     """
 
     start: tuple[float, float]
@@ -91,11 +73,6 @@ class Arc:
         return np.asarray((angle + 2.0 * pi * turn - first) / (last - first))
 
 
-def edge(start: tuple[float, float], end: tuple[float, float]) -> list[Arc]:
-    """Straight edge between two points."""
-    return [Arc(start, end)]
-
-
 def arc(center: tuple[float, float], radius: float, first: float, last: float) -> list[Arc]:
     """Arc of a circle between two angles, in monotonic parts no longer than LONGEST_ARC."""
     low, high = min(first, last), max(first, last)
@@ -114,7 +91,7 @@ def bulging(start: tuple[float, float], end: tuple[float, float], sagitta: float
     """Arc between two points with height `sagitta` over its chord, away from the origin if positive."""
     half = 0.5 * hypot(end[0] - start[0], end[1] - start[1])
     if abs(sagitta) < STRAIGHT * half:
-        return edge(start, end)
+        return [Arc(start, end)]
     middle = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])
     away = hypot(*middle)
     radius = (half * half + sagitta * sagitta) / (2.0 * abs(sagitta))
@@ -125,45 +102,20 @@ def bulging(start: tuple[float, float], end: tuple[float, float], sagitta: float
     return arc(center, radius, first, last)
 
 
-class Outline(Pupil):
-    """Aperture with an outline of arcs, fully open inside, scaled horizontally by a squeeze.
+class Outline(Asymmetric):
+    """Aperture with an outline of arcs, fully open inside."""
 
-    Attributes
-    ----------
-    squeeze : float
-        Height over width: x of the outline is divided by it.
-    """
-
-    squeeze: float
-
-    symmetry = "none"
-
-    @property
-    @abstractmethod
-    def label(self) -> str:
-        """Name without the squeeze."""
+    has_plain_rim = False
 
     @cached_property
     @abstractmethod
     def arcs(self) -> tuple[Arc, ...]:
         """Closed outlines, with the inside on the same side of each: holes have the opposite direction."""
 
-    @property
-    def has_plain_rim(self) -> bool:
-        return False
-
-    @property
-    def name(self) -> str:
-        return self.label if self.squeeze == 1.0 else f"{self.label}, squeezed {self.squeeze:g} times"
-
-    @property
-    def extent(self) -> float:
-        return max(1.0, 1.0 / self.squeeze)
-
     @cached_property
     def area(self) -> float:
         """Area of the outline before the squeeze; negative if the inside is on the right of the arcs' direction."""
-        return float(sum((_nodes()[1] * x * dy).sum() for x, _, _, dy in self._walked()))
+        return float(sum((unit_nodes(NODES)[1] * x * dy).sum() for x, _, _, dy in self._walked()))
 
     @property
     def light(self) -> float:
@@ -171,14 +123,14 @@ class Outline(Pupil):
 
     @property
     def second_moment(self) -> float:
-        along_x = sum((_nodes()[1] * x**3 * dy).sum() for x, _, _, dy in self._walked()) / 3.0
-        along_y = -sum((_nodes()[1] * y**3 * dx).sum() for _, y, dx, _ in self._walked()) / 3.0
+        along_x = sum((unit_nodes(NODES)[1] * x**3 * dy).sum() for x, _, _, dy in self._walked()) / 3.0
+        along_y = -sum((unit_nodes(NODES)[1] * y**3 * dx).sum() for _, y, dx, _ in self._walked()) / 3.0
         return float(0.5 * (along_x / self.squeeze**2 + along_y) / self.area)
 
     def _walked(self) -> Iterable[tuple[Array, Array, Array, Array]]:
         """Coordinates x, y of the quadrature nodes on each arc, and their derivatives along it."""
         for arc in self.arcs:
-            x, y = arc.at(_nodes()[0])
+            x, y = arc.at(unit_nodes(NODES)[0])
             yield x, y, *arc.slope(x, y)
 
     def transmission(self, x: Array, y: Array) -> Array:
@@ -194,13 +146,9 @@ class Outline(Pupil):
             inside ^= (y > low) & (y <= high) & (arc.at(at)[0] < x)
         return inside.astype(np.float64)
 
-    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        running = partial(self._running_integral, tent=tent)
-        return share_at(partial(corner_share, running, tent=tent, extent=self.extent), dx, dy, radius, tent)
-
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
         if tent or radii.min() < FILLED:
-            return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
+            return super().rows(radii, dx, dy, tent)
         return np.stack([self._filled(float(radius), dx, dy) for radius in radii])
 
     def _filled(self, radius: float, dx: Array, dy: Array) -> Array:
@@ -210,7 +158,7 @@ class Outline(Pupil):
         row, column = np.nonzero(self._outlined(radius, dx, dy))
         share = np.zeros(row.shape)
         for right, down, sign in ((0.5, 0.5, 1.0), (-0.5, 0.5, -1.0), (0.5, -0.5, -1.0), (-0.5, -0.5, 1.0)):
-            share += sign * self._running_integral(np.asarray(radius), dx[column] + right, dy[row] + down, tent=False)
+            share += sign * self.running_integral(np.asarray(radius), dx[column] + right, dy[row] + down, tent=False)
         weights[row, column] = np.where(share < ROUNDING, 0.0, share)
         return np.asarray(weights)
 
@@ -227,7 +175,7 @@ class Outline(Pupil):
         mask = mask[:-2] | mask[1:-1] | mask[2:]
         return np.asarray(mask[:, :-2] | mask[:, 1:-1] | mask[:, 2:])
 
-    def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
+    def running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
         """Integral for `grid_share`, along arcs (u, v): of (x - u)^2 (y - v) / 2 dv if `tent`, else of (x - u) dv."""
         x, y = x * self.squeeze / radius, y / radius
         total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
@@ -238,7 +186,7 @@ class Outline(Pupil):
             first = np.maximum(first_x, first_y)
             length = np.maximum(np.minimum(last_x, last_y) - first, 0.0)
             integral = np.zeros_like(total)
-            for node, weight in zip(*_nodes(), strict=True):
+            for node, weight in zip(*unit_nodes(NODES), strict=True):
                 t = first + node * length
                 u, v = arc.at(t)
                 _, change = arc.slope(u, v)

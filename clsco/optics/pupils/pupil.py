@@ -5,13 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Symmetry = Literal["octant", "none"]
 Edges = tuple[tuple[float, float, float], ...]
 
 
@@ -19,17 +18,9 @@ Edges = tuple[tuple[float, float, float], ...]
 class Borders:
     """Edges and circles around an opening of constant transmission, which is convex except for holes.
 
-    Attributes
-    ----------
-    columns : tuple of float
-        x of the opening's ends and corners from left to right, in aperture radii.
-    edges : tuple of (x, y, distance)
-        Straight edges, as `Pupil.edges`.
-    circles, holes : tuple of (x, y, radius)
-        Circles inside which light passes, and circles that cover parts of the opening, which do not overlap; their x is
-        before the squeeze, `squeeze` times that of `columns`.
-    squeeze : float
-        Height over width of the blur.
+    columns: x of the opening's ends and corners from left to right, in aperture radii. edges: straight ones, as
+    `Pupil.edges`. circles: (x, y, radius) inside which light passes; holes: circles that cover parts of the opening,
+    which do not overlap; x of both is before the squeeze, `squeeze` times that of `columns`.
     """
 
     columns: tuple[float, ...] = (-1.0, 1.0)
@@ -44,34 +35,23 @@ class Pupil(ABC):
 
     A ray through l arrives at the offset R l, R the signed blur radius in px, so that a blur is the pupil scaled by R.
     Subclasses are frozen and hashable: tables of weights are cached by their fields.
-
-    Attributes
-    ----------
-    symmetry : str
-        "octant": symmetric in x, in y and in the diagonals, so that R and -R give the same blur. "none": no symmetry.
-    uniform : bool
-        The transmission is constant inside the edge.
-    soft : bool
-        The transmission falls off towards the edge.
-    hollow : bool
-        The transmission is constant between an inner and an outer edge.
-    separable : bool
-        The transmission is a product of one function along each axis.
     """
 
-    symmetry: ClassVar[Symmetry] = "octant"
-    uniform: ClassVar[bool] = False
-    soft: ClassVar[bool] = False
-    hollow: ClassVar[bool] = False
+    uniform: ClassVar[bool] = False  # constant transmission inside the edge
+    soft: ClassVar[bool] = False  # a transmission that falls off towards the edge
+    hollow: ClassVar[bool] = False  # constant transmission between an inner and an outer edge
+    has_plain_rim: ClassVar[bool] = True  # circle or straight edges: positions on the rim determine mean lens points
+    bends_rays: ClassVar[bool] = False  # rays do not arrive at R l, because of wavefront errors
 
     @property
     def separable(self) -> bool:
+        """True if the transmission is a product of one function along each axis."""
         return False
 
     @property
     def signed(self) -> bool:
-        """True if R and -R give different blur."""
-        return self.symmetry == "none"
+        """True if R and -R give different blur; otherwise, it is symmetric in x, in y and in the diagonals."""
+        return False
 
     @property
     def steps(self) -> int:
@@ -92,16 +72,6 @@ class Pupil(ABC):
     def extent(self) -> float:
         """Largest |l| at which light passes."""
         return 1.0
-
-    @property
-    def bends_rays(self) -> bool:
-        """True if rays do not arrive at R l, because of wavefront errors."""
-        return False
-
-    @property
-    def has_plain_rim(self) -> bool:
-        """True if the edge is a circle or straight: positions of pixels on it determine their mean lens points."""
-        return True
 
     @property
     def edges(self) -> Edges:
@@ -141,7 +111,7 @@ class Pupil(ABC):
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
         """Fraction of the light that a pixel at (dx, dy) px receives in a blur of `radius` R; sums to 1.
 
-        radius: px, not 0; its sign matters if the symmetry is "none". tent: True for a square source instead of a
+        radius: px, not 0; its sign matters if `signed`. tent: True for a square source instead of a
         point; the pixel's response is then the square convolved with itself. The three arrays broadcast.
         """
 

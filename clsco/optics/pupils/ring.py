@@ -12,28 +12,12 @@ from clsco.optics.pupils.pupil import Array, Borders, Pupil
 
 @dataclass(frozen=True)
 class Ring(Pupil):
-    """Light passes at obstruction < |l| <= 1.
-
-    Attributes
-    ----------
-    obstruction : float
-        Radius of the central obstruction, in aperture radii, between 0 and 1.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.ring import Ring
-    >>> Ring(0.5).share(np.array([0.0, 6.0]), np.zeros(2), np.array(8.0), tent=False).round(5)
-    array([0.     , 0.00663])
-    """
+    """Light passes at obstruction < |l| <= 1, with the obstruction between 0 and 1."""
 
     obstruction: float
 
     hollow = True
-
-    @property
-    def has_plain_rim(self) -> bool:
-        return False
+    has_plain_rim = False
 
     @property
     def borders(self) -> Borders:

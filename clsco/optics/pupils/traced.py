@@ -18,6 +18,7 @@ from clsco.constants import POWERS
 from clsco.optics.pupils.diffracted import panel_nodes
 from clsco.optics.pupils.fourier import FourierDiffracted, spot_cache
 from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.quadrature import pixel_integral
 from clsco.optics.pupils.wavefront import Wavefront
 
 MOST_PARTS, LEAST_PARTS = 16, 2  # cells per px of a spot: at most SPOT over its reach, if possible
@@ -30,35 +31,19 @@ RAYS_PER_CELL, RAYS_PER_PX, FEWEST_RAYS, MOST_RAYS = 1.25, 16.0, 96, 384
 FINE_STEPS, STEPS, FINE_BELOW = 8, 4, 8.0
 SECONDS, PLACE = 3e-8, 0.07  # CPU time of a ray, and fraction of it for each position of a source in its pixel
 TOGETHER = 2**14  # rays processed at once, whose arrays fit into a processor's cache
-NO_WAVES = ((1.0, 1.0),)
 
 
 @dataclass(frozen=True)
 class Traced(FourierDiffracted):
     """Aperture of any shape with a wavefront error, in geometrical optics; `bands` and `tail` are unused.
 
-    Weights are sums over rays at the nodes of table intervals, and cubics in R between nodes. Validated against the
-    closed form of the disc, and moments of coma, astigmatism and spherical aberration
-    (tests/optics/pupils/test_traced.py).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> from clsco.optics.pupils.traced import Traced
-    >>> from clsco.optics.pupils.wavefront import Wavefront
-    >>> lens = Traced(Circle(), wavefront=Wavefront(coma=(0.5, 0.0)))
-    >>> lens.share(np.array([-1.0, 0.0, 1.0]), np.zeros(3), np.array(0.0), tent=True).round(2)
-    array([0.  , 0.25, 0.31])
+    Weights are sums over rays at the nodes of table intervals, and cubics in R between nodes.
     """
 
     NODES: ClassVar[int] = POWERS
+    bends_rays = True
 
-    bands: tuple[tuple[float, float], ...] = NO_WAVES
-
-    @property
-    def bends_rays(self) -> bool:
-        return True
+    bands: tuple[tuple[float, float], ...] = ((1.0, 1.0),)
 
     @property
     def name(self) -> str:
@@ -160,24 +145,15 @@ def ends(at: Array, width: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=256)
 def response(parts: int, place: float, tent: bool) -> Array:
-    """Fraction of the light in cells around a pixel that the pixel receives along an axis, from a source at `place` in
-    its own pixel.
+    """Fraction of the light in cells that a pixel receives along an axis, from a source at `place` in its own pixel.
 
-    parts: cells per px; tent: True for a square source instead of a point.
+    parts: cells per px; tent: see `Pupil.share`.
     """
     beside = parts + parts // 2 + 2
     at = np.arange(-beside, beside + 1.0) / parts + place
-    sums = [_below(at + shift / parts, tent) for shift in (-1.5, -0.5, 0.5, 1.5)]
+    sums = [pixel_integral(at + shift / parts, tent) for shift in (-1.5, -0.5, 0.5, 1.5)]
     means = [parts * (high - low) for low, high in pairwise(sums)]
     return np.asarray((1.0 + 2.0 * SHARPER) * means[1] - SHARPER * (means[0] + means[2]))
-
-
-def _below(at: Array, tent: bool) -> Array:
-    """Integral of a pixel's response up to a position."""
-    if not tent:
-        return np.clip(at, -0.5, 0.5)
-    at = np.clip(at, -1.0, 1.0)
-    return at - 0.5 * at * np.abs(at)
 
 
 def pixels(cells: Array, response: Array, parts: int) -> Array:

@@ -43,11 +43,10 @@ def image_parts(unit: float, extent: float) -> int:
 
 
 def pupil_samples(slope: float, part: float = 1.0) -> float:
-    """Samples of the pupil over its diameter for a steepest phase slope in waves per radius; part: fraction of the
-    samples that weights to 1e-4 of the light need.
+    """Samples of the pupil over its diameter for a steepest phase slope in waves per radius.
 
-    Raises SceneError if the phase would change by more than 1/4 wave between two of MOST samples, so that light would
-    be misplaced.
+    part: fraction of the samples that weights to 1e-4 of the light need. Raises SceneError if the phase would change by
+    more than 1/4 wave between two of MOST samples, so that light would be misplaced.
     """
     if LEAST_PER_SLOPE * slope > MOST:
         rule = f"must turn the phase by at most 1/4 wave from one of {MOST} samples of the pupil to the next"
@@ -58,33 +57,12 @@ def pupil_samples(slope: float, part: float = 1.0) -> float:
 def spot_light(
     opening: Pupil, wavefront: Wavefront, unit: float, radius: float, samples: float, parts: int, width: int
 ) -> Array:  # fmt: skip
-    """Light of a defocused point in cells of 1 / parts px around it, as a fraction of all of its light.
+    """Light (parts width, parts width) of a defocused point in cells of 1 / parts px around it, as a fraction of all of
+    its light; row 0 on top, the point is at the middle index.
 
-    Parameters
-    ----------
-    opening : Pupil
-    wavefront : Wavefront
-    unit : float
-        Q, px.
-    radius : float
-        Signed blur radius, px.
-    samples : float
-        Least number of samples of the pupil over its diameter.
-    parts : int
-        Cells per px, see `image_parts`.
-    width : int
-        Side of the returned light in px, even.
-
-    Returns
-    -------
-    ndarray (parts width, parts width)
-        Row 0 on top; the point is at the middle index.
-
-    Notes
-    -----
-    The amplitude of a cell at the edge of the pupil is its area in the pupil; light that its square lacks is outside
-    the window. Validated against Hopkins' transfer function, and the Hankel transform with spherical aberration
-    (benchmarks/truth/wave.py).
+    unit: Q, px; radius: signed blur radius, px; samples: least number of samples of the pupil over its diameter; parts:
+    cells per px, see `image_parts`; width: side of the returned light in px, even. The amplitude of a cell at the edge
+    of the pupil is its area in the pupil; light that its square lacks is outside the window.
     """
     window = fast_length(max(samples * unit, width))
     amplitude, at = _pupil(opening, wavefront, window / unit, unit)

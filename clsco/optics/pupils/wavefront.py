@@ -23,27 +23,11 @@ STEP, BESIDE = 1e-4, 1e-3  # steps of finite differences, for slopes of polynomi
 class Wavefront:
     """Optical path through a lens, minus that of a sphere around the image of a point.
 
-    Attributes
-    ----------
-    zernike : tuple of (int, int, float)
-        n, m and the rms over the lens in px of each polynomial.
-    spherical : float
-        Seidel's W040 in px: path at the lens's edge of the term in the fourth power of the distance from its center.
-    coma : tuple of float
-        Seidel's W131 in px, right and down: path (x^2 + y^2) (coma . (x, y)).
-    bend : tuple of float
-        xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature at a position in the
-        frame.
-    change : tuple of float
-        Derivatives over the frame, px per px: of the coma, away from the middle; half of that of astigmatism, right and
-        down; half of that of field curvature, right and down.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.wavefront import Wavefront
-    >>> float(Wavefront(((2, 0, 1.0),)).path(np.array(1.0), np.array(0.0)).round(6))
-    1.732051
+    zernike: n, m and the rms over the lens in px of each polynomial. spherical: Seidel's W040 in px: path at the lens's
+    edge of the term in the fourth power of the distance from its center. coma: Seidel's W131 in px, right and down:
+    path (x^2 + y^2) (coma . (x, y)). bend: xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and
+    field curvature at a position in the frame. change: derivatives over the frame, px per px: of the coma, away from
+    the middle; half of that of astigmatism, right and down; half of that of field curvature, right and down.
     """
 
     zernike: tuple[tuple[int, int, float], ...] = ()
@@ -150,26 +134,8 @@ def _slope(wavefront: Wavefront) -> float:
 def zernike(n: int, m: int, x: Array, y: Array) -> Array:
     """Zernike polynomial in the standard of OSA and ANSI Z80.28, with rms 1 over the unit circle.
 
-    Parameters
-    ----------
-    n : int
-        Radial order.
-    m : int
-        Angular frequency, |m| <= n and n - m even: cosines if positive, sines if negative. Angles are counter-clockwise
-        from the right, in the image of a far light.
-    x, y : ndarray
-        Lens points, in radii, right and down; they broadcast.
-
-    Returns
-    -------
-    ndarray
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.wavefront import zernike
-    >>> float(zernike(2, 2, np.array(1.0), np.array(0.0)).round(6))
-    2.44949
+    n: radial order; m: angular frequency, |m| <= n and n - m even: cosines if positive, sines if negative. Angles are
+    counter-clockwise from the right, in the image of a far light. x, y: lens points, right and down.
     """
     order, square = abs(m), x * x + y * y
     radial: Array | float = 0.0

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.special import j0, j1
 
 from benchmarks.truth.wave import difference, transfer
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread, diffraction_unit, point_spread, spreads_of_colors
-from clsco.optics.psf_tables import psf_table, table_weights
+from clsco.optics.psf_tables import psf_table
 from clsco.optics.pupils.circle import Circle
 from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.diffraction import bessel_j0, round_intensity
@@ -18,19 +17,16 @@ from clsco.optics.pupils.hankel import DIRECT, HankelDiffracted
 from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring
 from clsco.scene.model import Aperture, Camera, Psf
+from tests.optics.grids import grid, square, table_error
 from tests.slow import combined, mostly_slow
 
-Array = NDArray[np.float64]
+CAMERA_RULE = 'must be given with psf.model = "wave" or aberrations, for its aperture and pixels'
+UNIT_RULE = "must make wavelength s0 / (D pixel_pitch) 0.02 to 8 px"
 MARGIN_RULE = "must leave at most 256 px of light outside of the rim of the blur"
 
 
 def waves(unit: float, opening: Pupil | None = None, tail: float = 0.01, keeps: bool = True) -> Diffracted:
     return HankelDiffracted(opening or Circle(), ((unit, 1.0),), tail, keeps)
-
-
-def offsets(reach: int) -> tuple[Array, Array]:
-    span = np.arange(-reach, reach + 1.0)
-    return span[None, :], span[:, None]
 
 
 def test_bessel_function() -> None:
@@ -72,7 +68,7 @@ def test_weights_are_those_of_hopkins_transfer_function(unit: float, radius: flo
 )
 def test_light_is_kept_or_lost_by_the_tail(unit: float, tent: bool, opening: Pupil) -> None:
     for radius in (0.0, 2.3):
-        x, y = offsets(int(radius + waves(unit, opening).margin) + 2)
+        x, y = grid(int(radius + waves(unit, opening).margin) + 2)
         kept = waves(unit, opening).share(x, y, np.asarray(radius), tent)
         lost = waves(unit, opening, keeps=False).share(x, y, np.asarray(radius), tent)
         left_out = waves(unit, opening).left_out(radius)
@@ -87,31 +83,26 @@ def test_light_is_kept_or_lost_by_the_tail(unit: float, tent: bool, opening: Pup
 def test_contrast_of_detail_is_that_of_hopkins_transfer_function(radius: float) -> None:
     """Light of the tail that were given to all of the blur alike would add 0.01 of the contrast."""
     unit, f = 0.5, np.array([0.12, 0.2, 0.35])[:, None, None]
-    x, y = offsets(int(radius + waves(unit).margin) + 2)
+    x, y = grid(int(radius + waves(unit).margin) + 2)
     found = (waves(unit).share(x, y, np.asarray(radius), True) * np.cos(2.0 * np.pi * f * x)).sum(axis=(1, 2))
     aliases = np.abs(f[:, 0] + np.arange(-2.0, 2.0))
-    passed = transfer(2.0 * unit * np.minimum(aliases, 1.0 / unit).ravel(), radius / (4.0 * unit)).reshape(
-        aliases.shape
-    )
-    right = (passed * np.sinc(aliases) ** 2).sum(axis=1)
+    passed = transfer(2.0 * unit * np.minimum(aliases, 1.0 / unit).ravel(), radius / (4.0 * unit))
+    right = (passed.reshape(aliases.shape) * np.sinc(aliases) ** 2).sum(axis=1)
     assert np.abs(found - right).max() < 0.0015
 
 
 def test_nothing_is_beyond_the_reach() -> None:
     psf = PointSpread(waves(0.5))
     for radius in (0.0, 0.3, 2.9, 7.5):
-        reach = psf.reach(radius)
-        x, y = offsets(reach + 3)
-        weights = psf.weights(x, y, np.asarray(radius))
+        weights = square(psf, radius, psf.reach(radius) + 3)
         assert (weights[:3] == 0.0).all()
         assert (weights[:, -3:] == 0.0).all()
 
 
 def test_signs_and_octants_are_alike() -> None:
     psf = PointSpread(waves(0.3))
-    x, y = offsets(5)
-    weights = psf.weights(x, y, np.asarray(2.3))
-    assert (weights == psf.weights(x, y, np.asarray(-2.3))).all()
+    weights = square(psf, 2.3, 5)
+    assert (weights == square(psf, -2.3, 5)).all()
     assert (weights == weights.T).all()
     assert (weights == weights[::-1]).all()
     assert psf.layout == "symmetric"
@@ -132,15 +123,13 @@ def test_tables_are_as_good_as_those_of_discs(unit: float) -> None:
     psf = PointSpread(waves(unit, tail=0.1))
     table = psf_table(psf, 0.0, 4.0)
     for radius in (0.0, 0.013, 0.21, 0.77, 1.503, 2.9, 3.99):
-        weights = table_weights(table, psf, radius)
-        x, y = offsets(weights.shape[0] // 2)
-        error = np.abs(weights - psf.weights(x, y, np.asarray(radius)))
+        error = table_error(table, psf, radius)
         assert error.sum() < 5e-5
         assert error.max() < 1e-5
 
 
 def test_a_band_is_the_mean_of_its_wavelengths() -> None:
-    x, y = offsets(6)
+    x, y = grid(6)
     both = HankelDiffracted(Circle(), ((0.4, 0.5), (0.5, 0.5)), keeps=False)
     each = [waves(unit, keeps=False) for unit in (0.4, 0.5)]
     mean = np.mean([lens.share(x, y, np.asarray(2.0), True) for lens in each], axis=0)
@@ -151,9 +140,8 @@ def test_a_band_is_the_mean_of_its_wavelengths() -> None:
 
 
 def test_it_is_the_disc_where_waves_are_short() -> None:
-    x, y = offsets(6)
-    disc = PointSpread(Circle()).weights(x, y, np.asarray(4.0))
-    differences = [np.abs(PointSpread(waves(q)).weights(x, y, np.asarray(4.0)) - disc).sum() for q in (0.4, 0.1, 0.02)]
+    disc = square(PointSpread(Circle()), 4.0, 6)
+    differences = [np.abs(square(PointSpread(waves(q)), 4.0, 6) - disc).sum() for q in (0.4, 0.1, 0.02)]
     assert differences[0] > 2.0 * differences[1] > 4.0 * differences[2]
     assert differences[2] < 0.02
 
@@ -177,26 +165,14 @@ def test_point_spreads_of_a_camera() -> None:
 @pytest.mark.parametrize(
     ("psf", "camera", "message"),
     [
-        (
-            {},
-            None,
-            'camera: must be given with psf.model = "wave" or aberrations, for its aperture and pixels; got None',
-        ),
-        (
-            {},
-            Camera(pixel_pitch=0.1),
-            "psf.wavelengths: must make wavelength s0 / (D pixel_pitch) 0.02 to 8 px; got 0.0108 px, of 540 nm",
-        ),
+        ({}, None, f"camera: {CAMERA_RULE}; got None"),
+        ({}, Camera(pixel_pitch=0.1), f"psf.wavelengths: {UNIT_RULE}; got 0.0108 px, of 540 nm"),
         (
             {"wavelengths": (610.0, 20000.0, 465.0)},
             Camera(f_number=8.0),
-            "psf.wavelengths: must make wavelength s0 / (D pixel_pitch) 0.02 to 8 px; got 16 px, of 2e+04 nm",
+            f"psf.wavelengths: {UNIT_RULE}; got 16 px, of 2e+04 nm",
         ),
-        (
-            {"tail": 2e-4},
-            Camera(f_number=8.0),
-            f"psf.tail: {MARGIN_RULE}; got 482 px, of 0.0002 and 540 nm",
-        ),
+        ({"tail": 2e-4}, Camera(f_number=8.0), f"psf.tail: {MARGIN_RULE}; got 482 px, of 0.0002 and 540 nm"),
     ],
 )
 def test_lenses_that_cannot_be(psf: dict[str, object], camera: Camera | None, message: str) -> None:

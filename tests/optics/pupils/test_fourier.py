@@ -6,13 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.truth.aberrations import strehl
 from benchmarks.truth.wave import hopkins
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.psf_tables import psf_table, table_weights
+from clsco.optics.psf_tables import psf_table
 from clsco.optics.pupils.circle import Circle
 from clsco.optics.pupils.diffraction import round_intensity
 from clsco.optics.pupils.ellipse import Ellipse
@@ -25,9 +24,9 @@ from clsco.optics.pupils.ring import Ring
 from clsco.optics.pupils.transform import image_parts, pupil_samples, spot_light
 from clsco.optics.pupils.wavefront import Wavefront
 from clsco.optics.waves import table_seconds
+from tests.optics.grids import Array, grid, square, table_error
 from tests.slow import mostly_slow
 
-Array = NDArray[np.float64]
 FLAT = Wavefront()
 COMA = Wavefront(((3, 1, 0.1),))
 
@@ -38,20 +37,16 @@ def waves(
     return FourierDiffracted(opening or Circle(), ((unit, 1.0),), tail, keeps, wavefront)
 
 
-def square(lens: Pupil, radius: float, tent: bool = True, offset: float = 0.0, far: int = 0) -> Array:
+def lit(lens: Pupil, radius: float, tent: bool = True, offset: float = 0.0, far: int = 0) -> Array:
     """Weights of all pixels that a lens lights, and of `far` more on each side."""
-    reach = PointSpread(lens).reach(abs(radius), not tent) + far
-    span = np.arange(-reach, reach + 1.0)
-    return lens.share(span[None, :] - offset, span[:, None] - offset, np.asarray(radius), tent)
+    x, y = grid(PointSpread(lens).reach(abs(radius), not tent) + far)
+    return lens.share(x - offset, y - offset, np.asarray(radius), tent)
 
 
 @pytest.mark.parametrize("tent", [True, False])
 @pytest.mark.parametrize(
     ("unit", "radius", "most"),
-    mostly_slow(
-        [(0.11, 0.0, 1e-4), (0.11, -3.3, 3e-4), (0.5, 4.5, 1e-4), (1.0, 1.0, 3e-5)],
-        [(0.5, 4.5, 1e-4)],
-    ),
+    mostly_slow([(0.11, 0.0, 1e-4), (0.11, -3.3, 3e-4), (0.5, 4.5, 1e-4), (1.0, 1.0, 3e-5)], [(0.5, 4.5, 1e-4)]),
 )
 def test_of_a_circle_it_is_hopkins_transfer_function(unit: float, radius: float, most: float, tent: bool) -> None:
     reach = int(abs(radius)) + 2
@@ -95,7 +90,7 @@ def test_spherical_aberration_is_that_of_hankel_transforms(opening: Pupil) -> No
 def test_light_is_kept_or_lost_by_the_tail(lens: FourierDiffracted, tent: bool) -> None:
     loses = FourierDiffracted(lens.opening, lens.bands, lens.tail, False, lens.wavefront)
     for radius in (-2.7, 0.7):
-        kept, lost = square(lens, radius, tent, far=2), square(loses, radius, tent, far=2)
+        kept, lost = lit(lens, radius, tent, far=2), lit(loses, radius, tent, far=2)
         left_out = lens.left_out(radius)
         assert abs(kept.sum() - 1.0) < 5e-6
         assert abs(lost.sum() - (1.0 - left_out)) < 5e-5  # their pupils have other samples
@@ -109,51 +104,42 @@ def test_light_is_kept_or_lost_by_the_tail(lens: FourierDiffracted, tent: bool) 
 @pytest.mark.parametrize("tent", [True, False])
 def test_without_aberrations_it_turns_over_in_focus(opening: Pupil, tent: bool) -> None:
     lens = waves(0.4, opening)
-    far = square(lens, 2.6, tent)
-    assert np.abs(square(lens, -2.6, tent) - far[::-1, ::-1]).max() < 1e-14
+    far = lit(lens, 2.6, tent)
+    assert np.abs(lit(lens, -2.6, tent) - far[::-1, ::-1]).max() < 1e-14
     assert np.abs(far - far[::-1, ::-1]).sum() > 0.05
 
 
 def test_it_is_the_opening_where_waves_are_short() -> None:
     """Also which way up it is, for either sign."""
     for opening, radius in ((Polygon(5, 10.0), 4.0), (image_pupil(np.eye(7) + np.tri(7)), -4.0)):
-        found = square(waves(0.1, opening, tail=0.06), radius)
-        half = len(found) // 2
-        span = np.arange(-half, half + 1.0)
-        rays = PointSpread(opening).weights(span[None, :], span[:, None], np.asarray(radius))
+        found = lit(waves(0.1, opening, tail=0.06), radius)
+        rays = square(PointSpread(opening), radius, len(found) // 2)
         assert np.abs(found - rays).sum() < 0.12
         assert np.abs(found - rays[::-1, ::-1]).sum() > 0.15
 
 
 @pytest.mark.parametrize(
-    ("opening", "round_one"),
-    [(Ring(0.5), Ring(0.5)), pytest.param(Ellipse(1.0), Circle(), marks=pytest.mark.slow)],
+    ("opening", "round_one"), [(Ring(0.5), Ring(0.5)), pytest.param(Ellipse(1.0), Circle(), marks=pytest.mark.slow)]
 )
 def test_a_flat_wavefront_is_that_of_distances(opening: Pupil, round_one: Pupil) -> None:
     exact = HankelDiffracted(round_one, ((0.5, 1.0),))
     found = waves(0.5, opening)
     assert found.margin == pytest.approx(exact.margin, rel=0.01)
     for radius in (0.0, 2.2):
-        assert np.abs(square(found, radius) - exact.share(*_grid(found, radius), np.asarray(radius), True)).sum() < 6e-4
-
-
-def _grid(lens: Pupil, radius: float) -> tuple[Array, Array]:
-    reach = PointSpread(lens).reach(radius)
-    span = np.arange(-reach, reach + 1.0)
-    return span[None, :], span[:, None]
+        x, y = grid(PointSpread(found).reach(radius))
+        assert np.abs(lit(found, radius) - exact.share(x, y, np.asarray(radius), True)).sum() < 6e-4
 
 
 def moment(weights: Array, power: Callable[[Array, Array], Array]) -> float:
-    half = len(weights) // 2
-    span = np.arange(-half, half + 1.0)
-    return float((weights * power(span[None, :], -span[:, None])).sum())
+    x, y = grid(len(weights) // 2)
+    return float((weights * power(x, -y)).sum())
 
 
 def test_tails_of_coma_point_along_its_angle() -> None:
     """W = c (3 r^3 - 2 r) cos: rays go 2 Q grad W, so that the mean is c 4 Q sqrt(2) to the right, beyond the peak."""
     unit, rms = 0.4, 0.25
     for m, axis in ((1, 0), (-1, 1)):
-        weights = square(waves(unit, None, Wavefront(((3, m, rms * unit),)), tail=0.005), 0.0)
+        weights = lit(waves(unit, None, Wavefront(((3, m, rms * unit),)), tail=0.005), 0.0)
         mean = [moment(weights, lambda x, y: x + 0.0 * y), moment(weights, lambda x, y: y + 0.0 * x)]
         assert mean[axis] == pytest.approx(4.0 * 2.0**0.5 * rms * unit, rel=0.1)
         assert abs(mean[1 - axis]) < 1e-6
@@ -164,10 +150,7 @@ def test_tails_of_coma_point_along_its_angle() -> None:
 
 def test_astigmatism_lies_along_one_axis_before_the_focus_and_along_the_other_behind_it() -> None:
     lens = waves(0.5, None, Wavefront(((2, 2, 0.5 * 0.5),)))
-    spreads = []
-    for radius in (-2.0, 2.0):
-        weights = square(lens, radius)
-        spreads.append(moment(weights, lambda x, y: x * x - y * y))
+    spreads = [moment(lit(lens, radius), lambda x, y: x * x - y * y) for radius in (-2.0, 2.0)]
     # W = c sqrt(6) (x^2 - y^2): R + 4 sqrt(6) c Q to the right, R - that down
     assert spreads[1] == pytest.approx(-spreads[0], rel=0.01)
     assert spreads[1] > 0.0
@@ -178,7 +161,7 @@ def test_defocus_of_a_polynomial_shifts_the_focus() -> None:
     unit, rms = 0.5, 0.2
     moved, still = waves(unit, None, Wavefront(((2, 0, rms * unit),))), waves(unit)
     shift = 8.0 * 3.0**0.5 * rms * unit
-    x, y = _grid(still, 3.0)
+    x, y = grid(PointSpread(still).reach(3.0))
     at = moved.share(x, y, np.asarray(1.0 - shift), True)
     exact = still.share(x, y, np.asarray(1.0), True)
     inner = slice(len(exact) // 2 - 3, len(exact) // 2 + 4)
@@ -196,18 +179,15 @@ def test_tables_are_as_good_as_those_of_discs(unit: float, wavefront: Wavefront)
     psf = PointSpread(waves(unit, Polygon(5), wavefront, tail=0.1))
     table = psf_table(psf, 0.0, 0.9)
     for radius in (0.0, 0.21, 0.77, -0.77, -0.89):
-        weights = table_weights(table, psf, radius)
-        half = weights.shape[0] // 2
-        span = np.arange(-half, half + 1.0)
-        error = np.abs(weights - psf.weights(span[None, :], span[:, None], np.asarray(radius)))
+        error = table_error(table, psf, radius)
         assert error.sum() < 5e-5
         assert error.max() < 1e-5
 
 
 def test_a_source_beside_the_middle_of_its_pixel_moves_the_light() -> None:
     lens, offset = waves(1.1, Polygon(5), tail=0.05), 0.375  # all frequencies are less than 1 per px
-    weights = square(lens, 1.4, tent=False, offset=offset)
-    centered = square(lens, 1.4, tent=False)
+    weights = lit(lens, 1.4, tent=False, offset=offset)
+    centered = lit(lens, 1.4, tent=False)
     for power in (lambda x, y: x + 0.0 * y, lambda x, y: -y + 0.0 * x):
         assert moment(weights, power) - moment(centered, power) == pytest.approx(offset, abs=1e-4)
 
@@ -215,7 +195,7 @@ def test_a_source_beside_the_middle_of_its_pixel_moves_the_light() -> None:
 def test_a_band_is_the_mean_of_its_wavelengths() -> None:
     both = FourierDiffracted(Polygon(6), ((0.4, 0.5), (0.5, 0.5)), 0.01, False)
     each = [FourierDiffracted(Polygon(6), ((unit, 1.0),), 0.01, False) for unit in (0.4, 0.5)]
-    x, y = np.arange(-3.0, 4.0)[None, :], np.arange(-3.0, 4.0)[:, None]
+    x, y = grid(3)
     mean = np.mean([lens.share(x, y, np.asarray(2.0), True) for lens in each], axis=0)
     assert np.abs(both.share(x, y, np.asarray(2.0), True) - mean).max() < 1e-5
 

@@ -14,7 +14,7 @@ from clsco.optics.psf_tables import psf_table, table_bytes
 from clsco.optics.pupils.image import Image, image_pupil, turned
 from clsco.optics.pupils.polygon import Polygon, vertices
 from clsco.scene.model import Aperture, Psf
-from tests.optics.test_point_spread import Array
+from tests.optics.grids import grid, square
 from tests.slow import combined, mostly_slow
 
 CURVED: dict[str, Any] = {"shape": "polygon", "blades": 5, "rotation": 11.0}
@@ -44,15 +44,6 @@ def opening(name: str, edge: str = "integrated") -> PointSpread:
     if aperture.get("shape") == "image":
         return PointSpread(heart(48, 20.0, aperture["squeeze"]), "integrated" if edge == "integrated" else "area")
     return point_spread(Psf.model_validate({"edge": edge}), Aperture(**aperture))
-
-
-def iris(blades: int, rotation: float = 0.0) -> PointSpread:
-    return point_spread(Psf(), Aperture(shape="polygon", blades=blades, rotation=rotation))
-
-
-def grid(half: int) -> tuple[Array, Array]:
-    span = np.arange(-half, half + 1.0)
-    return span[None, :], span[:, None]
 
 
 @pytest.mark.parametrize("edge", mostly_slow(["integrated", "area"], ["integrated"]))
@@ -99,13 +90,20 @@ def test_moments_of_closed_forms() -> None:
         ({"shape": "ring", "obstruction": 0.4}, 0.25 * 1.16),
     ]
     for aperture, moment in cases:
-        for squeeze in (0.5, 2.0):
+        for squeeze in (0.5, 1.0, 2.0):
             psf = point_spread(Psf(), Aperture(**aperture, squeeze=squeeze))
-            x, y = grid(psf.reach(14.4) + 1)
-            found = psf.weights(x, y, np.asarray(14.4))
+            found, (x, y) = square(psf, 14.4, psf.reach(14.4) + 1), grid(psf.reach(14.4) + 1)
             expected = 14.4**2 * moment
             assert (found * x * x).sum() == pytest.approx(expected / squeeze**2 + 1 / 6, rel=2e-4)
             assert (found * y * y).sum() == pytest.approx(expected + 1 / 6, rel=2e-5)
+
+
+def test_names_tell_the_shape_and_the_squeeze() -> None:
+    names = {name: opening(name).pupil.name for name in ("bulging", "pentagon, wide", "elliptic ring", "thin ring")}
+    assert names == {
+        "bulging": "5 blades, curved by 0.6", "pentagon, wide": "5 blades, squeezed 0.6 times",
+        "elliptic ring": "ring, 0.4 covered, squeezed 1.5 times", "thin ring": "ring, 0.95 covered",
+    }  # fmt: skip
 
 
 def test_light_of_blades() -> None:
@@ -115,15 +113,12 @@ def test_light_of_blades() -> None:
     assert light == pytest.approx([2 * polygon - 1, polygon, polygon, 1.0], abs=1e-8)
 
 
-def test_blades_turn_over_and_keep_their_corners() -> None:
+def test_blades_keep_their_corners() -> None:
     """Behind the focus an edge faces right: its middle bulges towards the circle, the corner opposite stays on it."""
     widths = []
     for curvature in (-1.0, 0.0, 0.5, 1.0):
         psf = point_spread(Psf(), Aperture(shape="polygon", blades=5, blade_curvature=curvature))
-        x, y = grid(22)
-        behind, before = (psf.weights(x, y, np.asarray(radius)) for radius in (20.0, -20.0))
-        np.testing.assert_allclose(before, behind[::-1, ::-1], rtol=0, atol=1e-12)
-        middle = behind[22] > 1e-9
+        middle = square(psf, 20.0, 22)[22] > 1e-9
         widths.append((np.flatnonzero(middle)[[-1, 0]] - 22).tolist())
     apothem = 20 * cos(pi / 5)
     edges = (2 * apothem - 20, apothem, 10 + apothem / 2, 20)
@@ -179,26 +174,17 @@ def test_a_filled_grid_has_the_shares_of_its_pixels(name: str) -> None:
     assert filled.sum() == pytest.approx(1.0, abs=1e-12)
 
 
-@pytest.mark.parametrize(("blades", "measured"), [(6, (43.1, 44.0)), (5, (40.9, 39.1))])
-def test_variances_are_those_of_cycles(blades: int, measured: tuple[float, float]) -> None:
-    """Measured in Cycles with an emitter 0.92 px wide at R = 14.4 px, 2,048 samples: to 3 %."""
-    x, y = grid(16)
-    found = iris(blades).weights(x, y, np.asarray(14.4))
-    assert [(found * x * x).sum(), (found * y * y).sum()] == pytest.approx(measured, rel=0.03)
-
-
 def test_rotation_is_counter_clockwise_as_the_image_is_seen() -> None:
     corners = vertices(5, 20.0) * [1, -1]  # up
     found = np.sort(np.degrees(np.arctan2(corners[:, 1], corners[:, 0])) % 360)
     np.testing.assert_allclose(found, [56, 128, 200, 272, 344])
-    upper_right = iris(3, 90.0).weights(*grid(12), np.asarray(10.0))
+    upper_right = square(PointSpread(Polygon(3, 90.0)), 10.0, 12)
     rows = np.flatnonzero(upper_right.sum(axis=1) > 1e-9) - 12
     assert (rows[0], rows[-1]) == (-5, 10)  # an edge above, a corner below
 
 
 def test_a_heart_stands_upright_behind_the_focus_and_on_its_tip_before_it() -> None:
-    (x, y), psf = grid(22), PointSpread(heart(96))
-    behind, before = (psf.weights(x, y, np.asarray(radius)) for radius in (20.0, -20.0))
+    behind, before = (square(PointSpread(heart(96)), radius, 22) for radius in (20.0, -20.0))
     np.testing.assert_allclose(before, behind[::-1, ::-1], rtol=0, atol=1e-12)
     np.testing.assert_allclose(behind, behind[:, ::-1], rtol=0, atol=1e-9)
     rows = np.flatnonzero(behind.sum(axis=1) > 1e-6)
@@ -212,9 +198,8 @@ def test_an_image_of_a_polygon_is_the_polygon() -> None:
     at = (np.arange(4 * count) + 0.5) / (2 * count) - 1
     fine = polygon.transmission(at[None, :], at[:, None])
     image = image_pupil(fine.reshape(count, 4, count, 4).mean(axis=(1, 3)))
-    x, y = grid(12)
     for radius in (1.0, -5.0, 10.0):
-        a, b = (PointSpread(pupil).weights(x, y, np.asarray(radius)) for pupil in (image, polygon))
+        a, b = (square(PointSpread(pupil), radius, 12) for pupil in (image, polygon))
         assert np.abs(a - b).sum() < 2e-3
     assert image.second_moment == pytest.approx(polygon.second_moment, rel=1e-3)
 
