@@ -26,6 +26,7 @@ from clsco.scene.quantities import (
     Resolution,
     Strict,
     fault,
+    instead_of,
 )
 
 
@@ -142,10 +143,4 @@ class Camera(Strict):
             raise fault(f"too close to focal_length = {f:g} mm: detector beyond {MAX_LENGTH_MM:g} mm")
         return value
 
-    @field_validator("aperture_diameter", "sensor_distance")
-    @classmethod
-    def _one_of_a_pair(cls, value: float, info: ValidationInfo) -> float:
-        other = "f_number" if info.field_name == "aperture_diameter" else "focus_distance"
-        if info.data.get(other, "refused") is not None:  # a rejected value is missing from `data`
-            raise fault(f"give {other} or {info.field_name}, not both")
-        return value
+    _one_of_a_pair = instead_of(aperture_diameter="f_number", sensor_distance="focus_distance")

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast, get_args
 from pydantic import BaseModel
 
 from clsco.errors import SceneError
-from clsco.scene.faults import parsed
+from clsco.scene.faults import ALIASES, parsed
 from clsco.scene.spread import APERTURE_KEYS, MODEL_KEYS, ApertureShape, SpreadModel
 from clsco.scene.text import brief, shown
 
@@ -203,7 +203,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
         data, parts, new = given_keys(scene), key_parts(path), given_keys(value)
     except RecursionError:
         raise SceneError(f"scene: {brief(path)}: nested too deeply; got {shown(value)}") from None
-    parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]
+    parts = [ALIASES.get(parts[0], parts[0]), *parts[1:]]
     known = dump(scene)
     for end in range(1, len(parts)):  # a path to one component of a default, say of a vector, keeps the others
         default = entry_at(known, parts[:end])

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from clsco.errors import SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import VARIANT, override, variant_tables
-from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
+from clsco.scene.faults import MAX_MESSAGES, Location, at_most, items, messages, parsed, tables
 from clsco.scene.model import AnyShape, Aperture, Camera, ObjectMotion, Psf, Scene
 from clsco.scene.spread import misfit
 from clsco.scene.text import key_name, shown
@@ -34,9 +34,8 @@ CameraLike = Camera | Mapping[str, Any] | None
 PsfLike = Psf | Mapping[str, Any] | str | None
 Owner = TypeVar("Owner", AnyShape, Aperture)
 Section = TypeVar("Section", Psf, Aperture, Camera)
-Location = tuple[str | int, ...]  # location of a key, as ("object", 0, "motion", "velocity")
 
-SECTIONS = sections(Scene)
+SECTIONS = {str(place[0]): model for place, model in tables(Scene) if len(place) == 1 or place == ("group", 0)}
 # Sections whose keys may have several values, except keys that hold tables.
 SWEEPABLE = ("camera", "sequence", "motion", "light", "sensor")
 

@@ -40,6 +40,8 @@ from clsco.scene.quantities import (
     Within,
     at_keys,
     fault,
+    instead_of,
+    only_with,
 )
 from clsco.scene.sensor import Sensor as Sensor
 from clsco.scene.sequence import Sequence as Sequence
@@ -74,12 +76,7 @@ class Motion(Strict):
     texture_filter: Literal["bicubic", "bilinear", "nearest"] = "bicubic"
     """Interpolation of the texture between pixels; only with warp = "inverse"."""
 
-    @field_validator("texture_filter")
-    @classmethod
-    def _of_the_inverse_warp(cls, value: str, info: ValidationInfo) -> str:
-        if info.data.get("warp") == "forward":
-            raise fault('belongs to motion.warp = "inverse", not "forward"')
-        return value
+    _of_its_warp = only_with("motion.warp", {"texture_filter": ("inverse",)})
 
 
 class Fill(Strict):
@@ -110,12 +107,7 @@ class Light(Strict):
     ambient: Annotated[float, Within(0.0, 1.0)] = 0.0
     """Share of the texture that is visible without the light."""
 
-    @field_validator("position")
-    @classmethod
-    def _one_of_a_pair(cls, value: Point | None, info: ValidationInfo) -> Point | None:
-        if value is not None and info.data.get("direction", "refused") is not None:
-            raise fault("give direction or position, not both")
-        return value
+    _one_of_a_pair = instead_of(position="direction")
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:

@@ -11,7 +11,7 @@ from clsco.errors import SceneError
 from clsco.records import MOST_RIMS
 from clsco.scene.aberrations import Seidel, Zernike, zernike_terms
 from clsco.scene.arrays import HasInputs, Input, TextureInput
-from clsco.scene.quantities import Flag, Strict, Triple, Within, array_of_tables, at_keys, fault
+from clsco.scene.quantities import Flag, Strict, Triple, Within, array_of_tables, at_keys, fault, only_with
 
 NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
@@ -68,14 +68,7 @@ class Aperture(HasInputs, Strict):
     rim: Rims = ()
     """Up to 4 rims that cut light besides the aperture, which gives cat-eyes outside the middle of a picture."""
 
-    @field_validator(*APERTURE_KEYS)
-    @classmethod
-    def _of_its_shape(cls, value: Any, info: ValidationInfo) -> Any:
-        shapes = APERTURE_KEYS[str(info.field_name)]
-        if info.data.get("shape", shapes[0]) not in shapes:
-            listed = " or ".join(f'"{shape}"' for shape in shapes)
-            raise fault(f'belongs to aperture.shape = {listed}, not "{info.data["shape"]}"')
-        return value
+    _of_its_shape = only_with("aperture.shape", APERTURE_KEYS)
 
     @field_validator("blade_curvature")
     @classmethod
@@ -156,14 +149,7 @@ class Psf(Strict):
             raise fault('must be "integrated" with psf.model = "wave"')
         return value
 
-    @field_validator(*MODEL_KEYS)
-    @classmethod
-    def _of_its_model(cls, value: Any, info: ValidationInfo) -> Any:
-        models = MODEL_KEYS[str(info.field_name)]
-        if info.data.get("model", models[0]) not in models:
-            listed = " or ".join(f'"{model}"' for model in models)
-            raise fault(f'belongs to psf.model = {listed}, not "{info.data["model"]}"')
-        return value
+    _of_its_model = only_with("psf.model", MODEL_KEYS)
 
     @model_validator(mode="after")
     def _band_of_light(self) -> Self:

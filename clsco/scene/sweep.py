@@ -12,17 +12,8 @@ from typing import Any
 
 from clsco.errors import SceneError
 from clsco.scene.changes import MAX_VARIANTS, VARIANT, variant_tables
-from clsco.scene.faults import at_most
-from clsco.scene.file import (
-    MAX_OUTPUTS,
-    Location,
-    absolute,
-    missing_files,
-    parse_scene,
-    read_mapping,
-    swept_keys,
-    table_of,
-)
+from clsco.scene.faults import Location, at_most
+from clsco.scene.file import MAX_OUTPUTS, absolute, missing_files, parse_scene, read_mapping, swept_keys, table_of
 from clsco.scene.model import Scene
 from clsco.scene.quantities import as_python
 from clsco.scene.sensor import NOISE_SEEDS
