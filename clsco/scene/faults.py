@@ -150,8 +150,9 @@ def _unknown(loc: Location, root: type[BaseModel]) -> str:
 
     fields = next(model for at, model in tables(root) if at == place).model_fields
     near = get_close_matches(key[:64], [str(field.validation_alias or name) for name, field in fields.items()], n=1)
-    others = sorted(tables(root)[1:], key=lambda table: (len(table[0]) > 1, table[0][0] != "object"))
-    near += [f"{key_name(_without_shape(at))}.{key}" for at, model in others if key in model.model_fields]
+    others = [at for at, model in tables(root)[1:] if key in model.model_fields]
+    others.sort(key=lambda at: (len(at) > 1, at[0] != "object", len(at)))
+    near += [f"{key_name(_without_shape(at))}.{key}" for at in others]
     return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
 
 
