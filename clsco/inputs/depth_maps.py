@@ -169,23 +169,22 @@ def _across(w: Array) -> tuple[Array, Array]:
     return np.where(on_left | on_right, between, 0.0), width
 
 
+def _load(scene: Scene, item: DepthMap) -> Array:
+    def image() -> NDArray[np.float32]:
+        return load_texture(item.inputs()["texture"], scene.image.transfer, scene.camera.resolution).radiance
+
+    return map_values(scene, item, depth_numbers(item.inputs()["depth"]), image).inverse_depth
+
+
 def load_scene_depths(
-    scene: Scene, load: Callable[[Scene, DepthMap], Array] | None = None
+    scene: Scene, load: Callable[[Scene, DepthMap], Array] = _load
 ) -> tuple[Array | None, ...]:  # fmt: skip
     """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
     scene: a scene with a resolution. load: returns the inverse depth of an object, by default from its file or array.
     Raises FileError for the first file that cannot be read, differs in size from the frame, or does not fit the camera.
     """
-    of_map = load or _loaded
-    return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
-
-
-def _loaded(scene: Scene, item: DepthMap) -> Array:
-    def image() -> NDArray[np.float32]:
-        return load_texture(item.inputs()["texture"], scene.image.transfer, scene.camera.resolution).radiance
-
-    return map_values(scene, item, depth_numbers(item.inputs()["depth"]), image).inverse_depth
+    return tuple(load(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
 
 
 def depth_numbers(source: Input) -> NDArray[Any]:

@@ -110,10 +110,7 @@ class InputFiles:
     ) -> Texture:  # fmt: skip
         if source in PATTERNS:
             return Texture(self._pattern(str(source), transfer, size), 8, str(source), key)
-        if is_drawn(source):
-            return Texture(radiance_of(str(source), transfer, size), 8, str(source), key)
-        picture = self.picture(source)
-        return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source), key)
+        return replace(load_texture(source, transfer, size, to_srgb, self.picture), content=key)
 
     @cached_property
     def _drawn(self) -> ArrayCache:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,11 @@ class Texture:
         """The radiance, or the six images of a cube map."""
         return (self.radiance, *self.others)
 
+    def with_images(self, images: Iterable[NDArray[np.float32]], content: Hashable) -> Texture:
+        """The texture with other images; content: identifies them, if the content of this texture is known."""
+        first, *others = images
+        return replace(self, radiance=first, others=tuple(others), content=None if self.content is None else content)
+
     def mipmap(self, out: NDArray[np.float32], channels: int) -> None:
         """Write all levels of `clsco.inputs.mipmaps.mipmap` to `out`; channels: number of channels in `out`."""
         wide = [image[..., None] if image.ndim == 2 else image for image in self.images]
@@ -76,23 +81,6 @@ def radiance_span(image: NDArray[np.floating]) -> float:
     return float(image.max(initial=0.0)) - float(image.min(initial=0.0))
 
 
-def load_texture(
-    source: TextureSource, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
-) -> Texture:  # fmt: skip
-    """Load a built-in pattern, an image file or an array as linear radiance.
-
-    source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
-    or "linear", the curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; the curve of a color
-    profile replaces "srgb"; floats are linear. size: (rows, columns) of the result: an image of another size is
-    resampled (`resample`), a pattern is drawn in it, by default in 512 x 512. to_srgb: True to convert an image to the
-    primaries of sRGB (`Color.to_srgb`). Raises FileError if the pattern or file does not exist or cannot be read.
-    """
-    if is_drawn(source):
-        return Texture(radiance_of(str(source), transfer, size), 8, str(source))
-    picture = picture_of(source)
-    return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source))
-
-
 def picture_of(source: TextureSource) -> Picture:
     """The picture in a file or in an array. Raises FileError as `load_texture`."""
     from clsco.files.images import Picture, read_image
@@ -101,6 +89,25 @@ def picture_of(source: TextureSource) -> Picture:
         return Picture(source.array)
     require_suffix(os.fspath(source))
     return read_image(source, layer=source.layer if isinstance(source, LayerInput) else None)
+
+
+def load_texture(
+    source: TextureSource, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False,
+    read: Callable[[Any], Picture] = picture_of,
+) -> Texture:  # fmt: skip
+    """Load a built-in pattern, an image file or an array as linear radiance.
+
+    source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
+    or "linear", the curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; the curve of a color
+    profile replaces "srgb"; floats are linear. size: (rows, columns) of the result: an image of another size is
+    resampled (`resample`), a pattern is drawn in it, by default in 512 x 512. to_srgb: True to convert an image to the
+    primaries of sRGB (`Color.to_srgb`). read: `picture_of`, or a replacement. Raises FileError if the pattern or file
+    does not exist or cannot be read.
+    """
+    if is_drawn(source):
+        return Texture(radiance_of(str(source), transfer, size), 8, str(source))
+    picture = read(source)
+    return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source))
 
 
 def radiance_of(
@@ -159,8 +166,7 @@ def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
         wider[..., channels] = covers
         wider.flags.writeable = False
         images.append(wider)
-    content = None if texture.content is None else ("covering", texture.content, channels, covers)
-    return replace(texture, radiance=images[0], others=tuple(images[1:]), content=content)
+    return texture.with_images(images, ("covering", texture.content, channels, covers))
 
 
 def _by_rows(
@@ -278,19 +284,13 @@ def mapped_size(sources: tuple[TextureSource, ...]) -> tuple[int, int]:
 
 def cube_map(sides: Sequence[Texture]) -> Texture:
     """One texture from the six sides of a cube map; colors are enlarged to the size of the others. Raises FileError."""
-    shape = max(
-        (side.radiance.shape[:2] for side in sides), key=lambda shape_of_side: shape_of_side[0] * shape_of_side[1]
-    )
-    channels = max(side.radiance.ndim for side in sides)
-    images = []
-    for side in sides:
-        image = side.radiance[..., None] if side.radiance.ndim < channels else side.radiance
-        whole = (*shape, *((3,) if channels == 3 else ()))
-        images.append(image if image.shape == whole else np.broadcast_to(image, whole))
+    is_color = any(side.radiance.ndim == 3 for side in sides)
+    shape = (*max((side.radiance.shape[:2] for side in sides), key=math.prod), *((3,) if is_color else ()))
+    wide = (side.radiance[..., None] if side.radiance.ndim < len(shape) else side.radiance for side in sides)
+    first, *others = (image if image.shape == shape else np.broadcast_to(image, shape) for image in wide)
     contents = [side.content for side in sides]
     content = None if None in contents else ("cube map", *contents)
-    bits = max(side.bits for side in sides)
-    return Texture(images[0], bits, sides[-1].source, content, tuple(images[1:]))
+    return Texture(first, max(side.bits for side in sides), sides[-1].source, content, tuple(others))
 
 
 def require_suffix(source: str) -> None:

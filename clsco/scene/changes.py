@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import getitem
 from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel
@@ -173,12 +175,9 @@ def dump(scene: Any) -> dict[str, Any]:
     return data
 
 
-def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]:
+def table_at(data: Any, place: Sequence[str | int]) -> dict[str, Any]:
     """Table of a scene's mapping at a location from `Scene.inputs`."""
-    table: Any = data
-    for part in place:
-        table = table[part]
-    return cast("dict[str, Any]", table)
+    return reduce(getitem, place, data)
 
 
 def given_keys(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -11,14 +11,12 @@ from pydantic import BaseModel, ValidationError
 from clsco.errors import SceneError
 from clsco.scene.groups import unknown_groups
 from clsco.scene.objects import repeated_names
+from clsco.scene.quantities import Location
 from clsco.scene.shapes import SHAPES
-from clsco.scene.text import key_name, shown
+from clsco.scene.text import any_of, key_name, shown
 
 MAX_MESSAGES = 100
 ALIASES = {"objects": "object", "groups": "group"}  # arrays of tables in a file, by their attributes
-
-Location = tuple[str | int, ...]
-"""Location of a key or table, as ("object", 0, "motion", "velocity")."""
 
 Root = TypeVar("Root", bound=BaseModel)
 
@@ -68,11 +66,10 @@ def parsed(root: type[Root], mapping: Any, where: str) -> Root:
         lines = messages(error, root)
     names, members = (_texts(items(mapping), key) for key in ("name", "group"))
     unknown = unknown_groups(members, _texts(items(mapping, "group"), "name"))
-    for key, faults in (("name", repeated_names(names)), ("group", unknown)):
-        for index, fault, name in faults:
-            place = f"object[{index}].{key}: "
-            if not any(message.startswith(place) for message in lines):
-                lines.append(f"{place}{fault.message()}; got {shown(name)}")
+    for loc, rule, name in (*repeated_names(names), *unknown):
+        place = key_name(("object", *loc)) + ": "
+        if not any(message.startswith(place) for message in lines):
+            lines.append(f"{place}{rule}; got {shown(name)}")
     raise SceneError(at_most(where, lines))
 
 
@@ -143,7 +140,7 @@ def _unknown(loc: Location, root: type[BaseModel]) -> str:
     key, place = str(loc[-1]), tuple(0 if isinstance(part, int) else part for part in loc[:-1])
     homes = [name for name, model in SHAPES.items() if key in model.model_fields]
     if homes and len(place) == 3 and place[2] in SHAPES:
-        return f"belongs to {_listed(homes)}, not to {place[2]}"
+        return f"belongs to {any_of(homes)}, not to {place[2]}"
     if loc == ("vary",):
         return "belongs to a distribution, from which clsco dataset make draws scenes"
     from difflib import get_close_matches
@@ -154,7 +151,3 @@ def _unknown(loc: Location, root: type[BaseModel]) -> str:
     others.sort(key=lambda at: (len(at) > 1, at[0] != "object", len(at)))
     near += [f"{key_name(_without_shape(at))}.{key}" for at in others]
     return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))

@@ -16,8 +16,9 @@ from pydantic import BaseModel, ValidationError
 from clsco.errors import SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import VARIANT, override, variant_tables
-from clsco.scene.faults import MAX_MESSAGES, Location, at_most, items, messages, parsed, tables
+from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, tables
 from clsco.scene.model import AnyShape, Aperture, Camera, ObjectMotion, Psf, Scene
+from clsco.scene.quantities import Location
 from clsco.scene.spread import misfit
 from clsco.scene.text import key_name, shown
 from clsco.scene.texture_keys import SixSided, is_drawn, missing_texture
@@ -33,6 +34,7 @@ ApertureLike = Aperture | Mapping[str, Any] | str | None
 CameraLike = Camera | Mapping[str, Any] | None
 PsfLike = Psf | Mapping[str, Any] | str | None
 Owner = TypeVar("Owner", AnyShape, Aperture)
+Parsed = TypeVar("Parsed")
 Section = TypeVar("Section", Psf, Aperture, Camera)
 
 SECTIONS = {str(place[0]): model for place, model in tables(Scene) if len(place) == 1 or place == ("group", 0)}
@@ -73,15 +75,10 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     """
     where = os.fspath(path)
     data = read_mapping(where, overrides)
-    folder = Path(where).absolute().parent
     if swept := swept_keys(data):
         rule = "must be one value; clsco.load_sweep reads a list or range of them"
         raise SceneError(at_most(where, (f"{key_name(key)}: {rule}; got {shown(value)}" for key, value in swept)))
-    try:
-        scene = parse_scene(data, where)
-    except SceneError as error:
-        raise SceneError([*error.messages, *missing_files(data, folder, where)]) from error
-    return absolute(scene, folder)
+    return absolute(parse_file(data, where, parse_scene), Path(where).absolute().parent)
 
 
 def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
@@ -162,15 +159,18 @@ def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> 
     return copy
 
 
-def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
-    """Messages on files that do not exist, for a scene with other faults; in a valid scene, missing files are reported
-    when they are read.
+def parse_file(data: dict[str, Any], where: str, parse: Callable[[dict[str, Any], str], Parsed]) -> Parsed:
+    """What `parse` returns for the content of the file `where`. Its SceneError also lists files that do not exist; in a
+    valid scene, these are reported when they are read.
     """
-    missing = ((place, name) for place, name in named_files(data) if name and not _exists(folder, name))
-    return [
-        f"{where}: {key_name(place)}: {missing_input(str(place[-1]), name)}; got {shown(name)}"
-        for place, name in islice(missing, MAX_MESSAGES)
-    ]
+    try:
+        return parse(data, where)
+    except SceneError as error:
+        folder = Path(where).absolute().parent
+        missing = ((place, name) for place, name in named_files(data) if name and not _exists(folder, name))
+        rules = ((place, name, missing_input(str(place[-1]), name)) for place, name in islice(missing, MAX_MESSAGES))
+        messages = [f"{where}: {key_name(place)}: {rule}; got {shown(name)}" for place, name, rule in rules]
+        raise SceneError([*error.messages, *messages]) from error
 
 
 def missing_input(key: str, name: str) -> str:
@@ -285,14 +285,10 @@ def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -
 
 
 def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """Content of a scene file with overrides applied, see `load_scene`; raises SceneError."""
-    data = _read(where)
-    override(data, overrides, where)
-    return data
+    """Content of a scene file with overrides applied, see `load_scene`; raises SceneError.
 
-
-def _read(where: str) -> dict[str, Any]:
-    """Content of a scene file; only its size, syntax and repeated keys are checked."""
+    Only its size, syntax and repeated keys are checked.
+    """
     kind = Path(where).suffix.lower()
     if kind not in (".toml", ".json"):
         raise SceneError(f"{where}: a scene file must end in .toml or .json")
@@ -306,7 +302,9 @@ def _read(where: str) -> dict[str, Any]:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError(f"{where}: must be UTF-8 text; got byte {content[error.start]:#04x}") from None
-    return _table(text, kind, where)
+    data = _table(text, kind, where)
+    override(data, overrides, where)
+    return data
 
 
 def _table(text: str, kind: str, where: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, field_validator
 
 from clsco.scene.motions import NONE, Interpolation, LensKeyframes, Outside, check_interpolation, default_of_keyframes
-from clsco.scene.quantities import MAX_LENGTH_MM, Pair, Strict, Triple, Within, as_python, at_keys, fault
+from clsco.scene.quantities import MAX_LENGTH_MM, Pair, Strict, Triple, Within, as_python, fault, raise_faults
 
 if TYPE_CHECKING:
     from clsco.scene.spread import Psf
@@ -142,13 +142,13 @@ class LensOfWavefront(Lens):
 
 def check_opening(lens: Lens | None, psf: Psf) -> None:
     """Reject a lens whose aperture changes over time if psf.model = "wave" or aberrations need a constant one."""
-    rule = fault('cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening')
+    rule = 'cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening'
     if lens is None or not (psf.model == "wave" or psf.aberrated or psf.seidel.W311):
         return
     for k, key in enumerate(lens.keyframe or ()):
         for name in ("focal_length", "f_number"):
             if getattr(key, name) is not None:
-                raise at_keys([(("lens", "keyframe", k, name), rule, getattr(key, name))])
+                raise_faults((("lens", "keyframe", k, name), rule, getattr(key, name)))
 
 
 def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Lens | None:

@@ -22,8 +22,8 @@ from clsco.scene.quantities import (
     Velocity,
     Within,
     array_of_tables,
-    at_keys,
     fault,
+    raise_faults,
 )
 from clsco.scene.rotations import EulerAngles
 
@@ -49,9 +49,7 @@ class Keyframe(Strict):
 def in_order(value: Any) -> Any:
     """Reject keyframes that are not later than the previous keyframe."""
     late = [k for k, (one, next_one) in enumerate(pairwise(value), 1) if not next_one.time > one.time]
-    if late:
-        rule = fault("must be later than that of the keyframe before")
-        raise at_keys([((k, "time"), rule, value[k].time) for k in late])
+    raise_faults(*(((k, "time"), "must be later than that of the keyframe before", value[k].time) for k in late))
     return value
 
 

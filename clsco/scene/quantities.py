@@ -31,6 +31,10 @@ SMALLEST_QUATERNION = 1e-6  # length below which a quaternion has no direction
 MAX_LISTED = 4096  # largest number of entries of an array in place of a list
 
 Vector = tuple[float, float, float]
+Location = tuple[str | int, ...]
+"""Location of a key or table, as ("object", 0, "motion", "velocity")."""
+Fault = tuple[Location, PydanticCustomError | str, Any]
+"""Location of a fault, the violated rule or an error from `fault`, and the invalid value."""
 
 
 def as_python(value: Any) -> Any:
@@ -85,10 +89,12 @@ def instead_of(**others: str) -> Any:
     return field_validator(*others)(check)
 
 
-def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
-    """Combine faults into one error; faults: location, error from `fault`, and invalid value of each fault."""
-    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in faults]
-    return ValidationError.from_exception_data("scene", details)
+def raise_faults(*faults: Fault) -> None:
+    """Raise one error for all faults, if there are any."""
+    if faults:
+        errors = ((loc, fault(rule) if isinstance(rule, str) else rule, value) for loc, rule, value in faults)
+        details = [InitErrorDetails(type=error, loc=loc, input=value) for loc, error, value in errors]
+        raise ValidationError.from_exception_data("scene", details)
 
 
 @dataclass(frozen=True)

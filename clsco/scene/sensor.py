@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from clsco.scene.quantities import Duration, FNumber, Strict, Triple, Within, at_keys, fault, instead_of, only_with
+from clsco.scene.quantities import Duration, FNumber, Strict, Triple, Within, fault, instead_of, only_with, raise_faults
 
 MOSAICS = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "grbg": (1, 0, 2, 1), "gbrg": (1, 2, 0, 1)}
 """Channels of the pixels (0, 0), (0, 1), (1, 0), (1, 1) (row, column) of a Bayer mosaic: red, green, blue."""
@@ -104,5 +104,5 @@ class Sensor(Strict):
         most = 2**self.bits - 1
         if self.gain is None and self.black_level == most:
             rule = f"must be below {most}, or with a gain, which else follows from the codes above"
-            raise at_keys([(("black_level",), fault(rule), self.black_level)])
+            raise_faults((("black_level",), rule, self.black_level))
         return self

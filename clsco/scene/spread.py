@@ -11,7 +11,7 @@ from clsco.errors import SceneError
 from clsco.records import MOST_RIMS
 from clsco.scene.aberrations import Seidel, Zernike, zernike_terms
 from clsco.scene.arrays import HasInputs, Input, TextureInput
-from clsco.scene.quantities import Flag, Strict, Triple, Within, array_of_tables, at_keys, fault, only_with
+from clsco.scene.quantities import Flag, Strict, Triple, Within, array_of_tables, fault, only_with, raise_faults
 
 NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
@@ -85,7 +85,7 @@ class Aperture(HasInputs, Strict):
     @model_validator(mode="after")
     def _has_an_image(self) -> Self:
         if self.shape == "image" and self.image is None:
-            raise at_keys([(("image",), fault('is needed by aperture.shape = "image"', got="none"), None)])
+            raise_faults((("image",), fault('is needed by aperture.shape = "image"', got="none"), None))
         return self
 
     def inputs(self) -> dict[str, Input]:
@@ -155,13 +155,13 @@ class Psf(Strict):
     def _band_of_light(self) -> Self:
         if self.bandwidth >= min(self.wavelengths):
             rule = f"must be less than each of the wavelengths, of which one is {min(self.wavelengths):g} nm"
-            raise at_keys([(("bandwidth",), fault(rule), self.bandwidth)])
+            raise_faults((("bandwidth",), rule, self.bandwidth))
         unused = self.model == "pillbox" and not (self.aberrated or self.seidel.W311)
         if unused and self.wavelengths != type(self).model_fields["wavelengths"].default:
             rule = 'belongs to psf.model = "wave" or to aberrations'
-            raise at_keys([(("wavelengths",), fault(rule), list(self.wavelengths))])
+            raise_faults((("wavelengths",), rule, list(self.wavelengths)))
         if self.aberrated and self.edge != "integrated":
-            raise at_keys([(("edge",), fault('must be "integrated" with psf.seidel or psf.zernike'), self.edge)])
+            raise_faults((("edge",), 'must be "integrated" with psf.seidel or psf.zernike', self.edge))
         return self
 
     @property

@@ -12,10 +12,10 @@ from typing import Any
 
 from clsco.errors import SceneError
 from clsco.scene.changes import MAX_VARIANTS, VARIANT, variant_tables
-from clsco.scene.faults import Location, at_most
-from clsco.scene.file import MAX_OUTPUTS, absolute, missing_files, parse_scene, read_mapping, swept_keys, table_of
+from clsco.scene.faults import at_most
+from clsco.scene.file import MAX_OUTPUTS, absolute, parse_file, parse_scene, read_mapping, swept_keys, table_of
 from clsco.scene.model import Scene
-from clsco.scene.quantities import as_python
+from clsco.scene.quantities import Location, as_python
 from clsco.scene.sensor import NOISE_SEEDS
 from clsco.scene.text import key_name, shown
 
@@ -97,12 +97,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     ('f_number_2', 'f_number_4')
     """
     where = os.fspath(path)
-    data = read_mapping(where, overrides)
-    folder = Path(where).absolute().parent
-    try:
-        sweep = parse_sweep(data, where)
-    except SceneError as error:
-        raise SceneError([*error.messages, *missing_files(data, folder, where)]) from error
+    sweep, folder = parse_file(read_mapping(where, overrides), where, parse_sweep), Path(where).absolute().parent
     return replace(sweep, scenes=tuple(absolute(scene, folder) for scene in sweep.scenes))
 
 

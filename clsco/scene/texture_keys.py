@@ -8,10 +8,9 @@ from pathlib import PurePath
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 from pydantic import BeforeValidator, Field
-from pydantic_core import PydanticCustomError
 
 from clsco.scene.arrays import HasInputs, Input, LayerInput, TextureInput
-from clsco.scene.quantities import Angle, Length, Name, Pair, Strict, Within, as_python, fault
+from clsco.scene.quantities import Angle, Length, Name, Pair, Strict, Within, as_python, fault, raise_faults
 from clsco.scene.text import meant
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
@@ -172,12 +171,11 @@ class SixSided(Textured):
         return tuple(self.side(name) for name in ("right", "left", "top", "bottom", "back", "front"))
 
 
-Fault = tuple[tuple[str | int, ...], PydanticCustomError, Any]
-
-
-def texture_faults(item: Textured) -> list[Fault]:
-    """Keys that the texture's mapping or the shape does not use, and required keys that are missing."""
-    return [((key,), fault(rule, "nothing" if got is None else None), got) for key, rule, got in _misplaced(item)]
+def check_texture_keys(item: Any) -> Any:
+    """Reject keys that the texture's mapping or the shape does not use, and a lack of required ones."""
+    faults = _misplaced(item)
+    raise_faults(*(((key,), fault(rule, "nothing" if got is None else None), got) for key, rule, got in faults))
+    return item
 
 
 def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
