@@ -181,8 +181,8 @@ def load_scene_depths(
 ) -> tuple[Array | None, ...]:  # fmt: skip
     """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
-    scene: a scene with a resolution. load: returns the inverse depth of an object, by default from its file or array.
-    Raises FileError for the first file that cannot be read, differs in size from the frame, or does not fit the camera.
+    The scene needs a resolution. load: returns the inverse depth of an object. Raises FileError for the first file that
+    cannot be read, differs in size from the frame, or does not fit the camera.
     """
     return tuple(load(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
 
@@ -250,9 +250,7 @@ def _without_soft_edges(
 
 
 def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> Array:
-    """Numbers scaled so that, in `unit`, the nearest depth is `near` and the farthest `far`, mm; numbers that are not
-    finite are unchanged.
-    """
+    """Finite numbers scaled so that, in `unit`, the nearest depth is `near` and the farthest `far`, mm."""
     finite = np.isfinite(value)
     if not finite.any():
         return value

@@ -79,10 +79,7 @@ class InputFiles:
         return scale_radiance(loaded, exposure_factor(scene.aperture, self.point_spread(scene)))
 
     def maps(self, scene: Scene) -> Maps:
-        """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
-
-        scene: a scene with a resolution. Raises FileError as `clsco.inputs.depth_maps.load_scene_depths`.
-        """
+        """`clsco.inputs.depth_maps.load_scene_depths`, each map once per content and camera."""
         return load_scene_depths(scene, self.map)
 
     def point_spread(self, scene: Scene) -> PointSpread:
@@ -186,9 +183,7 @@ class InputFiles:
         return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Input) -> Hashable | None:
-        """Cache key of an array from its content, or of a file from content, extension and layer; None if it must not
-        be cached, such as a pipe.
-        """
+        """Key of an array, or of a file with its extension and layer; None for what must not be cached, as a pipe."""
         if isinstance(source, ArrayInput):
             return "array", source.sha256
         path, layer = str(source), source.layer if isinstance(source, LayerInput) else None

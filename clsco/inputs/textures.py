@@ -216,18 +216,14 @@ def image_files(scene: Scene) -> list[str | LayerInput]:
     return [image for image in dict.fromkeys(named) if not isinstance(image, ArrayInput)]
 
 
-def color_of(image: str | LayerInput) -> Color:
-    """The color space of an image file. Raises FileError as `load_texture`."""
-    return picture_of(image).color
-
-
 def load_scene_textures(
-    scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str | LayerInput], Color] = color_of
+    scene: Scene, load: Callable[..., Texture] = load_texture,
+    color: Callable[[str | LayerInput], Color] = lambda image: picture_of(image).color,
 ) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
     """Load the textures of all objects, each file once.
 
     Projected textures get the size of the frame; textures on surfaces keep their size. If images have different color
-    profiles, all are converted to the primaries of sRGB. load, color: `load_texture` and `color_of`, or replacements.
+    profiles, all are converted to the primaries of sRGB. load: `load_texture`, or a replacement; color: of an image file.
     Returns the scene with a resolution, by default that of the first object's texture, and a texture per object. Raises
     FileError as `load_texture`.
     """

@@ -83,8 +83,7 @@ def messages(error: ValidationError, root: type[BaseModel], place: Location = ()
 def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationError) -> SceneError:
     """SceneError for an invalid model that was constructed in Python, such as `Sphere(radius=-1)`.
 
-    Each line is like "Sphere: radius: rule; got value". root: class of the scene's model; model: class that was
-    constructed; error: its faults, as found by pydantic.
+    Each line is like "Sphere: radius: rule; got value". root: class of the scene's model.
     """
     place = next(place for place, known in tables(root) if known is model)
     start = key_name(_without_shape(place))

@@ -87,16 +87,12 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
 
     def search(table: Any, model: type[BaseModel], location: Location) -> None:
         for key, value in table.items() if isinstance(table, Mapping) else ():
-            annotation = model.model_fields[key].annotation if key in model.model_fields else BaseModel
-            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-                if annotation is not BaseModel:
-                    search(value, annotation, (*location, key))
-            elif holds_tables(annotation):
+            if key not in model.model_fields:
                 continue
-            elif isinstance(value, Mapping) or (
-                isinstance(value, list)
-                and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
-            ):
+            annotation = model.model_fields[key].annotation
+            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+                search(value, annotation, (*location, key))
+            elif not holds_tables(annotation) and _has_several(value, annotation):
                 swept.append(((*location, key), value))
 
     for section, table in mapping.items():
@@ -108,6 +104,12 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
         elif section == VARIANT:
             swept.append(((section,), table))
     return swept
+
+
+def _has_several(value: Any, annotation: Any) -> bool:
+    """True if a value is a range, or a list for a key with this type annotation that takes no such list."""
+    is_list = isinstance(value, list) and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
+    return is_list or isinstance(value, Mapping)
 
 
 def holds_tables(annotation: Any) -> bool:
@@ -246,9 +248,8 @@ def psf_of(psf: PsfLike) -> Psf:
 
 
 def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
-    """The aperture for a user's argument, checked against a PSF. Raises SceneError.
-
-    aperture: an Aperture, a mapping with the keys of [aperture], the name of a shape, or None for a circle.
+    """The aperture for a user's argument: an Aperture, a mapping with the keys of [aperture], a shape's name, or None for
+    a circle. Raises SceneError, also if it does not fit the PSF.
     """
     section = _section(Aperture, aperture, "aperture", "shape")
     if section.rim:
@@ -265,10 +266,7 @@ def camera_of(camera: CameraLike) -> Camera | None:
 
 
 def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -> Section:
-    """Section of a scene from a section, a mapping, None (all defaults), or text: the value of the key `shorthand`.
-
-    name: name of the section, for messages. Raises SceneError.
-    """
+    """Section of a scene from a section, a mapping, None (all defaults), or text: the value of the key `shorthand`."""
     if isinstance(value, model):
         return value
     table = {shorthand: value} if shorthand and isinstance(value, str) else {} if value is None else value

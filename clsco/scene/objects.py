@@ -50,10 +50,7 @@ def _known_shape(value: Any) -> Any:
 
 
 def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[Location, str, str]]:
-    """A fault for each object that has the name of an earlier object.
-
-    names: name of every object, None for objects without a name; table: name of the array of objects in a file.
-    """
+    """A fault for each object that has the name of an earlier one; table: name of the array of objects in a file."""
     first: dict[str, int] = {}
     repeated: list[tuple[Location, str, str]] = []
     for index, name in enumerate(names):

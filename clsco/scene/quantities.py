@@ -166,10 +166,7 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
 
 
 def array_of_tables(header: str, what: str, most: int, least: int = 0) -> BeforeValidator:
-    """Constraint on the number of tables in an array of tables, which becomes a tuple.
-
-    header: name of the array in a file; what: word for the tables in messages.
-    """
+    """Constraint on the number of tables in an array, [[header]] in a file, which becomes a tuple; what: their name."""
 
     def convert(value: Any) -> Any:
         value = as_python(value)

@@ -100,10 +100,7 @@ def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion |
 
 
 def _about(axis: Vector, degrees: float) -> Rows:
-    """Rotation matrix by Rodrigues' formula, exact for quarter turns about x, y and z.
-
-    axis: right, up, towards the camera; of any length.
-    """
+    """Rotation matrix by Rodrigues' formula; axis: right, up, towards the camera, of any length."""
     size = math.hypot(*axis)
     x, y, z = axis[0] / size, axis[1] / size, -axis[2] / size
     sine, cosine = _sine_cosine(math.fmod(degrees, 360.0))

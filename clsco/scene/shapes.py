@@ -394,9 +394,8 @@ SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind fo
 
 
 def origin(shape: AnyShape) -> Vector:
-    """Origin of an object's own frame, mm: the apex of a cone, (0, 0, distance) of a plane, else the center.
-
-    The object rotates about its origin, and the object's bounds are relative to the origin.
+    """Origin of an object, mm, about which it rotates and its bounds are given: the apex of a cone, (0, 0, distance) of
+    a plane, else the center.
     """
     if isinstance(shape, Plane):
         return (0.0, 0.0, shape.distance)

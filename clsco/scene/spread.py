@@ -180,9 +180,8 @@ class Psf(Strict):
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
 
     def of_images(self) -> Self:
-        """Copy for images and depth maps, which rays cannot hit: occlusion is "layered" unless set.
-
-        Raises SceneError if occlusion is set to "visibility".
+        """Copy for images and depth maps, which rays cannot hit: occlusion is "layered" unless set; SceneError for
+        "visibility".
         """
         if self.asks_for_rays:
             raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")

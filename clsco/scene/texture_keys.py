@@ -51,14 +51,10 @@ def _one_or_two(value: Any) -> Any:
 
 
 class _Rule(NamedTuple):
-    """Keys that a texture mapping accepts.
+    """Keys that a texture mapping accepts."""
 
-    size: texture_size is not accepted (""), optional ("may") or required ("must"). repeats: largest number of
-    texture_repeats. angle, offset: True if texture_angle and texture_offset are accepted.
-    """
-
-    size: Literal["", "may", "must"]
-    repeats: int
+    size: Literal["", "may", "must"]  # texture_size: not accepted, optional or required
+    repeats: int  # largest number of texture_repeats
     angle: bool = True
     offset: bool = True
 
