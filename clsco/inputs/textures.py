@@ -223,7 +223,7 @@ def load_scene_textures(
     """Load the textures of all objects, each file once.
 
     Projected textures get the size of the frame; textures on surfaces keep their size. If images have different color
-    profiles, all are converted to the primaries of sRGB. load: `load_texture`, or a replacement; color: of an image file.
+    profiles, all are converted to the primaries of sRGB. load: `load_texture`, or a replacement; color: of a file.
     Returns the scene with a resolution, by default that of the first object's texture, and a texture per object. Raises
     FileError as `load_texture`.
     """

@@ -248,8 +248,8 @@ def psf_of(psf: PsfLike) -> Psf:
 
 
 def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
-    """The aperture for a user's argument: an Aperture, a mapping with the keys of [aperture], a shape's name, or None for
-    a circle. Raises SceneError, also if it does not fit the PSF.
+    """The aperture for a user's argument: an Aperture, a mapping with the keys of [aperture], a shape's name, or None
+    for a circle. Raises SceneError, also if it does not fit the PSF.
     """
     section = _section(Aperture, aperture, "aperture", "shape")
     if section.rim:
