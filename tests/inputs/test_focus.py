@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import SceneError
 from clsco.inputs.files import InputFiles
 from clsco.inputs.focus import Focus, focus_scene, lens_line
 from clsco.scene.model import Background, Camera, DepthMap, Plane, Scene, Sphere
-from tests.scenes import scene_of
+from tests.scenes import refusals, scene_of
 
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
 FAR = "focus: must be on a surface beyond the focal length, "
@@ -94,6 +93,4 @@ def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
      FAR + "350 mm; got a depth of 300 mm (is it in another unit, such as m?)"),
 ])  # fmt: skip
 def test_what_cannot_be_in_focus_is_refused(scene: Scene, focus: Focus, message: str) -> None:
-    with pytest.raises(SceneError) as caught:
-        focus_scene(scene, InputFiles(), focus)
-    assert str(caught.value) == message
+    assert refusals(focus_scene, scene, InputFiles(), focus) == (message,)

@@ -6,9 +6,9 @@ import tomllib
 
 import pytest
 
-from clsco.errors import SceneError
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
+from tests.scenes import refusals
 
 NAMES = {
     "CENTERED": "rectangle, disc, box, cylinder, sphere, ellipsoid, quadric or depth_map",
@@ -333,9 +333,7 @@ shape = "cone", rotation = {quaternion = [1e-7, 0, 0, 0]}
 
 
 def messages_of(text: str) -> tuple[str, ...]:
-    with pytest.raises(SceneError) as caught:
-        parse_scene(tomllib.loads(text), "bad.toml")
-    return caught.value.messages
+    return refusals(parse_scene, tomllib.loads(text), "bad.toml")
 
 
 @pytest.mark.parametrize(("line", "message"), SCENES)
