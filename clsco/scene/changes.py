@@ -13,12 +13,19 @@ from pydantic import BaseModel
 
 from clsco.errors import SceneError
 from clsco.scene.faults import ALIASES, parsed
+from clsco.scene.sensor import EXPOSURE_KEYS
 from clsco.scene.spread import APERTURE_KEYS, MODEL_KEYS, ApertureShape, SpreadModel
 from clsco.scene.text import brief, shown
 
 MAX_VARIANTS = 4096
 MOST_JOINED = 8  # depth of tables that are joined; deeper nesting is rejected later
 VARIANT = "variant"  # array of tables: keys that differ from the rest of the file, in each of several scenes
+# (key, its section, its values, keys of the section that belong to only some of these)
+_CHOICES: tuple[tuple[str, str, tuple[str, ...], Mapping[str, tuple[str, ...]]], ...] = (
+    ("aperture.shape", "aperture", get_args(ApertureShape), APERTURE_KEYS),
+    ("psf.model", "psf", get_args(SpreadModel), MODEL_KEYS),
+    ("sensor.exposure", "sensor", ("normalized", "physical"), EXPOSURE_KEYS),
+)
 # (key, its new value or None for any, key of the file that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.f_number", None, "camera.aperture_diameter"),
@@ -31,19 +38,12 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("sensor.gain", None, "sensor.iso_base"),
     ("sensor.iso", None, "sensor.gain"),
     ("sensor.mosaic", "none", "sensor.demosaic"),
-    ("sensor.exposure", "normalized", "sensor.reference_shutter"),
-    ("sensor.exposure", "normalized", "sensor.reference_f_number"),
     *(
-        ("aperture.shape", shape, f"aperture.{key}")
-        for key, own in APERTURE_KEYS.items()
-        for shape in get_args(ApertureShape)
-        if shape not in own
-    ),
-    *(
-        ("psf.model", model, f"psf.{key}")
-        for key, own in MODEL_KEYS.items()
-        for model in get_args(SpreadModel)
-        if model not in own
+        (selector, value, f"{section}.{key}")
+        for selector, section, values, homes in _CHOICES
+        for key, own in homes.items()
+        for value in values
+        if value not in own
     ),
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),

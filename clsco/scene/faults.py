@@ -13,7 +13,7 @@ from clsco.scene.groups import unknown_groups
 from clsco.scene.objects import repeated_names
 from clsco.scene.quantities import Location
 from clsco.scene.shapes import SHAPES
-from clsco.scene.text import any_of, key_name, shown
+from clsco.scene.text import any_of, key_name, meant, shown
 
 MAX_MESSAGES = 100
 ALIASES = {"objects": "object", "groups": "group"}  # arrays of tables in a file, by their attributes
@@ -142,11 +142,9 @@ def _unknown(loc: Location, root: type[BaseModel]) -> str:
         return f"belongs to {any_of(homes)}, not to {place[2]}"
     if loc == ("vary",):
         return "belongs to a distribution, from which clsco dataset make draws scenes"
-    from difflib import get_close_matches
-
-    fields = next(model for at, model in tables(root) if at == place).model_fields
-    near = get_close_matches(key[:64], [str(field.validation_alias or name) for name, field in fields.items()], n=1)
-    others = [at for at, model in tables(root)[1:] if key in model.model_fields]
-    others.sort(key=lambda at: (len(at) > 1, at[0] != "object", len(at)))
-    near += [f"{key_name(_without_shape(at))}.{key}" for at in others]
-    return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
+    table = next(model for at, model in tables(root) if at == place)
+    names = [str(field.validation_alias or name) for name, field in table.model_fields.items()]
+    others = [(*at, key) for at, model in tables(root)[1:] if key in model.model_fields]
+    others.sort(key=lambda at: (len(at) > 2, at[0] != "object", len(at)))
+    elsewhere = f" (did you mean {key_name(_without_shape(others[0]))}?)" if others else ""
+    return f"unknown key{meant(key, names) or elsewhere}"
