@@ -29,7 +29,7 @@ def encoded(save: Callable[..., object], *arguments: Any, **options: Any) -> byt
     return stream.getvalue()
 
 
-def exr(compression: int = OpenEXR.ZIP_COMPRESSION, **channels: Array) -> bytes:
+def exr(compression: int = OpenEXR.ZIP_COMPRESSION, /, **channels: Array) -> bytes:
     """An EXR of these channels."""
     header = {"type": OpenEXR.scanlineimage, "compression": compression}
     return encoded(OpenEXR.File(header, channels).write)

@@ -13,9 +13,7 @@ from typing import Any
 import click
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from clsco.cli.main import main
 from clsco.engine.batch import prepare
 from clsco.errors import FileError
 from clsco.files import decoders
@@ -26,14 +24,11 @@ from clsco.inputs.depth_files import read_depth
 from clsco.plan.prepare import prepare as planned
 from clsco.plan.prepare import prepare_sweep
 from clsco.scene.sweep import parse_sweep
+from tests.command import clsco_
 from tests.hostile.pictures import exr
 from tests.scenes import refusals
 
 SCENE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\ndistance = 250.0\n'
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def test_a_value_nested_too_deeply_for_a_label() -> None:
