@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,30 +32,24 @@ class DepthValues:
     """Depths of a map, in clsco's units.
 
     inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface. The other fields count pixels.
-    zero, negative, nan, infinite: pixels without a surface, by the value in the file.
+    missing: pixels without a surface, by the value in the file: "zero", "negative", "NaN" or "infinite".
     far: pixels with an infinitely far surface, whose inverse depth is `FARTHEST`.
     soft: pixels whose depth was between those of two surfaces, and that have been assigned to one of them.
     """
 
     inverse_depth: Array
-    zero: int
-    negative: int
-    nan: int
-    infinite: int
+    missing: Mapping[str, int]
     far: int
     soft: int = 0
 
     @property
     def invalid(self) -> int:
         """Number of pixels without a surface."""
-        return self.zero + self.negative + self.nan + self.infinite
+        return sum(self.missing.values())
 
     def report(self) -> str:
-        """One line with the numbers of pixels without depth, by reason, of infinitely far pixels, and of pixels
-        assigned to one of two surfaces; "" if all are 0.
-        """
-        kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
-        why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+        """One line with the numbers of pixels without depth, by reason, infinitely far, and at soft edges; "" if 0."""
+        why = _listed(self.missing)
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
         parts = [f"{self.invalid} of {size} pixels have no depth ({why})"] if why else []
         if self.far:
@@ -66,6 +60,10 @@ class DepthValues:
             subject = f"{self.soft}" if parts else f"{self.soft} of {size} pixels"
             parts.append(f"{subject} at soft edges {'gets' if self.soft == 1 else 'get'} the depth of one side")
         return ", ".join(parts)
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
 
 
 def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str = "depth") -> DepthValues:
@@ -106,14 +104,13 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     kinds = {
         "zero": zero,
         "negative": nowhere if signed else (value < 0) & ~zero,
-        "nan": np.isnan(value),
+        "NaN": np.isnan(value),
         "infinite": nowhere if unit in ("mm", "m") else np.isinf(value) if signed else value == np.inf,
     }
-    numbers = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
+    missing = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
     valid = ~np.logical_or.reduce(list(kinds.values()))
     if not valid.any():
-        why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
-        raise FileError(f"{where}: at least one pixel must have a depth; got {why}")
+        raise FileError(f"{where}: at least one pixel must have a depth; got {_listed(missing).lower()}")
     value = value[valid]
     w = _convert(value, unit, camera, item.baseline)
     if item.depth_kind == "ray":
@@ -126,7 +123,7 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     result = w.reshape(raw.shape) if w.size == raw.size else np.zeros(raw.shape)
     if w.size < raw.size:
         result[valid] = w
-    return DepthValues(result, **numbers, far=far)
+    return DepthValues(result, missing, far)
 
 
 def fill_depth(w: Array) -> Array:

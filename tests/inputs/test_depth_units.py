@@ -134,9 +134,8 @@ def test_what_every_kind_of_number_means(
 ) -> None:
     raw = np.array([[GOOD[unit], *KINDS]])
     values = values_of(raw, unit)
-    assert (values.zero, values.negative, values.nan, values.infinite, values.far) == (
-        zero, negative, nan, infinite, far,
-    )  # fmt: skip
+    assert values.missing == {"zero": zero, "negative": negative, "NaN": nan, "infinite": infinite}
+    assert values.far == far
     w = values.inverse_depth[0]
     assert w[0] > FARTHEST
     assert (w == FARTHEST).sum() == far
@@ -331,7 +330,7 @@ def test_distances_along_rays_become_depths(unit: str, number: Any) -> None:
 def test_infinity_along_a_ray_and_no_depth_stay_what_they_are() -> None:
     values = values_of([np.inf, 0.0, np.nan, 300.0], "mm", WIDE, depth_kind="ray")
     np.testing.assert_array_equal(values.inverse_depth[0, :3], [FARTHEST, 0.0, 0.0])
-    assert (values.far, values.zero, values.nan) == (1, 1, 1)
+    assert (values.far, values.missing["zero"], values.missing["NaN"]) == (1, 1, 1)
 
 
 def map_of(raw: Any, camera: dict[str, Any] | None = None, **keys: Any) -> DepthValues:
