@@ -221,7 +221,7 @@ class Scene(Strict):
         return value
 
     @model_validator(mode="after")
-    def _psf_fits_the_aperture(self) -> Self:
+    def _parts_of_the_lens_fit(self) -> Self:
         if self.psf.seidel.W311 and self.camera.resolution is None:
             rule = "needs camera.resolution, as it is of the corner of the frame"
             raise_faults((("psf", "seidel", "W311"), rule, self.psf.seidel.W311))
@@ -229,10 +229,6 @@ class Scene(Strict):
         if faults := misfit(self.psf, self.aperture):
             key, rule, value = faults
             raise_faults((("aperture", key), rule, value))
-        return self
-
-    @model_validator(mode="after")
-    def _rims_are_before_the_detector(self) -> Self:
         detector = self.camera.sensor_distance
         rule = f"must be before the detector, {detector:.6g} mm behind the lens"
         for index, rim in enumerate(self.aperture.rim):
@@ -241,21 +237,13 @@ class Scene(Strict):
         return self
 
     @model_validator(mode="after")
-    def _radii_need_a_plane(self) -> Self:
+    def _methods_fit_the_surfaces(self) -> Self:
         rule = "coc belongs to lenses without field_curvature and distortion whose focus_surface is a plane"
         maps = (k for k, item in enumerate(self.objects) if isinstance(item, DepthMap) and item.unit == "coc")
         if self.blurs_unevenly:
             raise_faults(*((("object", k, "unit"), rule, "coc") for k in maps))
-        return self
-
-    @model_validator(mode="after")
-    def _visibility_needs_rays(self) -> Self:
         if self.psf.asks_for_rays and not self.is_ray_castable:
             raise_faults((("psf", "occlusion"), NEEDS_RAYS, self.psf.occlusion))
-        return self
-
-    @model_validator(mode="after")
-    def _radiance_needs_rays(self) -> Self:
         of_two_views = self.motion.warp == "forward" and self.stereo is not None
         if of_two_views or not self.is_ray_castable:
             rule = 'belongs to scenes of analytic surfaces with motion.warp = "inverse"'

@@ -333,7 +333,8 @@ def _range_rule(key: str, value: Any, inverse: bool) -> str:
         return f'must be "{DIOPTERS}"'
     if key in ("from", "to") and inverse and not (_is_number(value) and value > 0):
         return "must be a positive number in a range of diopters"
-    if key in ("from", "to") and not inverse and not all(_is_finite(entry) for entry in _components(value)):
+    ends = _components(value) if key in ("from", "to") and not inverse else ()
+    if not all(_is_number(end) and abs(end) < 1e300 for end in ends):  # so that differences are finite as well
         return "must be a finite number, or a list of them"
     return ""
 
@@ -341,10 +342,6 @@ def _range_rule(key: str, value: Any, inverse: bool) -> str:
 def _components(value: Any) -> list[Any]:
     """Components of a vector, or the number itself."""
     return value if isinstance(value, list) else [value]
-
-
-def _is_finite(value: Any) -> bool:
-    return _is_number(value) and abs(value) < 1e300  # so that differences are finite as well
 
 
 def _is_number(value: Any) -> bool:
