@@ -30,6 +30,7 @@ from clsco.plan.request import Request
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Camera, Scene
 
+EXAMPLES = sorted(p for p in (Path(__file__).parents[1] / "examples").rglob("*.toml") if p.parent.name != "sets")
 Table = Mapping[str, Any]
 # A scene file for tests that look at files and messages: its frame takes no time.
 PLANE = '[camera]\nresolution = [12, 9]\nnormalization_distance = 20.0\n[[object]]\nshape = "plane"\n'

@@ -162,8 +162,8 @@ def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> 
 
 
 def parse_file(data: dict[str, Any], where: str, parse: Callable[[dict[str, Any], str], Parsed]) -> Parsed:
-    """What `parse` returns for the content of the file `where`. Its SceneError also lists files that do not exist; in a
-    valid scene, these are reported when they are read.
+    """Parse the content of the file `where`. A SceneError also lists files that do not exist; in a valid scene, these
+    are reported when they are read.
     """
     try:
         return parse(data, where)

@@ -17,9 +17,8 @@ from clsco.scene.arrays import ArrayInput
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 from clsco.scene.sweep import load_sweep
-from tests.scenes import refusals
+from tests.scenes import EXAMPLES, refusals
 
-EXAMPLES = sorted(p for p in (Path(__file__).parents[2] / "examples").rglob("*.toml") if p.parent.name != "sets")
 BOUNDS = [[-1e9, 1.5], [-0.1, 2], [-3, 1e-7]]
 ITEMS: list[dict[str, Any]] = [
     {"shape": "plane", "slope_x": 0.1 + 0.2, "distance": 1e9, "bounds": BOUNDS},

@@ -333,8 +333,8 @@ shape = "cone", rotation = {quaternion = [1e-7, 0, 0, 0]}
 """)
 
 
-# Lists of objects, and the message.
-LISTS = cases(r"""
+# Text of a file, and the message.
+FILES = cases(r"""
  -> object: must hold 1 to 64 objects; got 0
 object = [] -> object: must hold 1 to 64 objects; got 0
 object = [SOME OBJECTS] -> object: must hold 1 to 64 objects; got 65
@@ -343,6 +343,8 @@ object = [{shape = "plane", name = "a"}, {shape = "cone"}, {shape = "sphere", na
 object = {shape = "plane"} -> object: must be an array of tables, [[object]]; got a table of 1 keys
 object = 3 -> object: must be an array of tables, [[object]]; got 3
 object = [3] -> object[0]: must be a table; got 3
+sequence.readout = 0.1 ; motion.warp = "forward" ; object = [{shape = "sphere", motion.velocity = [1, 0, 0]}]
+    -> sequence.readout: belongs to scenes of analytic surfaces with motion.warp = "inverse"; got 0.1
 """)
 
 
@@ -360,8 +362,8 @@ def test_bad_object(keys: str, message: str) -> None:
     assert messages_of(f"object = [{{{keys}}}]") == (f"bad.toml: {message}",)
 
 
-@pytest.mark.parametrize(("text", "message"), LISTS)
-def test_objects(text: str, message: str) -> None:
+@pytest.mark.parametrize(("text", "message"), FILES)
+def test_bad_file(text: str, message: str) -> None:
     assert messages_of(text) == (f"bad.toml: {message}",)
 
 

@@ -17,9 +17,8 @@ from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import load_sweep
 from tests.scene.schema_file import generate_schema
-from tests.scenes import refusals, scene_file
+from tests.scenes import EXAMPLES, refusals, scene_file
 
-EXAMPLES = sorted(p for p in (Path(__file__).parents[2] / "examples").rglob("*.toml") if p.parent.name != "sets")
 THESIS = [path for path in EXAMPLES if path.parent.name == "thesis"]
 BALL = """
 title = "Turning ball"

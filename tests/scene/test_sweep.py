@@ -125,6 +125,16 @@ def test_vectors_are_swept_by_lists_and_ranges_of_vectors() -> None:
     assert middle.objects[1].motion.angular_velocity == (0.0, 90.0, 0.0)
 
 
+def test_names_of_shutter_curves_are_swept_and_weights_are_one_value() -> None:
+    def curves(values: str) -> list[Any]:
+        sweep = parse_sweep(mapping(f"sequence.shutter_curve = {values}"))
+        return [scene.sequence.shutter_curve for scene in sweep.scenes]
+
+    assert curves('["box", "triangle"]') == ["box", "triangle"]
+    assert curves("[[0, 1], [1.0, 0.0]]") == [(0, 1), (1, 0)]
+    assert curves("[0, 1]") == [(0, 1)]
+
+
 def test_labels_differ_and_name_folders() -> None:
     sweep = parse_sweep(mapping("camera.focus_distance = [250.0000001, 250.0000002, 1e9, 300]"))
     assert sweep.labels == tuple(f"focus_distance_{v}" for v in ("250.0000001", "250.0000002", "1000000000", "300"))
