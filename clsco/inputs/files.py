@@ -21,16 +21,7 @@ from clsco.files.color import Color
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
 from clsco.inputs.pupils import scale_radiance, scene_point_spread
-from clsco.inputs.textures import (
-    PATTERNS,
-    Texture,
-    aligned,
-    load_scene_textures,
-    load_texture,
-    picture_of,
-    radiance_of,
-    require_suffix,
-)
+from clsco.inputs.textures import PATTERNS, Texture, aligned, load_scene_textures, load_texture, picture_of
 from clsco.optics.distortion import Distortion
 from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.resources import code_digest
@@ -91,8 +82,6 @@ class InputFiles:
     ) -> Texture:  # fmt: skip
         """`clsco.inputs.textures.load_texture`, once per content, transfer, size and primaries."""
         drawn = is_drawn(source)
-        if not isinstance(source, ArrayInput) and not drawn:
-            require_suffix(str(source))
         content: Hashable | None = source if drawn else self._content(source)
         if content is None:
             return load_texture(source, transfer, size, to_srgb)
@@ -120,7 +109,7 @@ class InputFiles:
         arrays = self._drawn.get(key)
         if arrays is not None and arrays.keys() == {"radiance"}:
             return aligned(arrays["radiance"])
-        radiance = radiance_of(name, transfer, size)
+        radiance = load_texture(name, transfer, size).radiance
         self._drawn.put(key, {"radiance": radiance})
         return radiance
 

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Field,
-    PlainSerializer,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    field_validator,
-)
+from pydantic import Field, PlainSerializer, ValidationInfo, WrapValidator, field_validator
 
 from clsco.errors import SceneError
 from clsco.scene.motions import CameraMotion, CameraShake
@@ -58,7 +52,7 @@ class FollowedDistance(float):
     __ne__ = object.__ne__  # the negation of __eq__, unlike that of float
 
 
-def _followed(value: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float:
+def _followed(value: Any, check: Callable[[Any], float], info: ValidationInfo) -> float:
     """The sensor distance as a `FollowedDistance` if the value is "sensor", else the checked value."""
     if isinstance(value, FollowedDistance) or (type(value) is str and value == "sensor"):
         return FollowedDistance(info.data.get("sensor_distance", 1.0))  # missing if it was rejected
