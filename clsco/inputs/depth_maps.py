@@ -53,9 +53,8 @@ class DepthValues:
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
         parts = [f"{self.invalid} of {size} pixels have no depth ({why})"] if why else []
         if self.far:
-            parts.append(
-                f"{self.far} {verb} infinitely far" if why else f"{self.far} of {size} pixels {verb} infinitely far"
-            )
+            subject = f"{self.far}" if parts else f"{self.far} of {size} pixels"
+            parts.append(f"{subject} {verb} infinitely far")
         if self.soft:
             subject = f"{self.soft}" if parts else f"{self.soft} of {size} pixels"
             parts.append(f"{subject} at soft edges {'gets' if self.soft == 1 else 'get'} the depth of one side")
@@ -213,10 +212,8 @@ def map_values(
         values = _without_soft_edges(values, stored, scene.camera, image)
     if values.invalid and item.no_depth == "far":
         if (radius := abs(float(blur_radius(scene.camera, FARTHEST)))) > LARGEST_BLUR:
-            rule = f"the blur radius must be at most {LARGEST_BLUR:g} px"
-            raise FileError(
-                f"{name}: {rule}; got {radius:.4g} px at infinity, where no_depth puts {values.invalid} pixels"
-            )
+            rule = f"{name}: the blur radius must be at most {LARGEST_BLUR:g} px"
+            raise FileError(f"{rule}; got {radius:.4g} px at infinity, where no_depth puts {values.invalid} pixels")
         w = values.inverse_depth
         return replace(values, inverse_depth=np.where(w > 0, w, FARTHEST))
     if not values.invalid or scene.fill.method == "none":

@@ -52,12 +52,10 @@ def scale_radiance(textures: Sequence[Texture], factor: float) -> tuple[Texture,
     """Textures with their radiance multiplied by a factor."""
     if factor == 1.0:
         return tuple(textures)
-    scaled = {
-        texture: texture.with_images(
-            (image * np.float32(factor) for image in texture.images), (texture.content, factor)
-        )
-        for texture in dict.fromkeys(textures)
-    }
+    scaled = {}
+    for texture in dict.fromkeys(textures):
+        images = [image * np.float32(factor) for image in texture.images]
+        scaled[texture] = texture.with_images(images, (texture.content, factor))
     return tuple(scaled[texture] for texture in textures)
 
 

@@ -271,10 +271,8 @@ def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -
         return value
     table = {shorthand: value} if shorthand and isinstance(value, str) else {} if value is None else value
     if not isinstance(table, Mapping):
-        kinds = f"must be {model.__name__}" + (
-            f", a mapping or the name of a {shorthand}" if shorthand else " or a mapping"
-        )
-        raise SceneError(f"{name}: {kinds}; got {type(table).__name__}")
+        others = f", a mapping or the name of a {shorthand}" if shorthand else " or a mapping"
+        raise SceneError(f"{name}: must be {model.__name__}{others}; got {type(table).__name__}")
     try:
         return model.model_validate(dict(table))
     except ValidationError as error:
