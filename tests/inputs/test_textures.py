@@ -28,7 +28,7 @@ from clsco.scene.model import Background, Camera, DepthMap, Plane, Scene
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES
 
 Array = NDArray[Any]
-BITS_AND_TRANSFERS = pytest.mark.parametrize(("bits", "transfer"), product((8, 16), ("srgb", "linear")))
+BITS_AND_TRANSFERS = pytest.mark.parametrize(("bits", "transfer"), list(product((8, 16), ("srgb", "linear"))))
 
 
 def srgb_light(value: float) -> float:
