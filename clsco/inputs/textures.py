@@ -246,20 +246,20 @@ def load_scene_textures(
     Returns the scene with a resolution, by default that of the first object's texture, and a texture per object. Raises
     FileError as `load_texture`.
     """
-    names = [item.textures() for item in scene.objects]
-    columns, rows = scene.camera.resolution or texture_size(names[0][0])
+    columns, rows = scene.camera.resolution or texture_size(scene.objects[0].textures()[0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     files, transfer = image_files(scene), scene.image.transfer
     to_srgb = len(files) > 1 and len({color(image) for image in files}) > 1
     loaded: dict[Hashable, Texture] = {}
-    for item, of_item in zip(scene.objects, names, strict=True):
-        key = of_item, item.mapped is None
+    textures = []
+    for item in scene.objects:
+        key = of_item, is_projected = item.textures(), item.mapped is None
         if key not in loaded:
-            sizes = [(rows, columns) if item.mapped is None else own_size(name) for name in of_item]
-            sides = [load(name, transfer, size, to_srgb) for name, size in zip(of_item, sizes, strict=True)]
+            sizes = ((name, (rows, columns) if is_projected else own_size(name)) for name in of_item)
+            sides = [load(name, transfer, size, to_srgb) for name, size in sizes]
             loaded[key] = sides[0] if len(sides) == 1 else cube_map(sides)
-    placed = (loaded[of_item, item.mapped is None] for item, of_item in zip(scene.objects, names, strict=True))
-    return scene.model_copy(update={"camera": camera}), tuple(placed)
+        textures.append(loaded[key])
+    return scene.model_copy(update={"camera": camera}), tuple(textures)
 
 
 def find_stretched(scenes: Iterable[Scene]) -> list[str]:

@@ -88,22 +88,18 @@ def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
     """Set the entry at the key `parts`, creating tables as needed; returns None, or why that is impossible."""
     node: Any = data
     for position, part in enumerate(parts):
-        last = position == len(parts) - 1
+        place = brief(".".join(parts[:position]))
+        key: Any = part
         if isinstance(node, list):
             if not (part.isdecimal() and len(part) < 10 and int(part) < len(node)):
-                place = brief(".".join(parts[:position]))
                 return f"{place} has {len(node)} entries, counted from 0; got {brief(part)}"
-            key: Any = int(part)
-        elif isinstance(node, dict):
-            key = part
-            if not last:
-                node.setdefault(key, {})
-        else:
-            return f"{brief('.'.join(parts[:position]))} must be a table; got {shown(node)}"
-        if last:
+            key = int(part)
+        elif not isinstance(node, dict):
+            return f"{place} must be a table; got {shown(node)}"
+        if position == len(parts) - 1:
             node[key] = value
         else:
-            node = node[key]
+            node = node.setdefault(key, {}) if isinstance(node, dict) else node[key]
     return None
 
 

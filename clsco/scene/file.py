@@ -276,8 +276,7 @@ def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -
     try:
         return model.model_validate(dict(table))
     except ValidationError as error:
-        faults = messages(error, Scene, (name,))
-    raise SceneError(faults)
+        raise SceneError(messages(error, Scene, (name,))) from None
 
 
 def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:

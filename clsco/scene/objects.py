@@ -88,9 +88,7 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Objects with each box replaced by its faces."""
-    shapes: list[AnyShape] = []
-    for item in objects:
-        shapes += item.faces() if isinstance(item, Box) else (item,)
+    shapes = [shape for item in objects for shape in (item.faces() if isinstance(item, Box) else (item,))]
     if len(shapes) > MAX_OBJECTS:
         raise fault(f"must hold 1 to {MAX_OBJECTS} objects, and a box is six", got=str(len(shapes)))
     used = {item.name for item in objects if not isinstance(item, Box)}

@@ -289,10 +289,7 @@ class Strict(BaseModel):
             try:
                 super().__init__(**values)
             except ValidationError as error:
-                refused = error
-            else:
-                return
-            raise Strict.refusal(type(self), refused)
+                raise Strict.refusal(type(self), error) from None
 
         # For the parts of a model, pydantic does not call a constructor with this attribute, as its own has.
         __init__.__pydantic_base_init__ = True
