@@ -50,7 +50,7 @@ def fault(rule: str, got: str | None = None) -> PydanticCustomError:
     return PydanticCustomError("rule", "{rule}", context)
 
 
-def refuse(wrong: Callable[[Any], bool], rule: str, got: str | None = None) -> Callable[[Any], Any]:
+def refuse_if(wrong: Callable[[Any], bool], rule: str, got: str | None = None) -> Callable[[Any], Any]:
     """Validator that rejects values for which `wrong` is true; rule, got: as for `fault`."""
 
     def check(value: Any) -> Any:
@@ -188,21 +188,21 @@ def _count_or_auto(value: Any) -> Any:
     raise fault('must be an integer between 1 and 4096, or "auto"')
 
 
-_single_line = refuse(
+_single_line = refuse_if(
     lambda text: any(unicodedata.category(character) in ("Cc", "Cs") for character in text),
     "must be one line of text without control characters",
 )
-_increasing = refuse(lambda ends: ends[0] >= ends[1], "lower bound must be less than the upper bound")
-_not_zero = refuse(
+_increasing = refuse_if(lambda ends: ends[0] >= ends[1], "lower bound must be less than the upper bound")
+_not_zero = refuse_if(
     lambda vector: max(map(abs, vector)) < MIN_LENGTH_MM,
     f"must not be the zero vector (one component of {MIN_LENGTH_MM:g} at least)",
 )
-_not_small = refuse(
+_not_small = refuse_if(
     lambda quaternion: math.hypot(*quaternion) < SMALLEST_QUATERNION,
     f"must not be zero (length of {SMALLEST_QUATERNION:g} at least)",
 )
-_few_enough = refuse(lambda size: size[0] * size[1] > MAX_PIXELS, f"must have at most {MAX_PIXELS} pixels in all")
-_surface = refuse(lambda coefficients: not any(coefficients[:9]), "must not all be 0, or all but a000")
+_few_enough = refuse_if(lambda size: size[0] * size[1] > MAX_PIXELS, f"must have at most {MAX_PIXELS} pixels in all")
+_surface = refuse_if(lambda coefficients: not any(coefficients[:9]), "must not all be 0, or all but a000")
 Pair, Triple = (BeforeValidator(_list_of(count, "numbers")) for count in (2, 3))
 Flag = Annotated[bool, BeforeValidator(as_python)]
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from clsco.scene.quantities import Duration, Samples, Strict, Within, as_python, fault, refuse
+from clsco.scene.quantities import Duration, Samples, Strict, Within, as_python, fault, refuse_if
 
 CURVES = {"box": (1.0, 1.0), "trapezoid": (0.0, 1.0, 1.0, 1.0, 0.0), "triangle": (0.0, 1.0, 0.0)}
 """Weights of the shutter curves that have names, at equal times from opening to closing."""
@@ -27,11 +27,11 @@ def _curve(value: Any) -> Any:
     return numbers
 
 
-_is_open = refuse(
+_is_open = refuse_if(
     lambda value: type(value) in (int, float) and value == 0,
     "must be greater than 0 s; for an instant give a short one, such as 1e-6",
 )
-_forwards = refuse(
+_forwards = refuse_if(
     lambda value: type(value) in (int, float) and value < 0,
     "must be at least 0 s; for the other order of the rows change scan",
 )

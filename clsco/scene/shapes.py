@@ -25,7 +25,7 @@ from clsco.scene.quantities import (
     Vector,
     Within,
     fault,
-    refuse,
+    refuse_if,
 )
 from clsco.scene.rotations import Rotation, after, depth_row
 from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, in_layer
@@ -33,6 +33,7 @@ from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Texture
 BACKGROUND_MM = 1e12
 """Distance of surfaces that are infinitely far away: their blur differs from that of infinity by a part in 10^10."""
 ROUNDING = 1e-15  # rounding error of a direction's component that should be 0 after a rotation
+STATIC = "a background stays where it is; turn the camera by camera.motion"
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
@@ -323,9 +324,9 @@ class DepthMap(_Bounded):
         return value
 
     _not_analytic = field_validator("bounds", "rotation")(
-        refuse(lambda value: value is not None, "belongs to analytic shapes, not to depth_map")
+        refuse_if(lambda value: value is not None, "belongs to analytic shapes, not to depth_map")
     )
-    _not_zero = field_validator("scale")(refuse(lambda value: abs(value) < 1e-12, "must be at least 1e-12 in size"))
+    _not_zero = field_validator("scale")(refuse_if(lambda value: abs(value) < 1e-12, "must be at least 1e-12 in size"))
 
     @field_validator("depth_kind")
     @classmethod
@@ -377,13 +378,9 @@ class Background(_Bounded):
     shape: Literal["background"] = "background"
 
     _unbounded = field_validator("bounds", "rotation", "group")(
-        refuse(lambda value: value is not None, "belongs to shapes with a surface, not to background")
+        refuse_if(lambda value: value is not None, "belongs to shapes with a surface, not to background")
     )
-    _static = field_validator("motion")(
-        refuse(
-            lambda value: value.moves, "a background stays where it is; turn the camera by camera.motion", "a motion"
-        )
-    )
+    _static = field_validator("motion")(refuse_if(lambda motion: motion.moves, STATIC, "a motion"))
 
 
 AnyShape = Plane | Rectangle | Disc | Box | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
