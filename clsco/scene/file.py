@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from clsco.errors import SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import VARIANT, override, variant_tables
-from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, tables
+from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed
 from clsco.scene.model import AnyShape, Aperture, Camera, ObjectMotion, Psf, Scene
 from clsco.scene.quantities import Location
 from clsco.scene.spread import misfit
@@ -37,7 +37,12 @@ Owner = TypeVar("Owner", AnyShape, Aperture)
 Parsed = TypeVar("Parsed")
 Section = TypeVar("Section", Psf, Aperture, Camera)
 
-SECTIONS = {str(place[0]): model for place, model in tables(Scene) if len(place) == 1 or place == ("group", 0)}
+SECTIONS: dict[str, type[BaseModel]] = {
+    str(field.validation_alias or name): model
+    for name, field in Scene.model_fields.items()
+    for model in (field.annotation, *get_args(field.annotation))
+    if isinstance(model, type) and issubclass(model, BaseModel)
+}
 # Sections whose keys may have several values, except keys that hold tables.
 SWEEPABLE = ("camera", "sequence", "motion", "light", "sensor")
 
