@@ -52,12 +52,11 @@ def _known_shape(value: Any) -> Any:
 def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[Location, str, str]]:
     """A fault for each object that has the name of an earlier one; table: name of the array of objects in a file."""
     first: dict[str, int] = {}
-    repeated: list[tuple[Location, str, str]] = []
-    for index, name in enumerate(names):
-        if name is not None and first.setdefault(name, index) != index:
-            rule = f"names must differ; {table}[{first[name]}] has the same"
-            repeated.append(((index, "name"), rule, name))
-    return repeated
+    return [
+        ((index, "name"), f"names must differ; {table}[{first[name]}] has the same", name)
+        for index, name in enumerate(names)
+        if name is not None and first.setdefault(name, index) != index
+    ]
 
 
 def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:

@@ -123,13 +123,9 @@ Z, OTHER, THIRD = (numbers("f4") + np.float32(n) for n in (0, 1, 2))
 CHANNELS: dict[str, dict[str, Array]] = {
     "Blender, one layer": {"R": OTHER, "G": OTHER, "B": OTHER, "A": OTHER, "Z": Z},
     "Blender, several layers": {
-        "Composite.Combined.R": OTHER,
-        "ViewLayer.Combined.R": OTHER,
+        **dict.fromkeys(("Composite.Combined.R", "ViewLayer.Combined.R", "ViewLayer.Mist.Z"), OTHER),
+        **{f"ViewLayer.Normal.{axis}": OTHER for axis in "XYZ"},
         "ViewLayer.Depth.Z": Z,
-        "ViewLayer.Mist.Z": OTHER,
-        "ViewLayer.Normal.X": OTHER,
-        "ViewLayer.Normal.Y": OTHER,
-        "ViewLayer.Normal.Z": OTHER,
     },
     "Blender, values": {"ViewLayer.Depth.V": Z, "ViewLayer.Position.X": OTHER},
     "Blender, file output": {"Depth.V": Z, "Image.R": OTHER},
