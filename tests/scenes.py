@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
+from clsco.errors import SceneError
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import (
     LENS_NAMES,
@@ -28,6 +30,7 @@ from clsco.plan.request import Request
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Camera, Scene
 
+EXAMPLES = sorted(p for p in (Path(__file__).parents[1] / "examples").rglob("*.toml") if p.parent.name != "sets")
 Table = Mapping[str, Any]
 # A scene file for tests that look at files and messages: its frame takes no time.
 PLANE = '[camera]\nresolution = [12, 9]\nnormalization_distance = 20.0\n[[object]]\nshape = "plane"\n'
@@ -52,6 +55,13 @@ def scene_from(tables: Table, *items: Table, **sections: Any) -> Scene:
     for name, section in sections.items():
         found[name] = {**found.get(name, {}), **section} if isinstance(section, Mapping) else section
     return parse_scene(found)
+
+
+def refusals(call: Callable[..., object], *arguments: Any) -> tuple[str, ...]:
+    """Messages of the SceneError that a call raises."""
+    with pytest.raises(SceneError) as caught:
+        call(*arguments)
+    return caught.value.messages
 
 
 def scene_file(path: Path, text: str) -> Path:

@@ -39,12 +39,7 @@ def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None
     """Focus that the options ask for, or None without either option. Raises click.UsageError if both are given."""
     if at is not None and share is not None:
         raise click.UsageError("--focus-at: goes without --focus-depth; got both")
-    on = share if at is None else at
-    if on is None:
-        return None
-    from clsco.inputs.focus import Focus
-
-    return Focus(on)
+    return share if at is None else at
 
 
 def focus_files(

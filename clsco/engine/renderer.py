@@ -17,7 +17,7 @@ from clsco.engine.workspace import ColorChannel, Pixels, SceneWorkspace
 from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
-from clsco.inputs.channels import select_channels
+from clsco.inputs.textures import select_channels
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Session
 from clsco.optics.exposure import line_times, middle_time

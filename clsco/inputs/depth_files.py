@@ -59,9 +59,8 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
         first = data[..., :1]
         differ = ((data != first) & ~(np.isnan(data) & np.isnan(first))).any(axis=2)
         if differ.any():
-            raise_file_error(
-                path, "must hold one depth per pixel: red, green and blue must be equal", first_of(data, differ)
-            )
+            rule = "must hold one depth per pixel: red, green and blue must be equal"
+            raise_file_error(path, rule, first_of(data, differ))
         data = data[..., 0]
     if data.ndim != 2:
         raise_file_error(path, "shape must be (rows, columns)", data.shape)

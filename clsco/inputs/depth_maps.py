@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,40 +32,37 @@ class DepthValues:
     """Depths of a map, in clsco's units.
 
     inverse_depth: (rows, columns), 1/mm, > 0; 0 where the map has no surface. The other fields count pixels.
-    zero, negative, nan, infinite: pixels without a surface, by the value in the file.
+    missing: pixels without a surface, by the value in the file: "zero", "negative", "NaN" or "infinite".
     far: pixels with an infinitely far surface, whose inverse depth is `FARTHEST`.
     soft: pixels whose depth was between those of two surfaces, and that have been assigned to one of them.
     """
 
     inverse_depth: Array
-    zero: int
-    negative: int
-    nan: int
-    infinite: int
+    missing: Mapping[str, int]
     far: int
     soft: int = 0
 
     @property
     def invalid(self) -> int:
         """Number of pixels without a surface."""
-        return self.zero + self.negative + self.nan + self.infinite
+        return sum(self.missing.values())
 
     def report(self) -> str:
-        """One line with the numbers of pixels without depth, by reason, of infinitely far pixels, and of pixels
-        assigned to one of two surfaces; "" if all are 0.
-        """
-        kinds = {"zero": self.zero, "negative": self.negative, "NaN": self.nan, "infinite": self.infinite}
-        why = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+        """One line with the numbers of pixels without depth, by reason, infinitely far, and at soft edges; "" if 0."""
+        why = _listed(self.missing)
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
         parts = [f"{self.invalid} of {size} pixels have no depth ({why})"] if why else []
         if self.far:
-            parts.append(
-                f"{self.far} {verb} infinitely far" if why else f"{self.far} of {size} pixels {verb} infinitely far"
-            )
+            subject = f"{self.far}" if parts else f"{self.far} of {size} pixels"
+            parts.append(f"{subject} {verb} infinitely far")
         if self.soft:
             subject = f"{self.soft}" if parts else f"{self.soft} of {size} pixels"
             parts.append(f"{subject} at soft edges {'gets' if self.soft == 1 else 'get'} the depth of one side")
         return ", ".join(parts)
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
 
 
 def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str = "depth") -> DepthValues:
@@ -106,14 +103,13 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     kinds = {
         "zero": zero,
         "negative": nowhere if signed else (value < 0) & ~zero,
-        "nan": np.isnan(value),
+        "NaN": np.isnan(value),
         "infinite": nowhere if unit in ("mm", "m") else np.isinf(value) if signed else value == np.inf,
     }
-    numbers = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
+    missing = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
     valid = ~np.logical_or.reduce(list(kinds.values()))
     if not valid.any():
-        why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
-        raise FileError(f"{where}: at least one pixel must have a depth; got {why}")
+        raise FileError(f"{where}: at least one pixel must have a depth; got {_listed(missing).lower()}")
     value = value[valid]
     w = _convert(value, unit, camera, item.baseline)
     if item.depth_kind == "ray":
@@ -126,7 +122,7 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     result = w.reshape(raw.shape) if w.size == raw.size else np.zeros(raw.shape)
     if w.size < raw.size:
         result[valid] = w
-    return DepthValues(result, **numbers, far=far)
+    return DepthValues(result, missing, far)
 
 
 def fill_depth(w: Array) -> Array:
@@ -169,23 +165,22 @@ def _across(w: Array) -> tuple[Array, Array]:
     return np.where(on_left | on_right, between, 0.0), width
 
 
-def load_scene_depths(
-    scene: Scene, load: Callable[[Scene, DepthMap], Array] | None = None
-) -> tuple[Array | None, ...]:  # fmt: skip
-    """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
-
-    scene: a scene with a resolution. load: returns the inverse depth of an object, by default from its file or array.
-    Raises FileError for the first file that cannot be read, differs in size from the frame, or does not fit the camera.
-    """
-    of_map = load or _loaded
-    return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
-
-
-def _loaded(scene: Scene, item: DepthMap) -> Array:
+def _load(scene: Scene, item: DepthMap) -> Array:
     def image() -> NDArray[np.float32]:
         return load_texture(item.inputs()["texture"], scene.image.transfer, scene.camera.resolution).radiance
 
     return map_values(scene, item, depth_numbers(item.inputs()["depth"]), image).inverse_depth
+
+
+def load_scene_depths(
+    scene: Scene, load: Callable[[Scene, DepthMap], Array] = _load
+) -> tuple[Array | None, ...]:  # fmt: skip
+    """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
+
+    The scene needs a resolution. load: returns the inverse depth of an object. Raises FileError for the first file that
+    cannot be read, differs in size from the frame, or does not fit the camera.
+    """
+    return tuple(load(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)
 
 
 def depth_numbers(source: Input) -> NDArray[Any]:
@@ -217,10 +212,8 @@ def map_values(
         values = _without_soft_edges(values, stored, scene.camera, image)
     if values.invalid and item.no_depth == "far":
         if (radius := abs(float(blur_radius(scene.camera, FARTHEST)))) > LARGEST_BLUR:
-            rule = f"the blur radius must be at most {LARGEST_BLUR:g} px"
-            raise FileError(
-                f"{name}: {rule}; got {radius:.4g} px at infinity, where no_depth puts {values.invalid} pixels"
-            )
+            rule = f"{name}: the blur radius must be at most {LARGEST_BLUR:g} px"
+            raise FileError(f"{rule}; got {radius:.4g} px at infinity, where no_depth puts {values.invalid} pixels")
         w = values.inverse_depth
         return replace(values, inverse_depth=np.where(w > 0, w, FARTHEST))
     if not values.invalid or scene.fill.method == "none":
@@ -251,9 +244,7 @@ def _without_soft_edges(
 
 
 def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> Array:
-    """Numbers scaled so that, in `unit`, the nearest depth is `near` and the farthest `far`, mm; numbers that are not
-    finite are unchanged.
-    """
+    """Finite numbers scaled so that, in `unit`, the nearest depth is `near` and the farthest `far`, mm."""
     finite = np.isfinite(value)
     if not finite.any():
         return value

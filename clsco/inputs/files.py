@@ -21,16 +21,7 @@ from clsco.files.color import Color
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
 from clsco.inputs.pupils import scale_radiance, scene_point_spread
-from clsco.inputs.textures import (
-    PATTERNS,
-    Texture,
-    aligned,
-    load_scene_textures,
-    load_texture,
-    picture_of,
-    radiance_of,
-    require_suffix,
-)
+from clsco.inputs.textures import PATTERNS, Texture, aligned, load_scene_textures, load_texture, picture_of
 from clsco.optics.distortion import Distortion
 from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.resources import code_digest
@@ -79,10 +70,7 @@ class InputFiles:
         return scale_radiance(loaded, exposure_factor(scene.aperture, self.point_spread(scene)))
 
     def maps(self, scene: Scene) -> Maps:
-        """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
-
-        scene: a scene with a resolution. Raises FileError as `clsco.inputs.depth_maps.load_scene_depths`.
-        """
+        """`clsco.inputs.depth_maps.load_scene_depths`, each map once per content and camera."""
         return load_scene_depths(scene, self.map)
 
     def point_spread(self, scene: Scene) -> PointSpread:
@@ -94,8 +82,6 @@ class InputFiles:
     ) -> Texture:  # fmt: skip
         """`clsco.inputs.textures.load_texture`, once per content, transfer, size and primaries."""
         drawn = is_drawn(source)
-        if not isinstance(source, ArrayInput) and not drawn:
-            require_suffix(str(source))
         content: Hashable | None = source if drawn else self._content(source)
         if content is None:
             return load_texture(source, transfer, size, to_srgb)
@@ -110,10 +96,7 @@ class InputFiles:
     ) -> Texture:  # fmt: skip
         if source in PATTERNS:
             return Texture(self._pattern(str(source), transfer, size), 8, str(source), key)
-        if is_drawn(source):
-            return Texture(radiance_of(str(source), transfer, size), 8, str(source), key)
-        picture = self.picture(source)
-        return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source), key)
+        return replace(load_texture(source, transfer, size, to_srgb, self.picture), content=key)
 
     @cached_property
     def _drawn(self) -> ArrayCache:
@@ -126,7 +109,7 @@ class InputFiles:
         arrays = self._drawn.get(key)
         if arrays is not None and arrays.keys() == {"radiance"}:
             return aligned(arrays["radiance"])
-        radiance = radiance_of(name, transfer, size)
+        radiance = load_texture(name, transfer, size).radiance
         self._drawn.put(key, {"radiance": radiance})
         return radiance
 
@@ -189,9 +172,7 @@ class InputFiles:
         return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Input) -> Hashable | None:
-        """Cache key of an array from its content, or of a file from content, extension and layer; None if it must not
-        be cached, such as a pipe.
-        """
+        """Key of an array, or of a file with its extension and layer; None for what must not be cached, as a pipe."""
         if isinstance(source, ArrayInput):
             return "array", source.sha256
         path, layer = str(source), source.layer if isinstance(source, LayerInput) else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +22,8 @@ Array = NDArray[np.float64]
 MOST_POINTS = 2**20  # largest number of pixels from which a quantile of depth is computed
 
 
-@dataclass(frozen=True)
-class Focus:
-    """Target of the focus; on: a pixel (column, row), or the share of surface pixels that are nearer, 0 to 1."""
-
-    on: tuple[int, int] | float
+Focus = tuple[int, int] | float
+"""Target of the focus: a pixel (column, row), or the share of surface pixels that are nearer, 0 to 1."""
 
 
 def lens_line(scene: Scene, w: Array) -> str:
@@ -70,8 +66,8 @@ def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
         raise SceneError('focus: depths must be known; got unit = "coc", whose radii say what is in focus')
     pinhole = scene.camera.model_copy(update={"aperture_diameter": MIN_LENGTH_MM})  # so that no blur is too large
     maps = files.maps(scene.model_copy(update={"camera": pinhole}))
-    if isinstance(focus.on, tuple):
-        x, y = focus.on
+    if isinstance(focus, tuple):
+        x, y = focus
         if not (0 <= x < columns and 0 <= y < rows):
             raise SceneError(f"focus: must be a pixel of the {columns} x {rows}, counted from 0; got {x},{y}")
         nearest, whose = find_visible(scene, maps, np.array([y]), np.array([x]))
@@ -83,7 +79,7 @@ def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
         depths, _ = find_visible(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
         if not (depths > 0).any():
             raise SceneError("focus: must be on a surface; got nothing in the picture")
-        w = float(np.quantile(depths[depths > 0], 1.0 - focus.on, method="nearest"))
+        w = float(np.quantile(depths[depths > 0], 1.0 - focus, method="nearest"))
     if w * scene.camera.focal_length >= 1.0:
         rule = f"focus: must be on a surface beyond the focal length, {scene.camera.focal_length:g} mm"
         raise SceneError(f"{rule}; got a depth of {1.0 / w:.4g} mm (is it in another unit, such as m?)")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
@@ -54,10 +53,9 @@ def scale_radiance(textures: Sequence[Texture], factor: float) -> tuple[Texture,
     if factor == 1.0:
         return tuple(textures)
     scaled = {}
-    for texture in textures:
-        first, *others = (image * np.float32(factor) for image in texture.images)
-        content = None if texture.content is None else (texture.content, factor)
-        scaled[texture] = replace(texture, radiance=first, others=tuple(others), content=content)
+    for texture in dict.fromkeys(textures):
+        images = [image * np.float32(factor) for image in texture.images]
+        scaled[texture] = texture.with_images(images, (texture.content, factor))
     return tuple(scaled[texture] for texture in textures)
 
 

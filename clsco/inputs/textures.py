@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,11 @@ class Texture:
         """The radiance, or the six images of a cube map."""
         return (self.radiance, *self.others)
 
+    def with_images(self, images: Iterable[NDArray[np.float32]], content: Hashable) -> Texture:
+        """The texture with other images; content: identifies them, if the content of this texture is known."""
+        first, *others = images
+        return replace(self, radiance=first, others=tuple(others), content=None if self.content is None else content)
+
     def mipmap(self, out: NDArray[np.float32], channels: int) -> None:
         """Write all levels of `clsco.inputs.mipmaps.mipmap` to `out`; channels: number of channels in `out`."""
         wide = [image[..., None] if image.ndim == 2 else image for image in self.images]
@@ -76,23 +81,6 @@ def radiance_span(image: NDArray[np.floating]) -> float:
     return float(image.max(initial=0.0)) - float(image.min(initial=0.0))
 
 
-def load_texture(
-    source: TextureSource, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
-) -> Texture:  # fmt: skip
-    """Load a built-in pattern, an image file or an array as linear radiance.
-
-    source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
-    or "linear", the curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; the curve of a color
-    profile replaces "srgb"; floats are linear. size: (rows, columns) of the result: an image of another size is
-    resampled (`resample`), a pattern is drawn in it, by default in 512 x 512. to_srgb: True to convert an image to the
-    primaries of sRGB (`Color.to_srgb`). Raises FileError if the pattern or file does not exist or cannot be read.
-    """
-    if is_drawn(source):
-        return Texture(radiance_of(str(source), transfer, size), 8, str(source))
-    picture = picture_of(source)
-    return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source))
-
-
 def picture_of(source: TextureSource) -> Picture:
     """The picture in a file or in an array. Raises FileError as `load_texture`."""
     from clsco.files.images import Picture, read_image
@@ -101,6 +89,25 @@ def picture_of(source: TextureSource) -> Picture:
         return Picture(source.array)
     require_suffix(os.fspath(source))
     return read_image(source, layer=source.layer if isinstance(source, LayerInput) else None)
+
+
+def load_texture(
+    source: TextureSource, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False,
+    read: Callable[[Any], Picture] = picture_of,
+) -> Texture:  # fmt: skip
+    """Load a built-in pattern, an image file or an array as linear radiance.
+
+    source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
+    or "linear", the curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; the curve of a color
+    profile replaces "srgb"; floats are linear. size: (rows, columns) of the result: an image of another size is
+    resampled (`resample`), a pattern is drawn in it, by default in 512 x 512. to_srgb: True to convert an image to the
+    primaries of sRGB (`Color.to_srgb`). read: `picture_of`, or a replacement. Raises FileError if the pattern or file
+    does not exist or cannot be read.
+    """
+    if is_drawn(source):
+        return Texture(radiance_of(str(source), transfer, size), 8, str(source))
+    picture = read(source)
+    return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source))
 
 
 def radiance_of(
@@ -150,6 +157,25 @@ def is_gray(name: str) -> bool:
     return name in PATTERNS or color_codes(name).ndim == 0
 
 
+def to_color(texture: Texture) -> Texture:
+    """A texture converted to three channels."""
+    if texture.radiance.ndim == 3:
+        return texture
+    images = (np.broadcast_to(image[..., None], (*image.shape, 3)) for image in texture.images)
+    return texture.with_images(images, ("color", texture.content))
+
+
+def select_channels(texture: Texture, channels: tuple[int, ...]) -> Texture:
+    """A texture of selected channels; a gray one is returned unchanged."""
+    if texture.radiance.ndim == 2:
+        return texture
+    chosen = channels[0] if len(channels) == 1 else channels
+    images = [np.ascontiguousarray(image[..., chosen]) for image in texture.images]
+    for image in images:
+        image.flags.writeable = False
+    return texture.with_images(images, ("channels", texture.content, channels))
+
+
 def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
     """A texture with `channels` channels and a coverage channel: 1 if it `covers` what is behind it, else 0."""
     images = []
@@ -159,8 +185,7 @@ def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
         wider[..., channels] = covers
         wider.flags.writeable = False
         images.append(wider)
-    content = None if texture.content is None else ("covering", texture.content, channels, covers)
-    return replace(texture, radiance=images[0], others=tuple(images[1:]), content=content)
+    return texture.with_images(images, ("covering", texture.content, channels, covers))
 
 
 def _by_rows(
@@ -210,35 +235,31 @@ def image_files(scene: Scene) -> list[str | LayerInput]:
     return [image for image in dict.fromkeys(named) if not isinstance(image, ArrayInput)]
 
 
-def color_of(image: str | LayerInput) -> Color:
-    """The color space of an image file. Raises FileError as `load_texture`."""
-    return picture_of(image).color
-
-
 def load_scene_textures(
-    scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str | LayerInput], Color] = color_of
+    scene: Scene, load: Callable[..., Texture] = load_texture,
+    color: Callable[[str | LayerInput], Color] = lambda image: picture_of(image).color,
 ) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
     """Load the textures of all objects, each file once.
 
     Projected textures get the size of the frame; textures on surfaces keep their size. If images have different color
-    profiles, all are converted to the primaries of sRGB. load, color: `load_texture` and `color_of`, or replacements.
+    profiles, all are converted to the primaries of sRGB. load: `load_texture`, or a replacement; color: of a file.
     Returns the scene with a resolution, by default that of the first object's texture, and a texture per object. Raises
     FileError as `load_texture`.
     """
-    names = [item.textures() for item in scene.objects]
-    columns, rows = scene.camera.resolution or texture_size(names[0][0])
+    columns, rows = scene.camera.resolution or texture_size(scene.objects[0].textures()[0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     files, transfer = image_files(scene), scene.image.transfer
     to_srgb = len(files) > 1 and len({color(image) for image in files}) > 1
     loaded: dict[Hashable, Texture] = {}
-    for item, of_item in zip(scene.objects, names, strict=True):
-        key = of_item, item.mapped is None
+    textures = []
+    for item in scene.objects:
+        key = of_item, is_projected = item.textures(), item.mapped is None
         if key not in loaded:
-            sizes = [(rows, columns) if item.mapped is None else own_size(name) for name in of_item]
-            sides = [load(name, transfer, size, to_srgb) for name, size in zip(of_item, sizes, strict=True)]
+            sizes = ((name, (rows, columns) if is_projected else own_size(name)) for name in of_item)
+            sides = [load(name, transfer, size, to_srgb) for name, size in sizes]
             loaded[key] = sides[0] if len(sides) == 1 else cube_map(sides)
-    placed = (loaded[of_item, item.mapped is None] for item, of_item in zip(scene.objects, names, strict=True))
-    return scene.model_copy(update={"camera": camera}), tuple(placed)
+        textures.append(loaded[key])
+    return scene.model_copy(update={"camera": camera}), tuple(textures)
 
 
 def find_stretched(scenes: Iterable[Scene]) -> list[str]:
@@ -278,19 +299,13 @@ def mapped_size(sources: tuple[TextureSource, ...]) -> tuple[int, int]:
 
 def cube_map(sides: Sequence[Texture]) -> Texture:
     """One texture from the six sides of a cube map; colors are enlarged to the size of the others. Raises FileError."""
-    shape = max(
-        (side.radiance.shape[:2] for side in sides), key=lambda shape_of_side: shape_of_side[0] * shape_of_side[1]
-    )
-    channels = max(side.radiance.ndim for side in sides)
-    images = []
-    for side in sides:
-        image = side.radiance[..., None] if side.radiance.ndim < channels else side.radiance
-        whole = (*shape, *((3,) if channels == 3 else ()))
-        images.append(image if image.shape == whole else np.broadcast_to(image, whole))
+    is_color = any(side.radiance.ndim == 3 for side in sides)
+    shape = (*max((side.radiance.shape[:2] for side in sides), key=math.prod), *((3,) if is_color else ()))
+    wide = (side.radiance[..., None] if side.radiance.ndim < len(shape) else side.radiance for side in sides)
+    first, *others = (image if image.shape == shape else np.broadcast_to(image, shape) for image in wide)
     contents = [side.content for side in sides]
     content = None if None in contents else ("cube map", *contents)
-    bits = max(side.bits for side in sides)
-    return Texture(images[0], bits, sides[-1].source, content, tuple(images[1:]))
+    return Texture(first, max(side.bits for side in sides), sides[-1].source, content, tuple(others))
 
 
 def require_suffix(source: str) -> None:

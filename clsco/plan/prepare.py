@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
-from clsco.inputs.channels import to_color
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, add_coverage, image_files, is_gray, mapped_size, texture_size
+from clsco.inputs.textures import Texture, add_coverage, image_files, is_gray, mapped_size, texture_size, to_color
 from clsco.plan.device import DeviceFacts
 from clsco.plan.memory import fit_strips, limit_of
 from clsco.plan.plan import Plan, make_plan

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Field,
-    PlainSerializer,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    field_validator,
-)
+from pydantic import Field, PlainSerializer, ValidationInfo, WrapValidator, field_validator
 
 from clsco.errors import SceneError
 from clsco.scene.motions import CameraMotion, CameraShake
@@ -26,6 +20,7 @@ from clsco.scene.quantities import (
     Resolution,
     Strict,
     fault,
+    instead_of,
 )
 
 
@@ -57,7 +52,7 @@ class FollowedDistance(float):
     __ne__ = object.__ne__  # the negation of __eq__, unlike that of float
 
 
-def _followed(value: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float:
+def _followed(value: Any, check: Callable[[Any], float], info: ValidationInfo) -> float:
     """The sensor distance as a `FollowedDistance` if the value is "sensor", else the checked value."""
     if isinstance(value, FollowedDistance) or (type(value) is str and value == "sensor"):
         return FollowedDistance(info.data.get("sensor_distance", 1.0))  # missing if it was rejected
@@ -142,10 +137,4 @@ class Camera(Strict):
             raise fault(f"too close to focal_length = {f:g} mm: detector beyond {MAX_LENGTH_MM:g} mm")
         return value
 
-    @field_validator("aperture_diameter", "sensor_distance")
-    @classmethod
-    def _one_of_a_pair(cls, value: float, info: ValidationInfo) -> float:
-        other = "f_number" if info.field_name == "aperture_diameter" else "focus_distance"
-        if info.data.get(other, "refused") is not None:  # a rejected value is missing from `data`
-            raise fault(f"give {other} or {info.field_name}, not both")
-        return value
+    _one_of_a_pair = instead_of(aperture_diameter="f_number", sensor_distance="focus_distance")

@@ -5,18 +5,27 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import getitem
 from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel
 
 from clsco.errors import SceneError
-from clsco.scene.faults import parsed
+from clsco.scene.faults import ALIASES, parsed
+from clsco.scene.sensor import EXPOSURE_KEYS
 from clsco.scene.spread import APERTURE_KEYS, MODEL_KEYS, ApertureShape, SpreadModel
 from clsco.scene.text import brief, shown
 
 MAX_VARIANTS = 4096
 MOST_JOINED = 8  # depth of tables that are joined; deeper nesting is rejected later
 VARIANT = "variant"  # array of tables: keys that differ from the rest of the file, in each of several scenes
+# (key, its section, its values, keys of the section that belong to only some of these)
+_CHOICES: tuple[tuple[str, str, tuple[str, ...], Mapping[str, tuple[str, ...]]], ...] = (
+    ("aperture.shape", "aperture", get_args(ApertureShape), APERTURE_KEYS),
+    ("psf.model", "psf", get_args(SpreadModel), MODEL_KEYS),
+    ("sensor.exposure", "sensor", ("normalized", "physical"), EXPOSURE_KEYS),
+)
 # (key, its new value or None for any, key of the file that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.f_number", None, "camera.aperture_diameter"),
@@ -29,19 +38,12 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("sensor.gain", None, "sensor.iso_base"),
     ("sensor.iso", None, "sensor.gain"),
     ("sensor.mosaic", "none", "sensor.demosaic"),
-    ("sensor.exposure", "normalized", "sensor.reference_shutter"),
-    ("sensor.exposure", "normalized", "sensor.reference_f_number"),
     *(
-        ("aperture.shape", shape, f"aperture.{key}")
-        for key, own in APERTURE_KEYS.items()
-        for shape in get_args(ApertureShape)
-        if shape not in own
-    ),
-    *(
-        ("psf.model", model, f"psf.{key}")
-        for key, own in MODEL_KEYS.items()
-        for model in get_args(SpreadModel)
-        if model not in own
+        (selector, value, f"{section}.{key}")
+        for selector, section, values, homes in _CHOICES
+        for key, own in homes.items()
+        for value in values
+        if value not in own
     ),
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),
@@ -86,22 +88,18 @@ def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
     """Set the entry at the key `parts`, creating tables as needed; returns None, or why that is impossible."""
     node: Any = data
     for position, part in enumerate(parts):
-        last = position == len(parts) - 1
+        place = brief(".".join(parts[:position]))
+        key: Any = part
         if isinstance(node, list):
             if not (part.isdecimal() and len(part) < 10 and int(part) < len(node)):
-                place = brief(".".join(parts[:position]))
                 return f"{place} has {len(node)} entries, counted from 0; got {brief(part)}"
-            key: Any = int(part)
-        elif isinstance(node, dict):
-            key = part
-            if not last:
-                node.setdefault(key, {})
-        else:
-            return f"{brief('.'.join(parts[:position]))} must be a table; got {shown(node)}"
-        if last:
+            key = int(part)
+        elif not isinstance(node, dict):
+            return f"{place} must be a table; got {shown(node)}"
+        if position == len(parts) - 1:
             node[key] = value
         else:
-            node = node[key]
+            node = node.setdefault(key, {}) if isinstance(node, dict) else node[key]
     return None
 
 
@@ -173,12 +171,9 @@ def dump(scene: Any) -> dict[str, Any]:
     return data
 
 
-def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]:
+def table_at(data: Any, place: Sequence[str | int]) -> dict[str, Any]:
     """Table of a scene's mapping at a location from `Scene.inputs`."""
-    table: Any = data
-    for part in place:
-        table = table[part]
-    return cast("dict[str, Any]", table)
+    return reduce(getitem, place, data)
 
 
 def given_keys(value: Any) -> Any:
@@ -203,7 +198,7 @@ def replaced(scene: Root, path: str, value: Any) -> Root:
         data, parts, new = given_keys(scene), key_parts(path), given_keys(value)
     except RecursionError:
         raise SceneError(f"scene: {brief(path)}: nested too deeply; got {shown(value)}") from None
-    parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]
+    parts = [ALIASES.get(parts[0], parts[0]), *parts[1:]]
     known = dump(scene)
     for end in range(1, len(parts)):  # a path to one component of a default, say of a vector, keeps the others
         default = entry_at(known, parts[:end])

@@ -16,8 +16,9 @@ from pydantic import BaseModel, ValidationError
 from clsco.errors import SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import VARIANT, override, variant_tables
-from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
+from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed
 from clsco.scene.model import AnyShape, Aperture, Camera, ObjectMotion, Psf, Scene
+from clsco.scene.quantities import Location
 from clsco.scene.spread import misfit
 from clsco.scene.text import key_name, shown
 from clsco.scene.texture_keys import SixSided, is_drawn, missing_texture
@@ -33,10 +34,15 @@ ApertureLike = Aperture | Mapping[str, Any] | str | None
 CameraLike = Camera | Mapping[str, Any] | None
 PsfLike = Psf | Mapping[str, Any] | str | None
 Owner = TypeVar("Owner", AnyShape, Aperture)
+Parsed = TypeVar("Parsed")
 Section = TypeVar("Section", Psf, Aperture, Camera)
-Location = tuple[str | int, ...]  # location of a key, as ("object", 0, "motion", "velocity")
 
-SECTIONS = sections(Scene)
+SECTIONS: dict[str, type[BaseModel]] = {
+    str(field.validation_alias or name): model
+    for name, field in Scene.model_fields.items()
+    for model in (field.annotation, *get_args(field.annotation))
+    if isinstance(model, type) and issubclass(model, BaseModel)
+}
 # Sections whose keys may have several values, except keys that hold tables.
 SWEEPABLE = ("camera", "sequence", "motion", "light", "sensor")
 
@@ -74,15 +80,10 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     """
     where = os.fspath(path)
     data = read_mapping(where, overrides)
-    folder = Path(where).absolute().parent
     if swept := swept_keys(data):
         rule = "must be one value; clsco.load_sweep reads a list or range of them"
         raise SceneError(at_most(where, (f"{key_name(key)}: {rule}; got {shown(value)}" for key, value in swept)))
-    try:
-        scene = parse_scene(data, where)
-    except SceneError as error:
-        raise SceneError([*error.messages, *missing_files(data, folder, where)]) from error
-    return absolute(scene, folder)
+    return absolute(parse_file(data, where, parse_scene), Path(where).absolute().parent)
 
 
 def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
@@ -91,16 +92,12 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
 
     def search(table: Any, model: type[BaseModel], location: Location) -> None:
         for key, value in table.items() if isinstance(table, Mapping) else ():
-            annotation = model.model_fields[key].annotation if key in model.model_fields else BaseModel
-            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-                if annotation is not BaseModel:
-                    search(value, annotation, (*location, key))
-            elif holds_tables(annotation):
+            if key not in model.model_fields:
                 continue
-            elif isinstance(value, Mapping) or (
-                isinstance(value, list)
-                and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
-            ):
+            annotation = model.model_fields[key].annotation
+            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+                search(value, annotation, (*location, key))
+            elif not holds_tables(annotation) and _has_several(value, annotation):
                 swept.append(((*location, key), value))
 
     for section, table in mapping.items():
@@ -112,6 +109,12 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
         elif section == VARIANT:
             swept.append(((section,), table))
     return swept
+
+
+def _has_several(value: Any, annotation: Any) -> bool:
+    """True if a value is a range, or a list for a key with this type annotation that takes no such list."""
+    is_list = isinstance(value, list) and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
+    return is_list or isinstance(value, Mapping)
 
 
 def holds_tables(annotation: Any) -> bool:
@@ -163,15 +166,18 @@ def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> 
     return copy
 
 
-def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
-    """Messages on files that do not exist, for a scene with other faults; in a valid scene, missing files are reported
-    when they are read.
+def parse_file(data: dict[str, Any], where: str, parse: Callable[[dict[str, Any], str], Parsed]) -> Parsed:
+    """Parse the content of the file `where`. A SceneError also lists files that do not exist; in a valid scene, these
+    are reported when they are read.
     """
-    missing = ((place, name) for place, name in named_files(data) if name and not _exists(folder, name))
-    return [
-        f"{where}: {key_name(place)}: {missing_input(str(place[-1]), name)}; got {shown(name)}"
-        for place, name in islice(missing, MAX_MESSAGES)
-    ]
+    try:
+        return parse(data, where)
+    except SceneError as error:
+        folder = Path(where).absolute().parent
+        missing = ((place, name) for place, name in named_files(data) if name and not _exists(folder, name))
+        rules = ((place, name, missing_input(str(place[-1]), name)) for place, name in islice(missing, MAX_MESSAGES))
+        messages = [f"{where}: {key_name(place)}: {rule}; got {shown(name)}" for place, name, rule in rules]
+        raise SceneError([*error.messages, *messages]) from error
 
 
 def missing_input(key: str, name: str) -> str:
@@ -247,9 +253,8 @@ def psf_of(psf: PsfLike) -> Psf:
 
 
 def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
-    """The aperture for a user's argument, checked against a PSF. Raises SceneError.
-
-    aperture: an Aperture, a mapping with the keys of [aperture], the name of a shape, or None for a circle.
+    """The aperture for a user's argument: an Aperture, a mapping with the keys of [aperture], a shape's name, or None
+    for a circle. Raises SceneError, also if it does not fit the PSF.
     """
     section = _section(Aperture, aperture, "aperture", "shape")
     if section.rim:
@@ -266,34 +271,24 @@ def camera_of(camera: CameraLike) -> Camera | None:
 
 
 def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -> Section:
-    """Section of a scene from a section, a mapping, None (all defaults), or text: the value of the key `shorthand`.
-
-    name: name of the section, for messages. Raises SceneError.
-    """
+    """Section of a scene from a section, a mapping, None (all defaults), or text: the value of the key `shorthand`."""
     if isinstance(value, model):
         return value
     table = {shorthand: value} if shorthand and isinstance(value, str) else {} if value is None else value
     if not isinstance(table, Mapping):
-        kinds = f"must be {model.__name__}" + (
-            f", a mapping or the name of a {shorthand}" if shorthand else " or a mapping"
-        )
-        raise SceneError(f"{name}: {kinds}; got {type(table).__name__}")
+        others = f", a mapping or the name of a {shorthand}" if shorthand else " or a mapping"
+        raise SceneError(f"{name}: must be {model.__name__}{others}; got {type(table).__name__}")
     try:
         return model.model_validate(dict(table))
     except ValidationError as error:
-        faults = messages(error, Scene, (name,))
-    raise SceneError(faults)
+        raise SceneError(messages(error, Scene, (name,))) from None
 
 
 def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """Content of a scene file with overrides applied, see `load_scene`; raises SceneError."""
-    data = _read(where)
-    override(data, overrides, where)
-    return data
+    """Content of a scene file with overrides applied, see `load_scene`; raises SceneError.
 
-
-def _read(where: str) -> dict[str, Any]:
-    """Content of a scene file; only its size, syntax and repeated keys are checked."""
+    Only its size, syntax and repeated keys are checked.
+    """
     kind = Path(where).suffix.lower()
     if kind not in (".toml", ".json"):
         raise SceneError(f"{where}: a scene file must end in .toml or .json")
@@ -307,7 +302,9 @@ def _read(where: str) -> dict[str, Any]:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError(f"{where}: must be UTF-8 text; got byte {content[error.start]:#04x}") from None
-    return _table(text, kind, where)
+    data = _table(text, kind, where)
+    override(data, overrides, where)
+    return data
 
 
 def _table(text: str, kind: str, where: str) -> dict[str, Any]:

@@ -6,11 +6,10 @@ from collections.abc import Iterable, Sequence
 from typing import Annotated
 
 from pydantic import AfterValidator
-from pydantic_core import PydanticCustomError
 
 from clsco.scene.motions import ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, repeated_names
-from clsco.scene.quantities import Name, Point, Strict, Vector, array_of_tables, at_keys, fault
+from clsco.scene.quantities import Location, Name, Point, Strict, Vector, array_of_tables, raise_faults
 from clsco.scene.shapes import AnyShape, origin
 from clsco.scene.text import shown
 
@@ -33,23 +32,17 @@ def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
     return next(origin(item) for item in objects if item.group == group.name)
 
 
-def unknown_groups(
-    members: Iterable[str | None], names: Iterable[str | None]
-) -> list[tuple[int, PydanticCustomError, str]]:
-    """Position, fault and group of each object whose group does not exist.
-
-    members: name of each object's group, None without a group; names: names of the existing groups.
-    """
+def unknown_groups(members: Iterable[str | None], names: Iterable[str | None]) -> list[tuple[Location, str, str]]:
+    """A fault for each object whose group does not exist; members: the group of each object, names: of all groups."""
     known = list(dict.fromkeys(name for name in names if name is not None))
     some = ", ".join(map(shown, known[:8])) + (", ..." if len(known) > 8 else "")
     rule = f"must be the name of a group, {some}" if known else "must be the name of a group; there is none"
-    return [(k, fault(rule), name) for k, name in enumerate(members) if name is not None and name not in known]
+    return [((k, "group"), rule, name) for k, name in enumerate(members) if name is not None and name not in known]
 
 
 def _distinct(groups: tuple[Group, ...]) -> tuple[Group, ...]:
     """Reject groups with equal names."""
-    if faults := repeated_names((group.name for group in groups), "group"):
-        raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
+    raise_faults(*repeated_names((group.name for group in groups), "group"))
     return groups
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from clsco.scene.motions import NONE, Interpolation, LensKeyframes, Outside, check_interpolation, default_of_keyframes
-from clsco.scene.quantities import MAX_LENGTH_MM, Pair, Strict, Triple, Within, as_python, at_keys, fault
+from clsco.scene.quantities import MAX_LENGTH_MM, Pair, Strict, Triple, Within, as_python, fault, raise_faults
 
 if TYPE_CHECKING:
     from clsco.scene.spread import Psf
@@ -55,12 +55,10 @@ class Lens(Strict):
     keyframe: LensKeyframes | None = None
     """Lenses at 1 to 256 times, instead of the focal length, the focus distance or the f-number of the camera; none if
     not given."""
-    interpolation: Interpolation | None = Field(
-        default_factory=lambda data: default_of_keyframes(data, "keyframe", "linear")
-    )
+    interpolation: Interpolation | None = default_of_keyframes("linear")
     """Path of focal_length, to which the image is proportional, and of 1 / focus_distance and 1 / f_number, to which
     the blur radius is, as between keyframes of a motion. Default: linear."""
-    outside: Outside | None = Field(default_factory=lambda data: default_of_keyframes(data, "keyframe", "hold"))
+    outside: Outside | None = default_of_keyframes("hold")
     """Path before the first and after the last keyframe, as of a motion. Default: hold."""
     field_curvature: Annotated[float, Within(-1.0, 1.0, "1/mm")] = 0.0
     """Curvature of the image of a plane, 1 / radius, 1/mm; negative bends it towards the lens, so that nearer points
@@ -82,10 +80,7 @@ class Lens(Strict):
     """Tangential distortion p1, p2 in the direction and with the axes of OpenCV, x right and y down: x is seen by
     2 p1 x y + p2 (r^2 + 2 x^2) farther right, y by p1 (r^2 + 2 y^2) + 2 p2 x y farther down."""
 
-    @field_validator("interpolation", "outside")
-    @classmethod
-    def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
-        return check_interpolation(value, info.data.get("keyframe", "refused"))
+    _of_keyframes = field_validator("interpolation", "outside")(check_interpolation)
 
     @property
     def at_rest(self) -> Self:
@@ -147,13 +142,13 @@ class LensOfWavefront(Lens):
 
 def check_opening(lens: Lens | None, psf: Psf) -> None:
     """Reject a lens whose aperture changes over time if psf.model = "wave" or aberrations need a constant one."""
-    rule = fault('cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening')
+    rule = 'cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening'
     if lens is None or not (psf.model == "wave" or psf.aberrated or psf.seidel.W311):
         return
     for k, key in enumerate(lens.keyframe or ()):
         for name in ("focal_length", "f_number"):
             if getattr(key, name) is not None:
-                raise at_keys([(("lens", "keyframe", k, name), rule, getattr(key, name))])
+                raise_faults((("lens", "keyframe", k, name), rule, getattr(key, name)))
 
 
 def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Lens | None:

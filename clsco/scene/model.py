@@ -33,13 +33,16 @@ from clsco.scene.quantities import (
     MIN_LENGTH_MM,
     Deferred,
     Direction,
+    Fault,
     Length,
     Point,
     Strict,
     Text,
     Within,
-    at_keys,
     fault,
+    instead_of,
+    only_with,
+    raise_faults,
 )
 from clsco.scene.sensor import Sensor as Sensor
 from clsco.scene.sequence import Sequence as Sequence
@@ -58,7 +61,6 @@ from clsco.scene.shapes import Sphere as Sphere
 from clsco.scene.spread import NEEDS_RAYS, misfit
 from clsco.scene.spread import Aperture as Aperture
 from clsco.scene.spread import Psf as Psf
-from clsco.scene.texture_keys import Fault
 
 Place = tuple[str] | tuple[str, int]
 """Table of a scene file: ("aperture",) or ("object", 0)."""
@@ -74,12 +76,7 @@ class Motion(Strict):
     texture_filter: Literal["bicubic", "bilinear", "nearest"] = "bicubic"
     """Interpolation of the texture between pixels; only with warp = "inverse"."""
 
-    @field_validator("texture_filter")
-    @classmethod
-    def _of_the_inverse_warp(cls, value: str, info: ValidationInfo) -> str:
-        if info.data.get("warp") == "forward":
-            raise fault('belongs to motion.warp = "inverse", not "forward"')
-        return value
+    _of_its_warp = only_with("motion.warp", {"texture_filter": ("inverse",)})
 
 
 class Fill(Strict):
@@ -110,12 +107,7 @@ class Light(Strict):
     ambient: Annotated[float, Within(0.0, 1.0)] = 0.0
     """Share of the texture that is visible without the light."""
 
-    @field_validator("position")
-    @classmethod
-    def _one_of_a_pair(cls, value: Point | None, info: ValidationInfo) -> Point | None:
-        if value is not None and info.data.get("direction", "refused") is not None:
-            raise fault("give direction or position, not both")
-        return value
+    _one_of_a_pair = instead_of(position="direction")
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:
@@ -179,17 +171,15 @@ class Scene(Strict):
                 continue  # the focal length is interpolated from other keyframes
             f = camera.focal_length if f is None else f
             if u is not None and not (u > f and image_distance(f, u) <= MAX_LENGTH_MM):
-                rule = fault(f"must be greater than {name} = {f:g} mm")
-                faults.append((("keyframe", k, "focus_distance"), rule, u))
+                faults.append((("keyframe", k, "focus_distance"), f"must be greater than {name} = {f:g} mm", u))
             if number is not None and not MIN_LENGTH_MM <= f / number <= MAX_LENGTH_MM:
-                rule = fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
+                rule = f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm"
                 faults.append((("keyframe", k, "f_number"), rule, number))
         for k, longer in enumerate(value.axial):
             if not MIN_LENGTH_MM <= camera.focal_length + longer <= MAX_LENGTH_MM:
-                rule = fault(f"must leave a focal length, of camera.focal_length = {camera.focal_length:g} mm")
+                rule = f"must leave a focal length, of camera.focal_length = {camera.focal_length:g} mm"
                 faults.append((("axial", k), rule, longer))
-        if faults:
-            raise at_keys(faults)
+        raise_faults(*faults)
         return value
 
     @field_validator("lens")
@@ -207,10 +197,10 @@ class Scene(Strict):
         if value is None or value.exposure == "normalized":
             return value
         if any(key.f_number is not None for key in keys):
-            raise at_keys([(("exposure",), fault("must be normalized where keyframes have f-numbers"), "physical")])
+            raise_faults((("exposure",), "must be normalized where keyframes have f-numbers", "physical"))
         if keys and isinstance(getattr(camera, "normalization_distance", None), FollowedDistance):
             rule = 'must be normalized where keyframes change the lens and normalization_distance = "sensor"'
-            raise at_keys([(("exposure",), fault(rule), "physical")])
+            raise_faults((("exposure",), rule, "physical"))
         return value
 
     @field_validator("fill")
@@ -218,8 +208,8 @@ class Scene(Strict):
     def _of_the_forward_warp(cls, value: Fill, info: ValidationInfo) -> Fill:
         motion = info.data.get("motion")
         if motion is not None and motion.warp == "inverse" and value.model_fields_set:
-            rule = fault('belongs to motion.warp = "forward", not "inverse"')
-            raise at_keys([((key,), rule, getattr(value, key)) for key in sorted(value.model_fields_set)])
+            rule = 'belongs to motion.warp = "forward", not "inverse"'
+            raise_faults(*(((key,), rule, getattr(value, key)) for key in sorted(value.model_fields_set)))
         return value
 
     @field_validator("objects")
@@ -227,60 +217,45 @@ class Scene(Strict):
     def _in_known_groups(cls, value: tuple[AnyShape, ...], info: ValidationInfo) -> tuple[AnyShape, ...]:
         if "groups" in info.data:  # missing if they were rejected
             names = (group.name for group in info.data["groups"])
-            unknown = unknown_groups((item.group for item in value), names)
-            if unknown:
-                raise at_keys([((index, "group"), rule, name) for index, rule, name in unknown])
+            raise_faults(*unknown_groups((item.group for item in value), names))
         return value
 
     @model_validator(mode="after")
-    def _psf_fits_the_aperture(self) -> Self:
+    def _parts_of_the_lens_fit(self) -> Self:
         if self.psf.seidel.W311 and self.camera.resolution is None:
-            unknown = fault("needs camera.resolution, as it is of the corner of the frame")
-            raise at_keys([(("psf", "seidel", "W311"), unknown, self.psf.seidel.W311)])
+            rule = "needs camera.resolution, as it is of the corner of the frame"
+            raise_faults((("psf", "seidel", "W311"), rule, self.psf.seidel.W311))
         check_opening(self.lens, self.psf)
         if faults := misfit(self.psf, self.aperture):
             key, rule, value = faults
-            raise at_keys([(("aperture", key), fault(rule), value)])
-        return self
-
-    @model_validator(mode="after")
-    def _rims_are_before_the_detector(self) -> Self:
+            raise_faults((("aperture", key), rule, value))
         detector = self.camera.sensor_distance
+        rule = f"must be before the detector, {detector:.6g} mm behind the lens"
         for index, rim in enumerate(self.aperture.rim):
-            if detector is not None and rim.distance <= -detector:
-                rule = fault(f"must be before the detector, {detector:.6g} mm behind the lens")
-                raise at_keys([(("aperture", "rim", index, "distance"), rule, rim.distance)])
+            if rim.distance <= -detector:
+                raise_faults((("aperture", "rim", index, "distance"), rule, rim.distance))
         return self
 
     @model_validator(mode="after")
-    def _radii_need_a_plane(self) -> Self:
-        rule = fault("coc belongs to lenses without field_curvature and distortion whose focus_surface is a plane")
-        maps = [k for k, item in enumerate(self.objects) if isinstance(item, DepthMap) and item.unit == "coc"]
-        if self.blurs_unevenly and maps:
-            raise at_keys([(("object", k, "unit"), rule, "coc") for k in maps])
-        return self
-
-    @model_validator(mode="after")
-    def _visibility_needs_rays(self) -> Self:
+    def _methods_fit_the_surfaces(self) -> Self:
+        rule = "coc belongs to lenses without field_curvature and distortion whose focus_surface is a plane"
+        maps = (k for k, item in enumerate(self.objects) if isinstance(item, DepthMap) and item.unit == "coc")
+        if self.blurs_unevenly:
+            raise_faults(*((("object", k, "unit"), rule, "coc") for k in maps))
         if self.psf.asks_for_rays and not self.is_ray_castable:
-            raise at_keys([(("psf", "occlusion"), fault(NEEDS_RAYS), self.psf.occlusion)])
-        return self
-
-    @model_validator(mode="after")
-    def _radiance_needs_rays(self) -> Self:
+            raise_faults((("psf", "occlusion"), NEEDS_RAYS, self.psf.occlusion))
         of_two_views = self.motion.warp == "forward" and self.stereo is not None
         if of_two_views or not self.is_ray_castable:
             rule = 'belongs to scenes of analytic surfaces with motion.warp = "inverse"'
             faults: list[Fault] = []
             if self.sequence.rolls:
-                faults.append((("sequence", "readout"), fault(rule), self.sequence.readout))
+                faults.append((("sequence", "readout"), rule, self.sequence.readout))
             for index, item in enumerate(self.objects):
                 if item.mapped is not None:
-                    faults.append((("object", index, "texture_mapping"), fault(rule), item.texture_mapping))
+                    faults.append((("object", index, "texture_mapping"), rule, item.texture_mapping))
             if self.light is not None:
                 faults.append((("light",), fault(rule, got="a light"), self.light))
-            if faults:
-                raise at_keys(faults)
+            raise_faults(*faults)
         return self
 
     def replace(self, path: str, value: Any) -> Self:

@@ -22,8 +22,8 @@ from clsco.scene.quantities import (
     Velocity,
     Within,
     array_of_tables,
-    at_keys,
     fault,
+    raise_faults,
 )
 from clsco.scene.rotations import EulerAngles
 
@@ -49,25 +49,20 @@ class Keyframe(Strict):
 def in_order(value: Any) -> Any:
     """Reject keyframes that are not later than the previous keyframe."""
     late = [k for k, (one, next_one) in enumerate(pairwise(value), 1) if not next_one.time > one.time]
-    if late:
-        rule = fault("must be later than that of the keyframe before")
-        raise at_keys([((k, "time"), rule, value[k].time) for k in late])
+    raise_faults(*(((k, "time"), "must be later than that of the keyframe before", value[k].time) for k in late))
     return value
 
 
-def default_of_keyframes(data: dict[str, Any], key: str, value: Any) -> Any:
-    """Default of a key that belongs to the keyframes in `data[key]`: `value`, or None if there are none."""
-    return None if data[key] is None else value
+def default_of_keyframes(value: str) -> Any:
+    """Field of a key that belongs to the table's keyframes: by default `value`, or None if there are none."""
+    return Field(default_factory=lambda data: None if data["keyframe"] is None else value)
 
 
-def check_interpolation(value: Any, keyframes: Any) -> Any:
-    """Reject a key of keyframes if there are none, and "bspline" if they are at unequal intervals of time.
-
-    value: of `interpolation` or `outside`. keyframes: None if not given, "refused" if invalid.
-    """
-    if value is None or keyframes == "refused":
+def check_interpolation(value: Any, info: ValidationInfo) -> Any:
+    """Reject `interpolation` and `outside` without keyframes, and "bspline" at unequal intervals of time."""
+    if value is None or "keyframe" not in info.data:  # missing if it was rejected
         return value
-    if keyframes is None:
+    if (keyframes := info.data["keyframe"]) is None:
         raise fault("belongs to keyframes; there are none")
     steps = [later.time - earlier.time for earlier, later in pairwise(keyframes)]
     if value == "bspline" and steps and max(steps) - min(steps) > EVEN * min(steps):
@@ -94,12 +89,10 @@ class ObjectMotion(Strict):
     """About the axes of angular_velocity; deg/s^2. Default: none."""
     keyframe: Keyframes | None = None
     """Poses at 1 to 256 times, instead of velocities and accelerations; none if not given."""
-    interpolation: Interpolation | None = Field(
-        default_factory=lambda data: default_of_keyframes(data, "keyframe", "cubic")
-    )
+    interpolation: Interpolation | None = default_of_keyframes("cubic")
     """Path between keyframes: natural cubic splines through all of them, lines, steps, or uniform cubic B-splines,
     which pass near them. Default: cubic."""
-    outside: Outside | None = Field(default_factory=lambda data: default_of_keyframes(data, "keyframe", "hold"))
+    outside: Outside | None = default_of_keyframes("hold")
     """Path before the first and after the last keyframe: hold their poses, go on as fast as there, or refuse exposures
     at such times. Default: hold."""
 
@@ -112,10 +105,7 @@ class ObjectMotion(Strict):
             raise fault(f"give keyframes or {others[0]}, not both", got=f"{len(value)} keyframes")
         return value
 
-    @field_validator("interpolation", "outside")
-    @classmethod
-    def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
-        return check_interpolation(value, info.data.get("keyframe", "refused"))
+    _of_keyframes = field_validator("interpolation", "outside")(check_interpolation)
 
     @property
     def moves(self) -> bool:

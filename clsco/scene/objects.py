@@ -17,12 +17,13 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
 )
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, core_schema
 
-from clsco.scene.quantities import array_of_tables, at_keys, fault
+from clsco.scene.quantities import Location, array_of_tables, fault, raise_faults
 from clsco.scene.rotations import depth_row
 from clsco.scene.shapes import IN_FRONT, SHAPES, AnyShape, Box, origin
-from clsco.scene.texture_keys import texture_faults
+from clsco.scene.text import any_of
+from clsco.scene.texture_keys import check_texture_keys
 
 MAX_OBJECTS = 64
 
@@ -33,15 +34,8 @@ def _bounds_in_front(shape: AnyShape) -> AnyShape:
         return shape
     corners = zip(depth_row(shape.rotation), shape.bounds, strict=True)
     if origin(shape)[2] + sum(max(row * low, row * high) for row, (low, high) in corners) <= 0.0:
-        place: tuple[str | int, ...] = ("bounds", 2) if shape.rotation is None else ("bounds",)
-        raise at_keys([(place, fault(IN_FRONT), shape.bounds[2] if shape.rotation is None else shape.bounds)])
-    return shape
-
-
-def _texture_keys_fit(shape: AnyShape) -> AnyShape:
-    """Reject texture keys that the mapping or the shape does not use."""
-    if faults := texture_faults(shape):
-        raise at_keys(faults)
+        place: Location = ("bounds", 2) if shape.rotation is None else ("bounds",)
+        raise_faults((place, IN_FRONT, shape.bounds[2] if shape.rotation is None else shape.bounds))
     return shape
 
 
@@ -50,39 +44,33 @@ def _known_shape(value: Any) -> Any:
     if isinstance(value, dict):
         shape = value.get("shape")
         if not isinstance(shape, str) or shape not in SHAPES:
-            *others, last = SHAPES
-            rule = f"must be {', '.join(others)} or {last}"
-            raise at_keys([(("shape",), fault(rule, None if "shape" in value else "nothing"), shape)])
+            rule = fault(f"must be {any_of(SHAPES)}", None if "shape" in value else "nothing")
+            raise_faults((("shape",), rule, shape))
     return value
 
 
-def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[int, PydanticCustomError, str]]:
-    """Position, fault and name of each object that has the name of an earlier object.
-
-    names: name of every object, None for objects without a name; table: name of the array of objects in a file.
-    """
+def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[Location, str, str]]:
+    """A fault for each object that has the name of an earlier one; table: name of the array of objects in a file."""
     first: dict[str, int] = {}
-    repeated = []
-    for index, name in enumerate(names):
-        if name is not None and first.setdefault(name, index) != index:
-            repeated.append((index, fault(f"names must differ; {table}[{first[name]}] has the same"), name))
-    return repeated
+    return [
+        ((index, "name"), f"names must differ; {table}[{first[name]}] has the same", name)
+        for index, name in enumerate(names)
+        if name is not None and first.setdefault(name, index) != index
+    ]
 
 
 def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Reject a second background, which the first would hide."""
     backgrounds = [index for index, item in enumerate(objects) if item.is_background]
-    if len(backgrounds) > 1:
-        rule = f"one background is enough; object[{backgrounds[0]}] is one already"
-        raise at_keys([((index, "shape"), fault(rule), "background") for index in backgrounds[1:]])
+    rule = "one background is enough; object[{}] is one already"
+    raise_faults(*(((index, "shape"), rule.format(backgrounds[0]), "background") for index in backgrounds[1:]))
     return objects
 
 
 def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Objects with distinct names: an unnamed object is named after its shape, with a number if needed, "sphere 2"."""
     names = [item.name if "name" in item.model_fields_set else None for item in objects]
-    if faults := repeated_names(names):
-        raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
+    raise_faults(*repeated_names(names))
     used = set(names)
     placed = []
     for item, name in zip(objects, names, strict=True):
@@ -99,17 +87,14 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Objects with each box replaced by its faces."""
-    shapes: list[AnyShape] = []
-    for item in objects:
-        shapes += item.faces() if isinstance(item, Box) else (item,)
+    shapes = [shape for item in objects for shape in (item.faces() if isinstance(item, Box) else (item,))]
     if len(shapes) > MAX_OBJECTS:
         raise fault(f"must hold 1 to {MAX_OBJECTS} objects, and a box is six", got=str(len(shapes)))
     used = {item.name for item in objects if not isinstance(item, Box)}
+    rule = "names of its faces must differ from those of other objects"
     boxes = ((index, item) for index, item in enumerate(objects) if isinstance(item, Box))
-    same = [(index, item.name) for index, item in boxes if used & {face.name for face in item.faces()}]
-    if same:
-        rule = "names of its faces must differ from those of other objects"
-        raise at_keys([((index, "name"), fault(rule), name) for index, name in same])
+    same = ((index, item.name) for index, item in boxes if used & {face.name for face in item.faces()})
+    raise_faults(*(((index, "name"), rule, name) for index, name in same))
     return tuple(shapes)
 
 
@@ -142,7 +127,7 @@ Object = Annotated[
     AnyShape,
     _OfItsShape(),
     AfterValidator(_bounds_in_front),
-    AfterValidator(_texture_keys_fit),
+    AfterValidator(check_texture_keys),
     BeforeValidator(_known_shape),
 ]
 Objects = Annotated[

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
@@ -20,14 +20,21 @@ from pydantic import (
     GetJsonSchemaHandler,
     TypeAdapter,
     ValidationError,
+    ValidationInfo,
+    field_validator,
 )
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 MAX_PIXELS = 2**28
 MIN_LENGTH_MM, MAX_LENGTH_MM = 1e-6, 1e9
+SMALLEST_QUATERNION = 1e-6  # length below which a quaternion has no direction
 MAX_LISTED = 4096  # largest number of entries of an array in place of a list
 
 Vector = tuple[float, float, float]
+Location = tuple[str | int, ...]
+"""Location of a key or table, as ("object", 0, "motion", "velocity")."""
+Fault = tuple[Location, PydanticCustomError | str, Any]
+"""Location of a fault, the violated rule or an error from `fault`, and the invalid value."""
 
 
 def as_python(value: Any) -> Any:
@@ -43,10 +50,51 @@ def fault(rule: str, got: str | None = None) -> PydanticCustomError:
     return PydanticCustomError("rule", "{rule}", context)
 
 
-def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
-    """Combine faults into one error; faults: location, error from `fault`, and invalid value of each fault."""
-    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in faults]
-    return ValidationError.from_exception_data("scene", details)
+def refuse_if(wrong: Callable[[Any], bool], rule: str, got: str | None = None) -> Callable[[Any], Any]:
+    """Validator that rejects values for which `wrong` is true; rule, got: as for `fault`."""
+
+    def check(value: Any) -> Any:
+        if wrong(value):
+            raise fault(rule, got)
+        return value
+
+    return check
+
+
+def only_with(selector: str, homes: Mapping[str, tuple[str, ...]]) -> Any:
+    """Validator of keys that belong to some values of another key, which precedes them in the table.
+
+    selector: the other key as in messages, "psf.model"; homes: its values, by key.
+    """
+
+    def check(value: Any, info: ValidationInfo) -> Any:
+        values = homes[str(info.field_name)]
+        if (chosen := info.data.get(selector.rpartition(".")[2], values[0])) not in values:
+            listed = " or ".join(f'"{each}"' for each in values)
+            raise fault(f'belongs to {selector} = {listed}, not "{chosen}"')
+        return value
+
+    return field_validator(*homes)(check)
+
+
+def instead_of(**others: str) -> Any:
+    """Validator of keys that exclude another key, which precedes them in the table; others: this key, by key."""
+
+    def check(value: Any, info: ValidationInfo) -> Any:
+        other = others[str(info.field_name)]
+        if value is not None and info.data.get(other, "refused") is not None:  # a rejected value is missing
+            raise fault(f"give {other} or {info.field_name}, not both")
+        return value
+
+    return field_validator(*others)(check)
+
+
+def raise_faults(*faults: Fault) -> None:
+    """Raise one error for all faults, if there are any."""
+    if faults:
+        errors = ((loc, fault(rule) if isinstance(rule, str) else rule, value) for loc, rule, value in faults)
+        details = [InitErrorDetails(type=error, loc=loc, input=value) for loc, error, value in errors]
+        raise ValidationError.from_exception_data("scene", details)
 
 
 @dataclass(frozen=True)
@@ -118,10 +166,7 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
 
 
 def array_of_tables(header: str, what: str, most: int, least: int = 0) -> BeforeValidator:
-    """Constraint on the number of tables in an array of tables, which becomes a tuple.
-
-    header: name of the array in a file; what: word for the tables in messages.
-    """
+    """Constraint on the number of tables in an array, [[header]] in a file, which becomes a tuple; what: their name."""
 
     def convert(value: Any) -> Any:
         value = as_python(value)
@@ -135,34 +180,6 @@ def array_of_tables(header: str, what: str, most: int, least: int = 0) -> Before
     return BeforeValidator(convert)
 
 
-def _single_line(value: str) -> str:
-    """Reject text with line breaks or control characters."""
-    if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):
-        raise fault("must be one line of text without control characters")
-    return value
-
-
-def _increasing(value: tuple[float, float]) -> tuple[float, float]:
-    """Reject an empty interval."""
-    if value[0] >= value[1]:
-        raise fault("lower bound must be less than the upper bound")
-    return value
-
-
-def _not_zero(value: Vector) -> Vector:
-    """Reject a vector without a direction."""
-    if max(abs(component) for component in value) < MIN_LENGTH_MM:
-        raise fault(f"must not be the zero vector (one component of {MIN_LENGTH_MM:g} at least)")
-    return value
-
-
-def _surface(value: tuple[float, ...]) -> tuple[float, ...]:
-    """Reject the coefficients of a constant polynomial, which describes no surface."""
-    if not any(value[:9]):
-        raise fault("must not all be 0, or all but a000")
-    return value
-
-
 def _count_or_auto(value: Any) -> Any:
     """Reject any value but a number of samples or "auto"."""
     value = as_python(value)
@@ -171,14 +188,22 @@ def _count_or_auto(value: Any) -> Any:
     raise fault('must be an integer between 1 and 4096, or "auto"')
 
 
-def _few_enough(value: tuple[int, int]) -> tuple[int, int]:
-    """Reject resolutions above MAX_PIXELS."""
-    if value[0] * value[1] > MAX_PIXELS:
-        raise fault(f"must have at most {MAX_PIXELS} pixels in all")
-    return value
-
-
-Pair, Triple, Numbers4 = (BeforeValidator(_list_of(count, "numbers")) for count in (2, 3, 4))
+_single_line = refuse_if(
+    lambda text: any(unicodedata.category(character) in ("Cc", "Cs") for character in text),
+    "must be one line of text without control characters",
+)
+_increasing = refuse_if(lambda ends: ends[0] >= ends[1], "lower bound must be less than the upper bound")
+_not_zero = refuse_if(
+    lambda vector: max(map(abs, vector)) < MIN_LENGTH_MM,
+    f"must not be the zero vector (one component of {MIN_LENGTH_MM:g} at least)",
+)
+_not_small = refuse_if(
+    lambda quaternion: math.hypot(*quaternion) < SMALLEST_QUATERNION,
+    f"must not be zero (length of {SMALLEST_QUATERNION:g} at least)",
+)
+_few_enough = refuse_if(lambda size: size[0] * size[1] > MAX_PIXELS, f"must have at most {MAX_PIXELS} pixels in all")
+_surface = refuse_if(lambda coefficients: not any(coefficients[:9]), "must not all be 0, or all but a000")
+Pair, Triple = (BeforeValidator(_list_of(count, "numbers")) for count in (2, 3))
 Flag = Annotated[bool, BeforeValidator(as_python)]
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
 Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
@@ -194,6 +219,11 @@ Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_increasing),
 Bounds = Annotated[tuple[Interval, Interval, Interval], BeforeValidator(_list_of(3, "pairs [low, high]"))]
 Component = Annotated[float, Within(-1e9, 1e9)]
 Direction = Annotated[tuple[Component, Component, Component], AfterValidator(_not_zero), Triple]
+Quaternion = Annotated[
+    tuple[Component, Component, Component, Component],
+    AfterValidator(_not_small),
+    BeforeValidator(_list_of(4, "numbers")),
+]
 Angle = Annotated[float, Within(-1e9, 1e9, "deg")]
 Slope = Annotated[float, Within(-1e6, 1e6, "mm per mm")]
 Coefficient = Annotated[float, Within(-1e30, 1e30)]
@@ -259,10 +289,7 @@ class Strict(BaseModel):
             try:
                 super().__init__(**values)
             except ValidationError as error:
-                refused = error
-            else:
-                return
-            raise Strict.refusal(type(self), refused)
+                raise Strict.refusal(type(self), error) from None
 
         # For the parts of a model, pydantic does not call a constructor with this attribute, as its own has.
         __init__.__pydantic_base_init__ = True

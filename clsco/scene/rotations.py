@@ -7,20 +7,12 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, TypeAdapter
+from pydantic import BeforeValidator, TypeAdapter
 
-from clsco.scene.quantities import Angle, Component, Direction, Numbers4, Strict, Triple, Vector, as_python, fault
+from clsco.scene.quantities import Angle, Direction, Quaternion, Strict, Triple, Vector, as_python, fault
 
-SMALLEST_QUATERNION = 1e-6  # length below which a quaternion has no direction
 Rows = tuple[Vector, Vector, Vector]  # rows of a matrix
 EulerAngles = Annotated[tuple[Angle, Angle, Angle], Triple]
-
-
-def _not_small(value: tuple[float, ...]) -> tuple[float, ...]:
-    """Reject a quaternion that cannot be normalized."""
-    if math.hypot(*value) < SMALLEST_QUATERNION:
-        raise fault(f"must not be zero (length of {SMALLEST_QUATERNION:g} at least)")
-    return value
 
 
 class AxisAngle(Strict):
@@ -35,7 +27,7 @@ class AxisAngle(Strict):
 class UnitQuaternion(Strict):
     """A rotation as a quaternion."""
 
-    quaternion: Annotated[tuple[Component, Component, Component, Component], AfterValidator(_not_small), Numbers4]
+    quaternion: Quaternion
     """w, x, y, z = cos(angle / 2), sin(angle / 2) axis; of any length, as it is normalized."""
 
 
@@ -108,10 +100,7 @@ def after(first: Vector | None, then: EulerAngles | AxisAngle | UnitQuaternion |
 
 
 def _about(axis: Vector, degrees: float) -> Rows:
-    """Rotation matrix by Rodrigues' formula, exact for quarter turns about x, y and z.
-
-    axis: right, up, towards the camera; of any length.
-    """
+    """Rotation matrix by Rodrigues' formula; axis: right, up, towards the camera, of any length."""
     size = math.hypot(*axis)
     x, y, z = axis[0] / size, axis[1] / size, -axis[2] / size
     sine, cosine = _sine_cosine(math.fmod(degrees, 360.0))

@@ -6,10 +6,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from clsco.scene.quantities import Duration, FNumber, Strict, Triple, Within, at_keys, fault
+from clsco.scene.quantities import Duration, FNumber, Strict, Triple, Within, fault, instead_of, only_with, raise_faults
 
 MOSAICS = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "grbg": (1, 0, 2, 1), "gbrg": (1, 2, 0, 1)}
 """Channels of the pixels (0, 0), (0, 1), (1, 0), (1, 1) (row, column) of a Bayer mosaic: red, green, blue."""
+EXPOSURE_KEYS = {"reference_shutter": ("physical",), "reference_f_number": ("physical",)}
+"""Keys that only some values of `exposure` have, with these values."""
 MOST_ELECTRONS = 10_000_000
 NOISE_SEEDS = 2**53  # number of seeds, all of which JSON numbers represent exactly
 
@@ -80,25 +82,14 @@ class Sensor(Strict):
             raise fault(f"must be at most {2**bits - 1} with bits = {bits}")
         return value
 
-    @field_validator("reference_shutter", "reference_f_number")
-    @classmethod
-    def _of_physical_exposure(cls, value: float, info: ValidationInfo) -> float:
-        if info.data.get("exposure") == "normalized":
-            raise fault('belongs to exposure = "physical", not "normalized"')
-        return value
+    _of_its_exposure = only_with("exposure", EXPOSURE_KEYS)
+    _one_of_a_pair = instead_of(gain="iso")
 
     @field_validator("iso_base")
     @classmethod
     def _with_iso(cls, value: float, info: ValidationInfo) -> float:
         if info.data.get("iso", "refused") is None:
             raise fault("belongs to iso, which is not given")
-        return value
-
-    @field_validator("gain")
-    @classmethod
-    def _one_of_a_pair(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is not None and info.data.get("iso", "refused") is not None:
-            raise fault("give iso or gain, not both")
         return value
 
     @field_validator("demosaic")
@@ -113,5 +104,5 @@ class Sensor(Strict):
         most = 2**self.bits - 1
         if self.gain is None and self.black_level == most:
             rule = f"must be below {most}, or with a gain, which else follows from the codes above"
-            raise at_keys([(("black_level",), fault(rule), self.black_level)])
+            raise_faults((("black_level",), rule, self.black_level))
         return self

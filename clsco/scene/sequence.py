@@ -7,12 +7,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from clsco.scene.quantities import Duration, Samples, Strict, Within, as_python, fault
+from clsco.scene.quantities import Duration, Samples, Strict, Within, as_python, fault, refuse_if
 
 CURVES = {"box": (1.0, 1.0), "trapezoid": (0.0, 1.0, 1.0, 1.0, 0.0), "triangle": (0.0, 1.0, 0.0)}
 """Weights of the shutter curves that have names, at equal times from opening to closing."""
 MOST_WEIGHTS, LARGEST_WEIGHT = 256, 1e9  # largest number of weights of a shutter curve, and largest weight
-OF_MIDPOINTS = 'belongs to sequence.sampling = "midpoint", not "endpoint"'
 
 
 def _curve(value: Any) -> Any:
@@ -28,8 +27,17 @@ def _curve(value: Any) -> Any:
     return numbers
 
 
+_is_open = refuse_if(
+    lambda value: type(value) in (int, float) and value == 0,
+    "must be greater than 0 s; for an instant give a short one, such as 1e-6",
+)
+_forwards = refuse_if(
+    lambda value: type(value) in (int, float) and value < 0,
+    "must be at least 0 s; for the other order of the rows change scan",
+)
 Start = Annotated[float, Within(-1e9, 1e9, "s")]
-Readout = Annotated[float, Within(0.0, 1e9, "s")]
+Shutter = Annotated[Duration, BeforeValidator(_is_open)]
+Readout = Annotated[float, Within(0.0, 1e9, "s"), BeforeValidator(_forwards)]
 Scan = Literal["top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"]
 Weight = Annotated[float, Within(0.0, LARGEST_WEIGHT)]
 ShutterCurve = Annotated[
@@ -46,7 +54,7 @@ class Sequence(Strict):
     """Number of frames."""
     interval: Duration = 1.0
     """Time from frame to frame, s."""
-    shutter: Duration = Field(default_factory=lambda data: data["interval"])
+    shutter: Shutter = Field(default_factory=lambda data: data["interval"])
     """Time that the shutter is open, s, at most interval. Default: interval."""
     samples: Samples = "auto"
     """Time samples per frame, or "auto": as many as the motion needs, at most about one per px."""
@@ -63,13 +71,6 @@ class Sequence(Strict):
     """Time from the opening of the shutter for the first row to that for the last one, s; 0: for all at once."""
     scan: Scan = "top_to_bottom"
     """Order in which rows, or columns, are exposed, each of them for shutter; only with a readout."""
-
-    @field_validator("shutter", mode="before")
-    @classmethod
-    def _is_open(cls, value: Any) -> Any:
-        if type(value) in (int, float) and value == 0:
-            raise fault("must be greater than 0 s; for an instant give a short one, such as 1e-6")
-        return value
 
     @field_validator("shutter")
     @classmethod
@@ -89,16 +90,9 @@ class Sequence(Strict):
         """True if the shutter exposes columns, not rows, one after another."""
         return self.scan in ("left_to_right", "right_to_left")
 
-    @field_validator("readout", mode="before")
-    @classmethod
-    def _forwards(cls, value: Any) -> Any:
-        if type(value) in (int, float) and value < 0:
-            raise fault("must be at least 0 s; for the other order of the rows change scan")
-        return value
-
     @field_validator("shutter_curve", "readout")
     @classmethod
     def _at_midpoints(cls, value: ShutterCurve | float, info: ValidationInfo) -> ShutterCurve | float:
         if value not in ("box", 0.0) and info.data.get("sampling") == "endpoint":
-            raise fault(OF_MIDPOINTS)
+            raise fault('belongs to sequence.sampling = "midpoint", not "endpoint"')
         return value

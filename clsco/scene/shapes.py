@@ -25,6 +25,7 @@ from clsco.scene.quantities import (
     Vector,
     Within,
     fault,
+    refuse_if,
 )
 from clsco.scene.rotations import Rotation, after, depth_row
 from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, in_layer
@@ -32,12 +33,17 @@ from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Texture
 BACKGROUND_MM = 1e12
 """Distance of surfaces that are infinitely far away: their blur differs from that of infinity by a part in 10^10."""
 ROUNDING = 1e-15  # rounding error of a direction's component that should be 0 after a rotation
+STATIC = "a background stays where it is; turn the camera by camera.motion"
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 
 
 class _Object(Textured):
     """Keys that every shape has."""
 
+    is_analytic: ClassVar[bool] = True
+    """True if the surface has an equation, so that rays can be cast at it."""
+    is_background: ClassVar[bool] = False
+    """True if the object is behind all others; in the ground truth it does not count as a surface."""
     shape: str
     """Kind of surface."""
     name: Name = Field(default_factory=lambda data: data["shape"])
@@ -65,16 +71,6 @@ class _Object(Textured):
             if reach is not None and center[2] + reach <= 0.0:
                 raise fault(IN_FRONT)
         return center
-
-    @property
-    def is_analytic(self) -> bool:
-        """True if the surface has an equation, so that rays can be cast at it."""
-        return True
-
-    @property
-    def is_background(self) -> bool:
-        """True if the object is behind all others; in the ground truth it does not count as a surface."""
-        return False
 
 
 class _Bounded(_Object):
@@ -117,7 +113,7 @@ class Rectangle(_Object):
         return (-width, width), (-height, height), (self.offset - deep, self.offset + deep)
 
     @staticmethod
-    def _reach(keys: Mapping[str, Any]) -> float | None:
+    def _reach(keys: Mapping[str, Any]) -> float:
         row = depth_row(keys["rotation"])
         sides = sum(0.5 * side * abs(r) for side, r in zip(keys["size"], row[:2], strict=True))
         return float(sides + keys["offset"] * row[2])
@@ -188,13 +184,12 @@ class Box(SixSided, _Object):
         shared.pop("texture_layer", None)
         rectangles = []
         for side, size, deep, turn in placed:
-            rotation, offset = after(turn, self.rotation), -0.5 * deep
-            sides = sum(0.5 * length * abs(r) for length, r in zip(size, depth_row(rotation)[:2], strict=True))
-            if self.center[2] + sides + offset * depth_row(rotation)[2] > 0.0:
-                keys = {"name": f"{self.name} {side}", "size": size, "offset": offset, "rotation": rotation}
+            keys: dict[str, Any] = {"size": size, "offset": -0.5 * deep, "rotation": after(turn, self.rotation)}
+            if self.center[2] + Rectangle._reach(keys) > 0.0:
                 image = self.side(side)
                 layer = {"texture_layer": image.layer} if isinstance(image, LayerInput) else {}
-                rectangles.append(Rectangle.model_validate(shared | keys | {"texture": image} | layer))
+                keys |= {"name": f"{self.name} {side}", "texture": image}
+                rectangles.append(Rectangle.model_validate(shared | keys | layer))
         return tuple(rectangles)
 
 
@@ -285,6 +280,7 @@ class DepthMap(_Bounded):
     """Surface given by the depth of every pixel at t = 0, from a file of the texture's size."""
 
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = {}
+    is_analytic: ClassVar[bool] = False
     shape: Literal["depth_map"] = "depth_map"
     depth: DepthInput
     """File of depths: PNG, JPEG, TIFF, EXR, PFM, DPT, .npy or .npz; a path, relative to the scene file; in Python also
@@ -317,10 +313,6 @@ class DepthMap(_Bounded):
     center: Point = (0.0, 0.0, 0.0)
     """Center of rotation, mm; the origin. Default: in the lens."""
 
-    @property
-    def is_analytic(self) -> bool:
-        return False
-
     def inputs(self) -> dict[str, Input]:
         return super().inputs() | {"depth": in_layer(self.depth, self.depth_layer)}
 
@@ -331,12 +323,10 @@ class DepthMap(_Bounded):
             raise fault("belongs to depths in EXR files")
         return value
 
-    @field_validator("bounds", "rotation")
-    @classmethod
-    def _not_analytic(cls, value: Any) -> Any:
-        if value is not None:
-            raise fault("belongs to analytic shapes, not to depth_map")
-        return value
+    _not_analytic = field_validator("bounds", "rotation")(
+        refuse_if(lambda value: value is not None, "belongs to analytic shapes, not to depth_map")
+    )
+    _not_zero = field_validator("scale")(refuse_if(lambda value: abs(value) < 1e-12, "must be at least 1e-12 in size"))
 
     @field_validator("depth_kind")
     @classmethod
@@ -344,13 +334,6 @@ class DepthMap(_Bounded):
         unit = info.data.get("unit")
         if value == "ray" and unit in ("disparity", "coc"):
             raise fault(f'"ray" belongs to units of length and their inverse, not to "{unit}"')
-        return value
-
-    @field_validator("scale")
-    @classmethod
-    def _not_zero(cls, value: float) -> float:
-        if abs(value) < 1e-12:
-            raise fault("must be at least 1e-12 in size")
         return value
 
     @field_validator("near")
@@ -391,25 +374,13 @@ class Background(_Bounded):
     """Background behind all other objects, infinitely far away: an image, or a color."""
 
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = {}
+    is_background: ClassVar[bool] = True
     shape: Literal["background"] = "background"
 
-    @property
-    def is_background(self) -> bool:
-        return True
-
-    @field_validator("bounds", "rotation", "group")
-    @classmethod
-    def _unbounded(cls, value: Any) -> Any:
-        if value is not None:
-            raise fault("belongs to shapes with a surface, not to background")
-        return value
-
-    @field_validator("motion")
-    @classmethod
-    def _static(cls, value: ObjectMotion) -> ObjectMotion:
-        if value.moves:
-            raise fault("a background stays where it is; turn the camera by camera.motion", got="a motion")
-        return value
+    _unbounded = field_validator("bounds", "rotation", "group")(
+        refuse_if(lambda value: value is not None, "belongs to shapes with a surface, not to background")
+    )
+    _static = field_validator("motion")(refuse_if(lambda motion: motion.moves, STATIC, "a motion"))
 
 
 AnyShape = Plane | Rectangle | Disc | Box | Cylinder | Sphere | Cone | Ellipsoid | Quadric | DepthMap | Background
@@ -420,9 +391,8 @@ SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind fo
 
 
 def origin(shape: AnyShape) -> Vector:
-    """Origin of an object's own frame, mm: the apex of a cone, (0, 0, distance) of a plane, else the center.
-
-    The object rotates about its origin, and the object's bounds are relative to the origin.
+    """Origin of an object, mm, about which it rotates and its bounds are given: the apex of a cone, (0, 0, distance) of
+    a plane, else the center.
     """
     if isinstance(shape, Plane):
         return (0.0, 0.0, shape.distance)

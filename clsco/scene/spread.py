@@ -11,7 +11,7 @@ from clsco.errors import SceneError
 from clsco.records import MOST_RIMS
 from clsco.scene.aberrations import Seidel, Zernike, zernike_terms
 from clsco.scene.arrays import HasInputs, Input, TextureInput
-from clsco.scene.quantities import Flag, Strict, Triple, Within, array_of_tables, at_keys, fault
+from clsco.scene.quantities import Flag, Strict, Triple, Within, array_of_tables, fault, only_with, raise_faults
 
 NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
@@ -68,14 +68,7 @@ class Aperture(HasInputs, Strict):
     rim: Rims = ()
     """Up to 4 rims that cut light besides the aperture, which gives cat-eyes outside the middle of a picture."""
 
-    @field_validator(*APERTURE_KEYS)
-    @classmethod
-    def _of_its_shape(cls, value: Any, info: ValidationInfo) -> Any:
-        shapes = APERTURE_KEYS[str(info.field_name)]
-        if info.data.get("shape", shapes[0]) not in shapes:
-            listed = " or ".join(f'"{shape}"' for shape in shapes)
-            raise fault(f'belongs to aperture.shape = {listed}, not "{info.data["shape"]}"')
-        return value
+    _of_its_shape = only_with("aperture.shape", APERTURE_KEYS)
 
     @field_validator("blade_curvature")
     @classmethod
@@ -92,7 +85,7 @@ class Aperture(HasInputs, Strict):
     @model_validator(mode="after")
     def _has_an_image(self) -> Self:
         if self.shape == "image" and self.image is None:
-            raise at_keys([(("image",), fault('is needed by aperture.shape = "image"', got="none"), None)])
+            raise_faults((("image",), fault('is needed by aperture.shape = "image"', got="none"), None))
         return self
 
     def inputs(self) -> dict[str, Input]:
@@ -156,26 +149,19 @@ class Psf(Strict):
             raise fault('must be "integrated" with psf.model = "wave"')
         return value
 
-    @field_validator(*MODEL_KEYS)
-    @classmethod
-    def _of_its_model(cls, value: Any, info: ValidationInfo) -> Any:
-        models = MODEL_KEYS[str(info.field_name)]
-        if info.data.get("model", models[0]) not in models:
-            listed = " or ".join(f'"{model}"' for model in models)
-            raise fault(f'belongs to psf.model = {listed}, not "{info.data["model"]}"')
-        return value
+    _of_its_model = only_with("psf.model", MODEL_KEYS)
 
     @model_validator(mode="after")
     def _band_of_light(self) -> Self:
         if self.bandwidth >= min(self.wavelengths):
             rule = f"must be less than each of the wavelengths, of which one is {min(self.wavelengths):g} nm"
-            raise at_keys([(("bandwidth",), fault(rule), self.bandwidth)])
+            raise_faults((("bandwidth",), rule, self.bandwidth))
         unused = self.model == "pillbox" and not (self.aberrated or self.seidel.W311)
         if unused and self.wavelengths != type(self).model_fields["wavelengths"].default:
             rule = 'belongs to psf.model = "wave" or to aberrations'
-            raise at_keys([(("wavelengths",), fault(rule), list(self.wavelengths))])
+            raise_faults((("wavelengths",), rule, list(self.wavelengths)))
         if self.aberrated and self.edge != "integrated":
-            raise at_keys([(("edge",), fault('must be "integrated" with psf.seidel or psf.zernike'), self.edge)])
+            raise_faults((("edge",), 'must be "integrated" with psf.seidel or psf.zernike', self.edge))
         return self
 
     @property
@@ -194,9 +180,8 @@ class Psf(Strict):
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
 
     def of_images(self) -> Self:
-        """Copy for images and depth maps, which rays cannot hit: occlusion is "layered" unless set.
-
-        Raises SceneError if occlusion is set to "visibility".
+        """Copy for images and depth maps, which rays cannot hit: occlusion is "layered" unless set; SceneError for
+        "visibility".
         """
         if self.asks_for_rays:
             raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")

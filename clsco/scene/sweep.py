@@ -13,18 +13,9 @@ from typing import Any
 from clsco.errors import SceneError
 from clsco.scene.changes import MAX_VARIANTS, VARIANT, variant_tables
 from clsco.scene.faults import at_most
-from clsco.scene.file import (
-    MAX_OUTPUTS,
-    Location,
-    absolute,
-    missing_files,
-    parse_scene,
-    read_mapping,
-    swept_keys,
-    table_of,
-)
+from clsco.scene.file import MAX_OUTPUTS, absolute, parse_file, parse_scene, read_mapping, swept_keys, table_of
 from clsco.scene.model import Scene
-from clsco.scene.quantities import as_python
+from clsco.scene.quantities import Location, as_python
 from clsco.scene.sensor import NOISE_SEEDS
 from clsco.scene.text import key_name, shown
 
@@ -106,12 +97,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     ('f_number_2', 'f_number_4')
     """
     where = os.fspath(path)
-    data = read_mapping(where, overrides)
-    folder = Path(where).absolute().parent
-    try:
-        sweep = parse_sweep(data, where)
-    except SceneError as error:
-        raise SceneError([*error.messages, *missing_files(data, folder, where)]) from error
+    sweep, folder = parse_file(read_mapping(where, overrides), where, parse_sweep), Path(where).absolute().parent
     return replace(sweep, scenes=tuple(absolute(scene, folder) for scene in sweep.scenes))
 
 
@@ -347,7 +333,8 @@ def _range_rule(key: str, value: Any, inverse: bool) -> str:
         return f'must be "{DIOPTERS}"'
     if key in ("from", "to") and inverse and not (_is_number(value) and value > 0):
         return "must be a positive number in a range of diopters"
-    if key in ("from", "to") and not inverse and not all(_is_finite(entry) for entry in _components(value)):
+    ends = _components(value) if key in ("from", "to") and not inverse else ()
+    if not all(_is_number(end) and abs(end) < 1e300 for end in ends):  # so that differences are finite as well
         return "must be a finite number, or a list of them"
     return ""
 
@@ -355,10 +342,6 @@ def _range_rule(key: str, value: Any, inverse: bool) -> str:
 def _components(value: Any) -> list[Any]:
     """Components of a vector, or the number itself."""
     return value if isinstance(value, list) else [value]
-
-
-def _is_finite(value: Any) -> bool:
-    return _is_number(value) and abs(value) < 1e300  # so that differences are finite as well
 
 
 def _is_number(value: Any) -> bool:

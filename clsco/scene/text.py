@@ -56,6 +56,12 @@ def shown(value: Any) -> str:
     return " ".join(_SHORT.repr(value).split())
 
 
+def any_of(words: Iterable[str]) -> str:
+    """Words as "a, b or c"."""
+    *others, last = words
+    return " or ".join(filter(None, (", ".join(others), last)))
+
+
 def brief(text: str) -> str:
     """A text, shortened to 60 characters."""
     return text if len(text) <= 60 else text[:57] + "..."

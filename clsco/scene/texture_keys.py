@@ -8,10 +8,9 @@ from pathlib import PurePath
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 from pydantic import BeforeValidator, Field
-from pydantic_core import PydanticCustomError
 
 from clsco.scene.arrays import HasInputs, Input, LayerInput, TextureInput
-from clsco.scene.quantities import Angle, Length, Name, Pair, Strict, Within, as_python, fault
+from clsco.scene.quantities import Angle, Length, Name, Pair, Strict, Within, as_python, fault, raise_faults
 from clsco.scene.text import meant
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
@@ -52,14 +51,10 @@ def _one_or_two(value: Any) -> Any:
 
 
 class _Rule(NamedTuple):
-    """Keys that a texture mapping accepts.
+    """Keys that a texture mapping accepts."""
 
-    size: texture_size is not accepted (""), optional ("may") or required ("must"). repeats: largest number of
-    texture_repeats. angle, offset: True if texture_angle and texture_offset are accepted.
-    """
-
-    size: Literal["", "may", "must"]
-    repeats: int
+    size: Literal["", "may", "must"]  # texture_size: not accepted, optional or required
+    repeats: int  # largest number of texture_repeats
     angle: bool = True
     offset: bool = True
 
@@ -172,12 +167,11 @@ class SixSided(Textured):
         return tuple(self.side(name) for name in ("right", "left", "top", "bottom", "back", "front"))
 
 
-Fault = tuple[tuple[str | int, ...], PydanticCustomError, Any]
-
-
-def texture_faults(item: Textured) -> list[Fault]:
-    """Keys that the texture's mapping or the shape does not use, and required keys that are missing."""
-    return [((key,), fault(rule, "nothing" if got is None else None), got) for key, rule, got in _misplaced(item)]
+def check_texture_keys(item: Any) -> Any:
+    """Reject keys that the texture's mapping or the shape does not use, and a lack of required ones."""
+    faults = _misplaced(item)
+    raise_faults(*(((key,), fault(rule, "nothing" if got is None else None), got) for key, rule, got in faults))
+    return item
 
 
 def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:

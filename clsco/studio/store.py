@@ -20,7 +20,8 @@ from typing import Any
 from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import atomic_write_bytes
 from clsco.resources import open_regular, read_regular
-from clsco.scene.file import Location, named_files, read_mapping, relocated
+from clsco.scene.file import named_files, read_mapping, relocated
+from clsco.scene.quantities import Location
 from clsco.scene.shapes import SHAPES
 from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text

@@ -10,6 +10,7 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ from tests.data.samples import record
 from tests.hostile.pictures import encoded
 
 ZEROS = 2**26  # bytes that a bomb unpacks to
+SAMPLE = record(1, (64, 64), ("depth",))
+SIDE = int(ZEROS**0.5) // 16 * 16
 Made = tuple[str, Callable[[Path], object]]
 """Name of a file or folder that a bomb is, and what reads it."""
 
@@ -62,10 +65,6 @@ def _npy_header(shape: tuple[int, ...], dtype: str = "<f4") -> bytes:
     return file.getvalue()
 
 
-def _read_depth_npz(path: Path) -> object:
-    return read_npz(path, ["depth"])
-
-
 def _npz(kind: int, header: bytes, read: Callable[[Path], object]) -> Callable[[Path], Made]:
     def make(folder: Path) -> Made:
         _zip(folder / "bomb.npz", {"depth.npy": header}, kind, ZEROS)
@@ -76,9 +75,8 @@ def _npz(kind: int, header: bytes, read: Callable[[Path], object]) -> Callable[[
 
 def _sample_npz(folder: Path) -> Made:
     (folder / "shard").mkdir()
-    own = record(1, (64, 64), ("depth",))
-    content = npy_bytes(own.arrays["depth"])
-    members = {"meta.json": meta_bytes(own), "depth.npy": content}
+    content = npy_bytes(SAMPLE.arrays["depth"])
+    members = {"meta.json": meta_bytes(SAMPLE), "depth.npy": content}
     _zip(folder / "shard/000000001.npz", members, zipfile.ZIP_DEFLATED, ZEROS, len(content))
     return "shard", CONTAINERS["npz"].read
 
@@ -96,22 +94,17 @@ def _scans(folder: Path) -> Made:
 def _segment(compression: str, inside: Callable[[int], bytes]) -> Callable[[Path], Made]:
     """A TIFF of 16 x 16 pixels, in whose only strip there is something large."""
 
-    def make(folder: Path) -> Made:
-        content = inside(int(ZEROS**0.5) // 16 * 16)
-        path = folder / "bomb.tif"
-        tifffile.imwrite(path, iter([content]), shape=(16, 16), dtype="u1", photometric="minisblack", rowsperstrip=16,
-                         compression=compression, metadata=None)  # fmt: skip
-        return path.name, read_image
-
-    return make
+    return lambda folder: _tiff(folder, inside(SIDE), compression=compression, rowsperstrip=16)
 
 
 def _large_tile(folder: Path) -> Made:
-    path = folder / "bomb.tif"
-    side = int(ZEROS**0.5) // 16 * 16
-    tifffile.imwrite(path, iter([packed_zeros(ZEROS, "deflate")]), shape=(16, 16), dtype="u1", tile=(side, side),
-                     photometric="minisblack", compression="zlib", metadata=None)  # fmt: skip
-    return path.name, read_image
+    return _tiff(folder, packed_zeros(ZEROS, "deflate"), compression="zlib", tile=(SIDE, SIDE))
+
+
+def _tiff(folder: Path, content: bytes, **options: Any) -> Made:
+    kind: dict[str, Any] = {"shape": (16, 16), "dtype": "u1", "photometric": "minisblack", "metadata": None}
+    tifffile.imwrite(folder / "bomb.tif", iter([content]), **kind, **options)
+    return "bomb.tif", read_image
 
 
 def _second_part(folder: Path) -> Made:
@@ -125,8 +118,7 @@ def _second_part(folder: Path) -> Made:
 
 
 def _deflated_chunk(folder: Path) -> Made:
-    own = record(1, (64, 64), ("depth",))
-    CONTAINERS["hdf5"].write(folder / "bomb.h5", iter([own]))
+    CONTAINERS["hdf5"].write(folder / "bomb.h5", iter([SAMPLE]))
     with h5py.File(folder / "bomb.h5", "r+") as file:
         file["000000001/depth"].id.write_direct_chunk((0, 0), packed_zeros(ZEROS, "deflate"))
     return "bomb.h5", CONTAINERS["hdf5"].read
@@ -134,8 +126,7 @@ def _deflated_chunk(folder: Path) -> Made:
 
 def _zarr_chunk(folder: Path) -> Made:
     """Zarr as clsco writes it, with a large chunk in place of a file of several."""
-    own = record(1, (64, 64), ("depth",))
-    CONTAINERS["zarr"].write(folder / "bomb.zarr", iter([own]))
+    CONTAINERS["zarr"].write(folder / "bomb.zarr", iter([SAMPLE]))
     group = zarr.open_group(folder / "bomb.zarr", mode="r+", zarr_format=3)
     zstd = ZstdCodec()
     group.create_array("depth", shape=(1, 64, 64), dtype="f4", chunks=(1, 64, 64), compressors=zstd, filters=None,
@@ -144,19 +135,20 @@ def _zarr_chunk(folder: Path) -> Made:
     return "bomb.zarr", CONTAINERS["zarr"].read
 
 
-def _tar_with_header(folder: Path, records: bytes) -> Made:
-    """A tar of one member, with these records in its extended header."""
+def _tar(folder: Path, *headers: bytes) -> Made:
+    """A tar of one member, with these extended headers before it."""
     path, head = folder / "bomb.tar", tarfile.TarInfo("././@PaxHeader")
-    head.type, head.size = tarfile.XHDTYPE, len(records)
     with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
-        tar.addfile(head, io.BytesIO(records))
+        for records in headers:
+            head.type, head.size = tarfile.XHDTYPE, len(records)
+            tar.addfile(head, io.BytesIO(records))
         tar.addfile(tarfile.TarInfo("000000001.meta.json"))
     return path.name, CONTAINERS["webdataset"].read
 
 
 def _pax(folder: Path) -> Made:
     """A tar whose header of a member is digits, in which `tarfile` looks for a record from each of them on."""
-    return _tar_with_header(folder, b"1" * 210_000)
+    return _tar(folder, b"1" * 210_000)
 
 
 def _sparse_pax(folder: Path) -> Made:
@@ -166,28 +158,22 @@ def _sparse_pax(folder: Path) -> Made:
         b"%d %s\n" % (len(text) + 3 if len(text) < 97 else len(text) + 4, text)
         for text in [b"GNU.sparse.offset=0", b"GNU.sparse.numbytes=0"] * (count // 4)
     )
-    return _tar_with_header(folder, records)
+    return _tar(folder, records)
 
 
 def _pax_chain(folder: Path) -> Made:
     """A tar of nothing but headers of headers."""
-    path = folder / "bomb.tar"
-    with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
-        for _ in range(2000):
-            head = tarfile.TarInfo("././@PaxHeader")
-            head.type, head.size = tarfile.XHDTYPE, 11
-            tar.addfile(head, io.BytesIO(b"11 a=bcdef\n"))
-        tar.addfile(tarfile.TarInfo("000000001.meta.json"))
-    return path.name, CONTAINERS["webdataset"].read
+    return _tar(folder, *[b"11 a=bcdef\n"] * 2000)
 
 
 _HEAD = _npy_header((16, 16))
 _LONG_HEAD = b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**30)
+_read_npz = partial(read_npz, names=["depth"])
 BOMBS: dict[str, Callable[[Path], Made]] = {
-    "npz of bzip2": _npz(zipfile.ZIP_BZIP2, _HEAD, _read_depth_npz),
-    "npz of lzma": _npz(zipfile.ZIP_LZMA, _HEAD, _read_depth_npz),
-    "npz deflated": _npz(zipfile.ZIP_DEFLATED, _HEAD, _read_depth_npz),
-    "npz with a header of 1 GiB": _npz(zipfile.ZIP_DEFLATED, _LONG_HEAD, _read_depth_npz),
+    "npz of bzip2": _npz(zipfile.ZIP_BZIP2, _HEAD, _read_npz),
+    "npz of lzma": _npz(zipfile.ZIP_LZMA, _HEAD, _read_npz),
+    "npz deflated": _npz(zipfile.ZIP_DEFLATED, _HEAD, _read_npz),
+    "npz with a header of 1 GiB": _npz(zipfile.ZIP_DEFLATED, _LONG_HEAD, _read_npz),
     "depth npz of bzip2": _npz(zipfile.ZIP_BZIP2, _HEAD, read_depth),
     "sample npz deflated": _sample_npz,
     "hdf5 chunk deflated": _deflated_chunk,

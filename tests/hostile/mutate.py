@@ -15,12 +15,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from tests.hostile.pictures import Change, cut, flip
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NUMBERS: tuple[Any, ...] = (
     0, -0.0, 1, -1, 2, 3.5, 1e-320, 5e-324, 1e-9, 1e-6, 1e-3, 90.0, 1e3, 1e6, 1e9, -1e9, 1e30, 1e39, 1e154, 1e300,
-    1e308,
-    -1e308, math.nan, math.inf, -math.inf, 2**31, 2**53 + 1, 2**63, -(2**63), 2**64, 10**80, -(10**80), 10**400, 65536,
-    4096,
+    1e308, -1e308, math.nan, math.inf, -math.inf, 2**31, 2**53 + 1, 2**63, -(2**63), 2**64, 10**80, -(10**80), 10**400,
+    65536, 4096,
 )  # fmt: skip
 WORDS: tuple[str, ...] = (
     "", " ", "x", "auto", "bricks", "visibility", "layered", "forward", "inverse", "gaussian", "plane", "sphere",
@@ -31,12 +32,11 @@ WORDS: tuple[str, ...] = (
 )  # fmt: skip
 ODD: tuple[Any, ...] = (
     True, False, [], {}, [[]], [{}], [0, 0, 0], [1e9, -1e9, 1e9], [1, 2], [[0, 1], [0, 1], [0, 1]],
-    [[1, 0], [1, 0], [1, 0]], [math.nan] * 3, [10**400] * 10,
-    [None], [0] * 5000, ["a", 1, []], {"from": 1, "to": 2, "steps": 3}, {"from": 1, "to": 1, "steps": 2},
-    {"from": 0, "to": 1e300, "steps": 4096}, {"from": [0, 0, 0], "to": [1, 1], "steps": 2}, {"steps": 10**400},
-    {"from": math.nan}, {"axis": [0, 0, 1], "angle": 30.0}, {"axis": [0, 0, 0], "angle": 1.0},
-    {"quaternion": [1, 0, 0, 0]}, {"quaternion": [0] * 4},
-    [{"name": "cart"}], {"direction": [0, 0, 1]}, {"position": [0, 0, 0], "ambient": 2},
+    [[1, 0], [1, 0], [1, 0]], [math.nan] * 3, [10**400] * 10, [None], [0] * 5000, ["a", 1, []],
+    {"from": 1, "to": 2, "steps": 3}, {"from": 1, "to": 1, "steps": 2}, {"from": 0, "to": 1e300, "steps": 4096},
+    {"from": [0, 0, 0], "to": [1, 1], "steps": 2}, {"steps": 10**400}, {"from": math.nan},
+    {"axis": [0, 0, 1], "angle": 30.0}, {"axis": [0, 0, 0], "angle": 1.0}, {"quaternion": [1, 0, 0, 0]},
+    {"quaternion": [0] * 4}, [{"name": "cart"}], {"direction": [0, 0, 1]}, {"position": [0, 0, 0], "ambient": 2},
     [1, 1], [1, 2, 3, 4], ["midpoint", "endpoint"], ["midpoint", 3], {"shape": "sphere"}, [{"shape": "plane"}] * 3,
     datetime.date(1979, 5, 27), datetime.time(7, 32), datetime.datetime(1979, 5, 27, tzinfo=datetime.UTC),
 )  # fmt: skip
@@ -46,15 +46,12 @@ KEYS = (
 )  # fmt: skip
 TOKENS: tuple[bytes, ...] = (
     b"nan", b"-inf", b"1e999", b"1" * 80, b"9" * 5000, b"0x" + b"f" * 400, b"1_000", b"0o7", b"[" * 3000, b"{a=" * 3000,
-    b"[[object]]", b"[object]",
-    b"[camera]", b"[[camera]]", b"object = 3\n", b"camera.camera.camera = 1\n", b"a" + b".a" * 99 + b" = 1\n",
-    b"a" + b".a" * 200 + b" = 1\n",
-    3 * b'"', b"'''", b'"', b"'", b"\\", b"\\u0000", b"\\uD800", b"\\U00110000", b"\0", b"\x01", b"\x1b[2J", b"\x7f",
-    b"\xff", b"\xc3", b"\xed\xa0\x80",
-    b"\xef\xbb\xbf", b"\r", b"\r\n", b"\n", b"=", b",", b".", b"#", b"[", b"]", b"{", b"}", b"1979-05-27T07:32:00Z",
-    b"25:00:00", b"0000-00-00",
-    b"title = '" + b"a" * 100_000 + b"'\n", b"x = [" + b"1," * 10_000 + b"]\n", b"-", b"+", b"_", b"true", b"false",
-    b"\xe2\x80\xae",
+    b"[[object]]", b"[object]", b"[camera]", b"[[camera]]", b"object = 3\n", b"camera.camera.camera = 1\n",
+    b"a" + b".a" * 99 + b" = 1\n", b"a" + b".a" * 200 + b" = 1\n", 3 * b'"', b"'''", b'"', b"'", b"\\", b"\\u0000",
+    b"\\uD800", b"\\U00110000", b"\0", b"\x01", b"\x1b[2J", b"\x7f", b"\xff", b"\xc3", b"\xed\xa0\x80", b"\xef\xbb\xbf",
+    b"\r", b"\r\n", b"\n", b"=", b",", b".", b"#", b"[", b"]", b"{", b"}", b"1979-05-27T07:32:00Z", b"25:00:00",
+    b"0000-00-00", b"title = '" + b"a" * 100_000 + b"'\n", b"x = [" + b"1," * 10_000 + b"]\n", b"-", b"+", b"_",
+    b"true", b"false", b"\xe2\x80\xae",
 )  # fmt: skip
 
 
@@ -204,14 +201,7 @@ def _new_value(rng: random.Random, text: bytes) -> bytes:
 
 
 def _flip(rng: random.Random, text: bytes) -> bytes:
-    changed = bytearray(text)
-    for _ in range(rng.choice((1, 3, 20)) if changed else 0):
-        changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
-    return bytes(changed)
-
-
-def _cut(rng: random.Random, text: bytes) -> bytes:
-    return text[: rng.randrange(len(text) + 1)]
+    return flip(rng, text, (1, 3, 20))
 
 
 def _lines(rng: random.Random, text: bytes) -> bytes:
@@ -230,7 +220,7 @@ def _noise(rng: random.Random, text: bytes) -> bytes:
     return text[:start] + rng.randbytes(rng.choice((1, 4, 64))) + text[start:]
 
 
-TEXT_CHANGES: tuple[Callable[[random.Random, bytes], bytes], ...] = (_splice, _new_value, _flip, _cut, _lines, _noise)
+TEXT_CHANGES: tuple[Change, ...] = (_splice, _new_value, _flip, cut, _lines, _noise)
 VALUE_CHANGES: tuple[Callable[[random.Random, dict[str, Any]], Location], ...] = (
     _replace, _replace, _replace, _nudge, _nudge, _drop, _rename, _add, _repeat,
 )  # fmt: skip

@@ -13,11 +13,9 @@ from typing import Any
 import click
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from clsco.cli.main import main
 from clsco.engine.batch import prepare
-from clsco.errors import FileError, SceneError
+from clsco.errors import FileError
 from clsco.files import decoders
 from clsco.files.atomic import is_same_place
 from clsco.files.images import read_image
@@ -26,19 +24,11 @@ from clsco.inputs.depth_files import read_depth
 from clsco.plan.prepare import prepare as planned
 from clsco.plan.prepare import prepare_sweep
 from clsco.scene.sweep import parse_sweep
+from tests.command import clsco_
 from tests.hostile.pictures import exr
+from tests.scenes import refusals
 
 SCENE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\ndistance = 250.0\n'
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
-def messages_of(mapping: dict[str, Any]) -> tuple[str, ...]:
-    with pytest.raises(SceneError) as caught:
-        parse_sweep(mapping)
-    return caught.value.messages
 
 
 def test_a_value_nested_too_deeply_for_a_label() -> None:
@@ -46,16 +36,16 @@ def test_a_value_nested_too_deeply_for_a_label() -> None:
     for _ in range(3000):
         deep = [deep]
     for value in ([deep], {"a": deep}):
-        messages = messages_of({"camera": {"f_number": value}, "object": [{"shape": "plane"}]})
+        messages = refusals(parse_sweep, {"camera": {"f_number": value}, "object": [{"shape": "plane"}]})
         assert messages[0].startswith("scene: camera.f_number")
-    assert "scene: camera.f_number[0]: nested too deeply; got a list of 1 entries" in messages_of(
-        {"camera": {"f_number": [deep]}, "object": [{"shape": "plane"}]}
-    )
+    scene = {"camera": {"f_number": [deep]}, "object": [{"shape": "plane"}]}
+    nested = "scene: camera.f_number[0]: nested too deeply; got a list of 1 entries"
+    assert nested in refusals(parse_sweep, scene)
 
 
 def test_many_keys_with_several_values_make_a_short_message() -> None:
     items = [{"shape": "plane", "motion": {"velocity": [[1, 0, 0], [2, 0, 0]]}} for _ in range(60)]
-    (message,) = messages_of({"object": items})
+    (message,) = refusals(parse_sweep, {"object": items})
     assert " and 56 more: must give at most 4096 scenes in all; got " in message
 
 

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
-from clsco.cli.main import main
 from clsco.errors import SceneError
 from clsco.scene.sweep import parse_sweep
+from tests.command import clsco_
 from tests.hostile.commands import bad_files, command_lines, lay_out
 from tests.hostile.scenes import listed
 from tests.hostile.watch import faults_of, keys_of
@@ -29,7 +28,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_thousands_are_listed() -> None:
     scenes = {bad.about for bad in listed()}
     commands = {tuple(words) for words, _, _ in command_lines()}
-    print(len(scenes), len(commands))
     assert len(scenes) >= 8000
     assert len(commands) >= 300
 
@@ -54,14 +52,10 @@ def contents(folder: Path) -> dict[str, tuple[int, int]]:
     return {str(path): (path.lstat().st_size, path.lstat().st_mtime_ns) for path in paths if not path.is_dir()}
 
 
-def run(words: list[str]) -> tuple[Result, float]:
-    start = time.process_time()
-    return CliRunner().invoke(main, words), time.process_time() - start
-
-
 def faults(words: list[str], status: int, named: str) -> Iterator[str]:
     """Faults in the end of a command line."""
-    result, seconds = run(words)
+    start = time.process_time()
+    result, seconds = clsco_(*words), time.process_time() - start
     if not isinstance(result.exception, SystemExit):
         yield f"must end in an error; got {result.exception!r}"
     if result.exit_code != status:

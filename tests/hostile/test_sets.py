@@ -17,10 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
 import clsco.data
-from clsco.cli.main import main
 from clsco.cli.tables import print_tables, table
 from clsco.data.build import located
 from clsco.data.containers import CONTAINERS
@@ -32,6 +30,7 @@ from clsco.data.verify import scene_table, verify_files
 from clsco.errors import ClscoError, FileError, SceneError, visible
 from clsco.files.strict_json import MOST_DEEP, strict_json
 from clsco.scene.toml import toml_text
+from tests.command import clsco_
 from tests.data.samples import make_set, record
 from tests.hostile.mutate import VALUE_CHANGES
 from tests.hostile.pictures import DAMAGES
@@ -235,7 +234,7 @@ class TestTerminal:
         given = words.split()
         for name, place in places.items():
             given = [word.replace(name, str(place)) for word in given]
-        result = CliRunner().invoke(main, given)
+        result = clsco_(*given)
         assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
         assert not obeyed(result.output), ascii(result.output)
 

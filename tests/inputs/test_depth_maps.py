@@ -24,6 +24,7 @@ from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import inverse_depth
 from clsco.scene.model import Camera, DepthMap
 from tests.files.readers import dpt_bytes
+from tests.hostile.pictures import encoded, exr
 
 Array = NDArray[Any]
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
@@ -37,16 +38,10 @@ def numbers(dtype: str, shape: tuple[int, ...] = (5, 7)) -> Array:
         data.flat[:4] = np.nan, np.inf, -np.inf, 0
         return data
     limits = np.iinfo(dtype)
-    data = generator.integers(
-        limits.min, limits.max, shape, endpoint=True, dtype=limits.dtype.newbyteorder("=")
-    ).astype(dtype)
+    native = limits.dtype.newbyteorder("=")
+    data = generator.integers(limits.min, limits.max, shape, endpoint=True, dtype=native).astype(dtype)
     data.flat[:2] = limits.max, limits.min
     return data
-
-
-def save_exr(path: Path, channels: dict[str, Array]) -> None:
-    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
-    OpenEXR.File(header, {name: np.ascontiguousarray(data) for name, data in channels.items()}).write(str(path))
 
 
 def save_pfm(path: Path, data: Array, scale: str = "-1") -> None:
@@ -75,8 +70,8 @@ FORMATS: dict[str, tuple[str, str, Callable[[Path, Array], object]]] = {
     "TIFF u4": ("tif", "u4", tifffile.imwrite),
     "TIFF f4": ("tif", "f4", tifffile.imwrite),
     "TIFF f4, big endian": ("tif", "f4", lambda path, data: tifffile.imwrite(path, data, byteorder=">")),
-    "EXR f4": ("exr", "f4", lambda path, data: save_exr(path, {"Z": data})),
-    "EXR u4": ("exr", "u4", lambda path, data: save_exr(path, {"Z": data})),
+    "EXR f4": ("exr", "f4", lambda path, data: path.write_bytes(exr(Z=data))),
+    "EXR u4": ("exr", "u4", lambda path, data: path.write_bytes(exr(Z=data))),
     "PFM": ("pfm", "f4", save_pfm),
     "PFM, big endian": ("pfm", "f4", lambda path, data: save_pfm(path, data, "1")),
     "PFM, scaled as Middlebury's": ("pfm", "f4", lambda path, data: save_pfm(path, data, "-0.003922")),
@@ -128,13 +123,9 @@ Z, OTHER, THIRD = (numbers("f4") + np.float32(n) for n in (0, 1, 2))
 CHANNELS: dict[str, dict[str, Array]] = {
     "Blender, one layer": {"R": OTHER, "G": OTHER, "B": OTHER, "A": OTHER, "Z": Z},
     "Blender, several layers": {
-        "Composite.Combined.R": OTHER,
-        "ViewLayer.Combined.R": OTHER,
+        **dict.fromkeys(("Composite.Combined.R", "ViewLayer.Combined.R", "ViewLayer.Mist.Z"), OTHER),
+        **{f"ViewLayer.Normal.{axis}": OTHER for axis in "XYZ"},
         "ViewLayer.Depth.Z": Z,
-        "ViewLayer.Mist.Z": OTHER,
-        "ViewLayer.Normal.X": OTHER,
-        "ViewLayer.Normal.Y": OTHER,
-        "ViewLayer.Normal.Z": OTHER,
     },
     "Blender, values": {"ViewLayer.Depth.V": Z, "ViewLayer.Position.X": OTHER},
     "Blender, file output": {"Depth.V": Z, "Image.R": OTHER},
@@ -154,7 +145,7 @@ CHANNELS: dict[str, dict[str, Array]] = {
 
 @pytest.mark.parametrize("channels", CHANNELS.values(), ids=CHANNELS)
 def test_finds_the_depth_among_channels(tmp_path: Path, channels: dict[str, Array]) -> None:
-    save_exr(tmp_path / "depth.exr", channels)
+    (tmp_path / "depth.exr").write_bytes(exr(**channels))
     np.testing.assert_array_equal(read_depth(tmp_path / "depth.exr"), Z)
 
 
@@ -168,7 +159,7 @@ def test_finds_the_depth_among_channels(tmp_path: Path, channels: dict[str, Arra
     ({"a\nb": Z, "c": Z}, r"'a\nb' c"),
 ])  # fmt: skip
 def test_lists_the_channels_where_the_depth_is_not_clear(tmp_path: Path, channels: dict[str, Array], got: str) -> None:
-    save_exr(tmp_path / "depth.exr", channels)
+    (tmp_path / "depth.exr").write_bytes(exr(**channels))
     message = refusal(tmp_path / "depth.exr")
     assert message.startswith("an EXR must hold one depth")
     assert message.endswith(f"; got {got}")
@@ -189,9 +180,8 @@ def test_reads_what_sintel_writes(tmp_path: Path) -> None:
     w = inverse_depth(depths, DepthMap(depth="z.dpt", unit="m"), CAMERA).inverse_depth
     np.testing.assert_allclose(w[:, :2], 1 / depth[:, :2], rtol=2.0**-23)
     (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth)[:-1])
-    assert refusal(tmp_path / "depth.dpt").startswith(
-        "must be a whole DPT; got 23 bytes after a header of 3 x 2 pixels"
-    )
+    rule = "must be a whole DPT; got 23 bytes after a header of 3 x 2 pixels"
+    assert refusal(tmp_path / "depth.dpt").startswith(rule)
 
 
 def test_an_exr_may_have_parts(tmp_path: Path) -> None:
@@ -212,12 +202,6 @@ def test_an_exr_may_have_parts(tmp_path: Path) -> None:
     assert refusal(path).startswith("must be a whole EXR; got ")
 
 
-def stored(save: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
-    stream = io.BytesIO()
-    save(stream, *arguments, **options)
-    return stream.getvalue()
-
-
 def archive(**members: bytes) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as file:
@@ -235,12 +219,12 @@ def encrypted(content: bytes) -> bytes:
 
 
 SMALL = numbers("f4")
-NPY = stored(np.save, SMALL)
+NPY = encoded(np.save, SMALL)
 BIG_NPY = NPY.replace(b"(5, 7), }        ", b"(13000, 13000), }")
 LONG_NPY = NPY.replace(b"(5, 7), }    ", b"(1, 70000), }")
 NPZ = archive(depth=NPY)
-OBJECTS = stored(np.save, np.array([[{}]]), allow_pickle=True)
-MANY_CHANNELS = stored(
+OBJECTS = encoded(np.save, np.array([[{}]]), allow_pickle=True)
+MANY_CHANNELS = encoded(
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {f"c{n}": np.zeros((4, 4), "f2") for n in range(5)}).write
 ).replace(struct.pack("<4i", 0, 0, 3, 3), struct.pack("<4i", 0, 0, 11999, 10999))
 LIMIT = "columns and rows must be from 1 to 65536, and at most 134217728 pixels; got "
@@ -253,18 +237,18 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "big NPY": ("a.npy", BIG_NPY, f"{LIMIT}13000 x 13000"),
     "big NPZ": ("a.npz", archive(depth=BIG_NPY), f"{LIMIT}13000 x 13000"),
     "long NPZ": ("a.npz", archive(depth=LONG_NPY), f"{LIMIT}70000 x 1"),
-    "no rows": ("a.npz", archive(depth=stored(np.save, np.ones((0, 4)))), f"{LIMIT}4 x 0"),
+    "no rows": ("a.npz", archive(depth=encoded(np.save, np.ones((0, 4)))), f"{LIMIT}4 x 0"),
     "many channels": ("a.exr", MANY_CHANNELS,
                       "an EXR must hold at most 536870912 values; got 5 channels of 12000 x 11000"),
     "objects": ("a.npz", archive(depth=OBJECTS), f"{ONLY_NUMBERS}object of shape (1, 1)"),
-    "complex": ("a.npz", archive(depth=stored(np.save, np.ones((2, 2), "c8"))), f"{ONLY_NUMBERS}complex64 of shape"),
-    "complex TIFF": ("a.tif", stored(tifffile.imwrite, np.ones((2, 2), "c8")),
+    "complex": ("a.npz", archive(depth=encoded(np.save, np.ones((2, 2), "c8"))), f"{ONLY_NUMBERS}complex64 of shape"),
+    "complex TIFF": ("a.tif", encoded(tifffile.imwrite, np.ones((2, 2), "c8")),
                      "values must be integers or floats; got complex64"),
-    "volume": ("a.npz", archive(depth=stored(np.save, np.ones((2, 2, 2)))),
+    "volume": ("a.npz", archive(depth=encoded(np.save, np.ones((2, 2, 2)))),
                f"{ONLY_NUMBERS}float64 of shape (2, 2, 2)"),
-    "one number": ("a.npz", archive(depth=stored(np.save, 1.0)), f"{ONLY_NUMBERS}float64 of shape ()"),
+    "one number": ("a.npz", archive(depth=encoded(np.save, 1.0)), f"{ONLY_NUMBERS}float64 of shape ()"),
     "two arrays": ("a.npz", archive(z=NPY, d=NPY), f"{NONE_OF_THEM}arrays d z"),
-    "no array": ("a.npz", archive(points=stored(np.save, np.ones((2, 2, 3)))), f"{NONE_OF_THEM}none"),
+    "no array": ("a.npz", archive(points=encoded(np.save, np.ones((2, 2, 3)))), f"{NONE_OF_THEM}none"),
     "many arrays": ("a.npz", archive(**{f"a{n}": b"" for n in range(257)}),
                     "an NPZ must hold an array depth, or at most 256 arrays; got more"),
     "short array": ("a.npz", archive(depth=NPY[:-4]), "must be a whole NPZ; got "),
@@ -309,7 +293,5 @@ def test_sizes_must_be_the_same() -> None:
     check_sizes("a.png", (640, 480), "b.exr", (640, 480))
     with pytest.raises(FileError) as caught:
         check_sizes("a.png", (640, 480), "b.exr", (480, 640))
-    assert (
-        str(caught.value)
-        == "b.exr: the size must be that of a.png, 640 x 480 pixels; got 480 x 640 (one of them lies on its side)"
-    )
+    rule = "the size must be that of a.png, 640 x 480 pixels"
+    assert str(caught.value) == f"b.exr: {rule}; got 480 x 640 (one of them lies on its side)"

@@ -129,14 +129,11 @@ GOOD = {"mm": 250.0, "m": 0.25, "inverse_mm": 0.004, "inverse_m": 4.0, "disparit
     ("disparity", 2, 2, 1, 1, 0),
     ("coc", 0, 0, 1, 2, 0),
 ])  # fmt: skip
-def test_what_every_kind_of_number_means(
-    unit: str, zero: int, negative: int, nan: int, infinite: int, far: int
-) -> None:
+def test_what_each_kind_of_number_means(unit: str, zero: int, negative: int, nan: int, infinite: int, far: int) -> None:
     raw = np.array([[GOOD[unit], *KINDS]])
     values = values_of(raw, unit)
-    assert (values.zero, values.negative, values.nan, values.infinite, values.far) == (
-        zero, negative, nan, infinite, far,
-    )  # fmt: skip
+    assert values.missing == {"zero": zero, "negative": negative, "NaN": nan, "infinite": infinite}
+    assert values.far == far
     w = values.inverse_depth[0]
     assert w[0] > FARTHEST
     assert (w == FARTHEST).sum() == far
@@ -168,10 +165,8 @@ def test_the_background_of_a_renderer_is_there() -> None:
 @pytest.mark.parametrize("seed", range(16))
 def test_every_unit_tells_the_same_depth(unit: str, seed: int) -> None:
     ranges = np.array([[20.0, 1e9], [1e-4, 1e4], [10.0, 100.0], [2.0, 1e4], [1.0, 1e3]])
-    millimeters, scale, focal_length, focus, baseline = np.exp(np.random.default_rng(seed).uniform(*np.log(ranges.T)))
-    camera = Camera(
-        focal_length=focal_length, focus_distance=focal_length * focus, aperture_diameter=0.1, pixel_pitch=0.01
-    )
+    millimeters, scale, focal, focus, baseline = np.exp(np.random.default_rng(seed).uniform(*np.log(ranges.T)))
+    camera = Camera(focal_length=focal, focus_distance=focal * focus, aperture_diameter=0.1, pixel_pitch=0.01)
     expected = 1 / millimeters
     value = {
         "mm": millimeters,
@@ -184,7 +179,7 @@ def test_every_unit_tells_the_same_depth(unit: str, seed: int) -> None:
     keys: dict[str, Any] = {"baseline": baseline} if unit == "disparity" else {}
     values = values_of([value / scale], unit, camera, scale=scale, **keys)
     # Eight roundings of 2^-53 at most; of a radius, each is relative to the larger of K and w instead.
-    size = max(expected, abs(Lens.of(camera).focus_power), 1 / focal_length) if unit == "coc" else expected
+    size = max(expected, abs(Lens.of(camera).focus_power), 1 / focal) if unit == "coc" else expected
     assert values.inverse_depth[0, 0] == pytest.approx(expected, rel=0, abs=8 * 2.0**-53 * size)
     assert values.invalid == 0
 
@@ -331,7 +326,7 @@ def test_distances_along_rays_become_depths(unit: str, number: Any) -> None:
 def test_infinity_along_a_ray_and_no_depth_stay_what_they_are() -> None:
     values = values_of([np.inf, 0.0, np.nan, 300.0], "mm", WIDE, depth_kind="ray")
     np.testing.assert_array_equal(values.inverse_depth[0, :3], [FARTHEST, 0.0, 0.0])
-    assert (values.far, values.zero, values.nan) == (1, 1, 1)
+    assert (values.far, values.missing["zero"], values.missing["NaN"]) == (1, 1, 1)
 
 
 def map_of(raw: Any, camera: dict[str, Any] | None = None, **keys: Any) -> DepthValues:

@@ -16,6 +16,7 @@ import clsco
 from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.optics.lens import blur_radius
 from clsco.scene.model import Camera
+from tests.command import clsco_
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -200,22 +201,18 @@ def test_scenes_and_arrays_alike() -> None:
 
 
 def test_the_command_counts_them(tmp_path: Any) -> None:
-    from click.testing import CliRunner
-
-    from clsco.cli.main import main
-
     depth = (150.0 * COVERED + 300.0 * (1 - COVERED)).astype(np.float32)
     np.save(tmp_path / "depth.npy", depth)
     (tmp_path / "image.png").write_bytes(imagecodecs.png_encode(np.rint(180 * COVERED + 40).astype(np.uint8)))
-    files = [str(tmp_path / name) for name in ("image.png", "depth.npy")]
+    files = [tmp_path / name for name in ("image.png", "depth.npy")]
     lens = ["--focal-length", "20", "--f-number", "1", "--focus-distance", "300", "--pixel-pitch", "0.06", "--quiet"]
     both = []
     for more in ([], ["--soft-edges", "keep"]):
-        result = CliRunner().invoke(main, ["defocus", *files, "-o", str(tmp_path / "out.png"), *lens, *more])
+        result = clsco_("defocus", *files, "-o", tmp_path / "out.png", *lens, *more)
         assert result.exit_code == 0, result.output
         both.append(result.stderr)
     assert " of 9216 pixels at soft edges get the depth of one side" in both[0]
     assert "soft edges" not in both[1]
-    result = CliRunner().invoke(main, ["defocus", *files, "-o", str(tmp_path / "o.png"), "--soft-edges", "cut"])
+    result = clsco_("defocus", *files, "-o", tmp_path / "o.png", "--soft-edges", "cut")
     assert result.exit_code == 1
     assert "soft_edges" in result.stderr

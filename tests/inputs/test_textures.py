@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,7 @@ from clsco.scene.model import Background, Camera, DepthMap, Plane, Scene
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES
 
 Array = NDArray[Any]
-BITS_AND_TRANSFERS = pytest.mark.parametrize(
-    ("bits", "transfer"), [(8, "srgb"), (16, "srgb"), (8, "linear"), (16, "linear")]
-)
+BITS_AND_TRANSFERS = pytest.mark.parametrize(("bits", "transfer"), list(product((8, 16), ("srgb", "linear"))))
 
 
 def srgb_light(value: float) -> float:

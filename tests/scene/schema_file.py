@@ -12,11 +12,12 @@ from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel
 
 from clsco.scene.changes import MAX_VARIANTS, VARIANT
+from clsco.scene.faults import tables
 from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE, holds_tables
 from clsco.scene.model import CameraMotion, ObjectMotion, Scene
 from clsco.scene.shapes import SHAPES
@@ -50,9 +51,8 @@ def generate_schema() -> dict[str, Any]:
     """Generate the schema; units stand in the descriptions, and keys that may be swept also take several values."""
     schema = Scene.model_json_schema(by_alias=True)
     definitions = schema["$defs"]
-    _describe(schema, Scene)
-    for model in _models(Scene):
-        _describe(definitions.get(model.__name__, {}), model)
+    for model in {model for _, model in tables(Scene)}:
+        _describe(schema if model is Scene else definitions[model.__name__], model)
     for shape in SHAPES.values():
         definition = definitions[shape.__name__]
         definition["required"] = ["shape", *definition.get("required", [])]
@@ -68,19 +68,6 @@ def generate_schema() -> dict[str, Any]:
     definitions["Range"] = _RANGE_SCHEMA
     schema["properties"][VARIANT] = _VARIANTS_SCHEMA
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": ["object"]}
-
-
-def _models(root: type[BaseModel]) -> set[type[BaseModel]]:
-    """The models of a model's fields, at any depth."""
-    models: set[type[BaseModel]] = set()
-    waiting: list[Any] = [field.annotation for field in root.model_fields.values()]
-    while waiting:
-        part = waiting.pop()
-        waiting += get_args(part)
-        if isinstance(part, type) and issubclass(part, BaseModel) and part not in models:
-            models.add(part)
-            waiting += [field.annotation for field in part.model_fields.values()]
-    return models
 
 
 @cache

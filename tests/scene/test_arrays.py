@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import clsco
 from clsco.files.decoders import MAX_PIXELS, MAX_SIDE
 from clsco.scene.arrays import MAX_ARRAY_PIXELS, MAX_ARRAY_SIDE, ArrayInput
+from tests.scenes import refusals
 
 RNG = np.random.default_rng(4)
 GRAY = RNG.integers(0, 256, (6, 8), np.uint8)
@@ -102,28 +103,21 @@ WRONG: list[tuple[Any, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("given", "message"), WRONG)
-def test_wrong_textures_are_refused(given: Any, message: str) -> None:
-    with pytest.raises(clsco.SceneError) as caught:
-        clsco.parse_scene({"object": [{"shape": "sphere", "texture": given}, {"shape": "plane", "distance": -1.0}]})
-    assert caught.value.messages == (
-        f"scene: object[0].texture: {message}",
+WRONG_DEPTHS: list[tuple[Any, str]] = [
+    (COLOR, "an array must have the shape (rows, columns); got (6, 8, 3)"),
+    (COLOR[..., 0] + 0j, "an array must hold integers or floats; got complex128"),
+    (COLOR[:0, :, 0], f"{SIZE}; got (0, 8)"),
+]
+KEYS = [("sphere", "texture", *row) for row in WRONG] + [("depth_map", "depth", *row) for row in WRONG_DEPTHS]
+
+
+@pytest.mark.parametrize(("shape", "key", "given", "message"), KEYS)
+def test_wrong_arrays_are_refused(shape: str, key: str, given: Any, message: str) -> None:
+    items = [{"shape": shape, key: given}, {"shape": "plane", "distance": -1.0}]
+    assert refusals(clsco.parse_scene, {"object": items}) == (
+        f"scene: object[0].{key}: {message}",
         "scene: object[1].distance: must be greater than 0 mm; got -1.0",
     )
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (COLOR, "an array must have the shape (rows, columns); got (6, 8, 3)"),
-        (COLOR[..., 0] + 0j, "an array must hold integers or floats; got complex128"),
-        (COLOR[:0, :, 0], f"{SIZE}; got (0, 8)"),
-    ],
-)
-def test_wrong_depths_are_refused(given: Any, message: str) -> None:
-    with pytest.raises(clsco.SceneError) as caught:
-        clsco.parse_scene({"object": [{"shape": "depth_map", "depth": given}]})
-    assert caught.value.messages == (f"scene: object[0].depth: {message}",)
 
 
 def test_limits_are_those_of_files() -> None:

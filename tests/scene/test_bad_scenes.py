@@ -6,9 +6,9 @@ import tomllib
 
 import pytest
 
-from clsco.errors import SceneError
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
+from tests.scenes import refusals
 
 NAMES = {
     "CENTERED": "rectangle, disc, box, cylinder, sphere, ellipsoid, quadric or depth_map",
@@ -16,6 +16,7 @@ NAMES = {
     "SHAPES": "plane, rectangle, disc, box, cylinder, sphere, cone, ellipsoid, quadric, depth_map or background",
     "ONE OPENING": 'cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening',
     "SOME RIMS": ", ".join(5 * ["{distance = 1.0, diameter = 2.0}"]),
+    "SOME OBJECTS": ", ".join(65 * ['{shape = "sphere"}']),
     "SOME GROUPS": ", ".join(65 * ['{name = "a"}']),
     "FORMS OF ROTATIONS": "must be a list of 3 angles, {axis, angle} or {quaternion}",
     "SOME KEYS": ", ".join(257 * ["{time = 0}"]),
@@ -332,10 +333,23 @@ shape = "cone", rotation = {quaternion = [1e-7, 0, 0, 0]}
 """)
 
 
+# Text of a file, and the message.
+FILES = cases(r"""
+ -> object: must hold 1 to 64 objects; got 0
+object = [] -> object: must hold 1 to 64 objects; got 0
+object = [SOME OBJECTS] -> object: must hold 1 to 64 objects; got 65
+object = [{shape = "plane", name = "a"}, {shape = "cone"}, {shape = "sphere", name = "a"}]
+    -> object[2].name: names must differ; object[0] has the same; got "a"
+object = {shape = "plane"} -> object: must be an array of tables, [[object]]; got a table of 1 keys
+object = 3 -> object: must be an array of tables, [[object]]; got 3
+object = [3] -> object[0]: must be a table; got 3
+sequence.readout = 0.1 ; motion.warp = "forward" ; object = [{shape = "sphere", motion.velocity = [1, 0, 0]}]
+    -> sequence.readout: belongs to scenes of analytic surfaces with motion.warp = "inverse"; got 0.1
+""")
+
+
 def messages_of(text: str) -> tuple[str, ...]:
-    with pytest.raises(SceneError) as caught:
-        parse_scene(tomllib.loads(text), "bad.toml")
-    return caught.value.messages
+    return refusals(parse_scene, tomllib.loads(text), "bad.toml")
 
 
 @pytest.mark.parametrize(("line", "message"), SCENES)
@@ -348,22 +362,8 @@ def test_bad_object(keys: str, message: str) -> None:
     assert messages_of(f"object = [{{{keys}}}]") == (f"bad.toml: {message}",)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "object: must hold 1 to 64 objects; got 0"),
-        ("object = []", "object: must hold 1 to 64 objects; got 0"),
-        ("[[object]]\nshape = 'sphere'\n" * 65, "object: must hold 1 to 64 objects; got 65"),
-        (
-            'object = [{shape = "plane", name = "a"}, {shape = "cone"}, {shape = "sphere", name = "a"}]',
-            'object[2].name: names must differ; object[0] has the same; got "a"',
-        ),
-        ('object = {shape = "plane"}', "object: must be an array of tables, [[object]]; got a table of 1 keys"),
-        ("object = 3", "object: must be an array of tables, [[object]]; got 3"),
-        ("object = [3]", "object[0]: must be a table; got 3"),
-    ],
-)
-def test_objects(text: str, message: str) -> None:
+@pytest.mark.parametrize(("text", "message"), FILES)
+def test_bad_file(text: str, message: str) -> None:
     assert messages_of(text) == (f"bad.toml: {message}",)
 
 

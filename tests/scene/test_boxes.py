@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.errors import SceneError
 from clsco.optics.motion import poses_at
 from clsco.optics.quadrics import place
 from clsco.reference.common.geometry import nearest_surface
@@ -18,6 +17,7 @@ from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Rectangle, Scene
 from clsco.scene.rotations import after, rotation_rows
+from tests.scenes import refusals
 
 SIDES = ("front", "back", "left", "right", "top", "bottom")
 ANY = (35.0, -50.0, 110.0)
@@ -29,9 +29,7 @@ def box(*others: dict[str, Any], **keys: Any) -> Scene:
 
 
 def faults(*objects: dict[str, Any]) -> tuple[str, ...]:
-    with pytest.raises(SceneError) as caught:
-        parse_scene({"object": list(objects)})
-    return tuple(message.removeprefix("scene: ") for message in caught.value.messages)
+    return tuple(message.removeprefix("scene: ") for message in refusals(parse_scene, {"object": list(objects)}))
 
 
 def test_a_box_is_six_rectangles() -> None:

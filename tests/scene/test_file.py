@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from clsco.errors import SceneError
 from clsco.scene.changes import dump
 from clsco.scene.faults import MAX_MESSAGES
 from clsco.scene.file import MAX_DOTS, MAX_FILE_BYTES, load_scene, parse_scene
@@ -18,9 +17,8 @@ from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import load_sweep
 from tests.scene.schema_file import generate_schema
-from tests.scenes import scene_file
+from tests.scenes import EXAMPLES, refusals, scene_file
 
-EXAMPLES = sorted(p for p in (Path(__file__).parents[2] / "examples").rglob("*.toml") if p.parent.name != "sets")
 THESIS = [path for path in EXAMPLES if path.parent.name == "thesis"]
 BALL = """
 title = "Turning ball"
@@ -49,16 +47,8 @@ def ball(tmp_path: Path) -> Path:
     return scene_file(tmp_path / "ball.toml", BALL)
 
 
-def messages_of(mapping: Any) -> tuple[str, ...]:
-    with pytest.raises(SceneError) as caught:
-        parse_scene(mapping)
-    return caught.value.messages
-
-
 def load_message(path: Path, *overrides: str) -> str:
-    with pytest.raises(SceneError) as caught:
-        load_scene(path, overrides)
-    (message,) = caught.value.messages
+    (message,) = refusals(load_scene, path, overrides)
     assert "\n" not in message
     return message.removeprefix(f"{path}: ")
 
@@ -187,7 +177,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 def test_all_faults_are_listed_at_once() -> None:
-    assert messages_of(
+    assert refusals(
+        parse_scene,
         {
             "camera": {"focal_length": -3, "focal_lenght": 20.0, "f_number": "x", "aperture_diameter": 2},
             "psf": {"tilt": 1, "truncation": 2},
@@ -195,7 +186,7 @@ def test_all_faults_are_listed_at_once() -> None:
             "motion": {"warp": "inverse"},
             "fill": {"method": "none", "domain": "span"},
             "object": [{"shape": "sphere", "radius": 0, "half_angle": 3, "motion": {"velocity": [0, 0]}}],
-        }
+        },
     ) == (
         "scene: camera.focal_length: must be greater than 0 mm; got -3",
         'scene: camera.f_number: must be a number; got "x"',
@@ -214,24 +205,24 @@ def test_all_faults_are_listed_at_once() -> None:
 
 
 def test_very_many_faults_are_counted() -> None:
-    messages = messages_of({"object": [SPHERE], **{f"key{i}": i for i in range(MAX_MESSAGES + 20)}})
+    messages = refusals(parse_scene, {"object": [SPHERE], **{f"key{i}": i for i in range(MAX_MESSAGES + 20)}})
     assert len(messages) == MAX_MESSAGES + 1
     assert messages[-1] == "scene: and 20 more faults"
 
 
 def test_what_only_python_code_can_say() -> None:
-    assert messages_of(3) == ("scene: must be a table; got 3",)
-    assert messages_of({5: 6, "object": [SPHERE]}) == ("scene: [5]: keys must be text; got 5",)
-    assert messages_of({"object": [SPHERE], "camera": {"f_number": 10**5000}}) == (
+    assert refusals(parse_scene, 3) == ("scene: must be a table; got 3",)
+    assert refusals(parse_scene, {5: 6, "object": [SPHERE]}) == ("scene: [5]: keys must be text; got 5",)
+    assert refusals(parse_scene, {"object": [SPHERE], "camera": {"f_number": 10**5000}}) == (
         "scene: camera.f_number: must be a finite number; got an integer of about 5001 digits",
     )
-    assert messages_of({"object": [{"shape": 10**5000}]})[0].endswith("got an integer of about 5001 digits")
-    assert messages_of({"object": [SPHERE], "title": "\ud800"}) == (
+    assert refusals(parse_scene, {"object": [{"shape": 10**5000}]})[0].endswith("got an integer of about 5001 digits")
+    assert refusals(parse_scene, {"object": [SPHERE], "title": "\ud800"}) == (
         'scene: title: must be valid Unicode text; got "\\ud800"',
     )
     mapping: dict[str, Any] = {"object": [SPHERE]}
     mapping["camera"] = mapping
-    assert messages_of(mapping)[0].startswith("scene: camera.object: unknown key")
+    assert refusals(parse_scene, mapping)[0].startswith("scene: camera.object: unknown key")
 
 
 def test_parsing_leaves_the_mapping_as_it_was() -> None:
@@ -259,23 +250,8 @@ def test_schema_documents_every_key() -> None:
     schema = scene_schema()
     assert schema == json.loads(json.dumps(generate_schema(), allow_nan=False)), "python -m tests.scene.schema_file"
     assert schema["required"] == ["object"]
-    assert list(schema["properties"]) == [
-        "title",
-        "camera",
-        "aperture",
-        "psf",
-        "lens",
-        "sequence",
-        "motion",
-        "fill",
-        "image",
-        "light",
-        "stereo",
-        "sensor",
-        "group",
-        "object",
-        "variant",
-    ]
+    sections = "title camera aperture psf lens sequence motion fill image light stereo sensor group object variant"
+    assert list(schema["properties"]) == sections.split()
     for definition in schema["$defs"].values():
         assert definition["additionalProperties"] is False
         for key, entry in definition["properties"].items():
@@ -284,13 +260,6 @@ def test_schema_documents_every_key() -> None:
     assert schema["$defs"]["Quadric"]["required"] == ["shape", "coefficients"]
     assert schema["$defs"]["Cone"]["properties"]["half_angle"]["exclusiveMaximum"] == 90.0
     assert schema["$defs"]["Sphere"]["properties"]["radius"]["minimum"] == 1e-6
-
-
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_examples_load(path: Path) -> None:
-    for scene in load_sweep(path).scenes:
-        assert scene.title
-        assert parse_scene(dump(scene)) == scene
 
 
 @pytest.mark.parametrize("path", THESIS, ids=lambda path: path.stem)
@@ -338,9 +307,7 @@ def test_a_missing_texture_is_reported_with_the_other_faults(tmp_path: Path) -> 
         '[[object]]\nshape = "sphere"\nradius = -1\ntexture = "nothere.png"\n'
         '[[object]]\nshape = "depth_map"\ndepth = "z.exr"\n',
     )
-    with pytest.raises(SceneError) as caught:
-        load_scene(path)
-    assert [message.split(": ", 1)[1] for message in caught.value.messages] == [
+    assert [message.split(": ", 1)[1] for message in refusals(load_scene, path)] == [
         "object[0].radius: must be greater than 0 mm; got -1",
         'object[0].texture: must be an existing file, a built-in pattern or a color #rrggbb; got "nothere.png"',
         'object[1].depth: must be an existing file; got "z.exr"',

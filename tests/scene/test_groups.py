@@ -17,6 +17,7 @@ from clsco.scene.file import parse_scene
 from clsco.scene.groups import group_origin
 from clsco.scene.model import Group, ObjectMotion, Scene
 from clsco.scene.sweep import parse_sweep
+from tests.scenes import refusals
 
 CART = """
 camera.resolution = [32, 24]
@@ -43,9 +44,7 @@ def cart(**group: Any) -> dict[str, Any]:
 
 
 def faults(data: Any) -> tuple[str, ...]:
-    with pytest.raises(SceneError) as caught:
-        parse_scene(data if isinstance(data, dict) else tomllib.loads(data))
-    return tuple(message.removeprefix("scene: ") for message in caught.value.messages)
+    return tuple(message.removeprefix("scene: ") for message in refusals(parse_scene, data))
 
 
 def test_a_file_with_a_group() -> None:

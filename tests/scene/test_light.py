@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 import clsco
-from clsco.errors import SceneError
 from clsco.scene.file import parse_scene
 from clsco.scene.sweep import parse_sweep
+from tests.scenes import refusals
 
 BALL: dict[str, Any] = {"shape": "sphere", "motion": {"velocity": [1.0, 0.0, 0.0]}}
 FAR = {"direction": [0.3, 0.8, 1.0], "ambient": 0.2}
@@ -40,8 +40,6 @@ def test_lights_are_swept() -> None:
     ],
 )
 def test_what_has_no_rays_has_no_light(sections: dict[str, Any]) -> None:
-    with pytest.raises(SceneError) as caught:
-        parse_scene({"object": [BALL], "light": FAR, **sections})
-    assert caught.value.messages == (f"scene: {REFUSED}",)
+    assert refusals(parse_scene, {"object": [BALL], "light": FAR, **sections}) == (f"scene: {REFUSED}",)
     still = parse_scene({"object": [{"shape": "sphere"}], "light": FAR, "motion": {"warp": "forward"}})
     assert still.light is not None

@@ -9,24 +9,9 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+import clsco
 from clsco.errors import SceneError
-from clsco.scene.model import (
-    AnyShape,
-    Camera,
-    CameraMotion,
-    Cone,
-    Cylinder,
-    DepthMap,
-    Ellipsoid,
-    Motion,
-    ObjectMotion,
-    Plane,
-    Psf,
-    Quadric,
-    Scene,
-    Sequence,
-    Sphere,
-)
+from clsco.scene.model import AnyShape
 from clsco.scene.shapes import origin
 
 COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
@@ -34,7 +19,11 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
 @pytest.mark.parametrize(
     ("shape", "expected"),
-    [(Plane(), {"slope_x": 0.0, "slope_y": 0.0}), (Cylinder(), {"axis": (0.0, 1.0, 0.0)}), (Cone(), {"nappe": "away"})],
+    [
+        (clsco.Plane(), {"slope_x": 0.0, "slope_y": 0.0}),
+        (clsco.Cylinder(), {"axis": (0.0, 1.0, 0.0)}),
+        (clsco.Cone(), {"nappe": "away"}),
+    ],
 )
 def test_defaults_of_the_shapes(shape: AnyShape, expected: dict[str, Any]) -> None:
     assert {key: getattr(shape, key) for key in expected} == expected
@@ -42,7 +31,7 @@ def test_defaults_of_the_shapes(shape: AnyShape, expected: dict[str, Any]) -> No
 
 
 def test_a_camera_given_by_f_number_and_focus_has_numbers_for_both_distances() -> None:
-    camera = Camera(focal_length=50.0, f_number=2.5, focus_distance=1000.0)
+    camera = clsco.Camera(focal_length=50.0, f_number=2.5, focus_distance=1000.0)
     assert camera.aperture_diameter == 20.0
     assert camera.normalization_distance == 50.0
     # One rounding each in the product, the difference and the quotient: below 4 units in the last place.
@@ -50,34 +39,34 @@ def test_a_camera_given_by_f_number_and_focus_has_numbers_for_both_distances() -
 
 
 def test_the_default_focus_is_at_250_mm() -> None:
-    camera = Camera()
+    camera = clsco.Camera()
     focus = 1.0 / (1.0 / camera.focal_length - 1.0 / camera.sensor_distance)
     assert round(focus, 3) == 250.017
 
 
 def test_truncation_follows_the_edge() -> None:
-    assert Psf(model="gaussian").truncation == 3.0
-    assert Psf(model="gaussian", edge="area").truncation == 3.0
-    assert Psf(model="gaussian", edge="sampled").truncation == 2.0
-    assert Psf(model="gaussian", edge="sampled", truncation=3.0).truncation == 3.0
+    assert clsco.Psf(model="gaussian").truncation == 3.0
+    assert clsco.Psf(model="gaussian", edge="area").truncation == 3.0
+    assert clsco.Psf(model="gaussian", edge="sampled").truncation == 2.0
+    assert clsco.Psf(model="gaussian", edge="sampled", truncation=3.0).truncation == 3.0
 
 
 def test_the_shutter_is_open_for_the_interval() -> None:
-    assert Sequence(interval=0.04).shutter == 0.04
-    assert Sequence(interval=0.04, shutter=0.01).shutter == 0.01
-    assert Sequence(samples="auto").samples == "auto"
+    assert clsco.Sequence(interval=0.04).shutter == 0.04
+    assert clsco.Sequence(interval=0.04, shutter=0.01).shutter == 0.01
+    assert clsco.Sequence(samples="auto").samples == "auto"
 
 
 @pytest.mark.parametrize(
     ("shape", "expected"),
     [
-        (Plane(distance=230.0, slope_x=1.0), (0.0, 0.0, 230.0)),
-        (Cone(apex=(1.0, 2.0, -3.0)), (1.0, 2.0, -3.0)),
-        (Sphere(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
-        (Cylinder(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
-        (Ellipsoid(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
-        (Quadric(coefficients=COEFFICIENTS, center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
-        (DepthMap(depth="z.npy"), (0.0, 0.0, 0.0)),
+        (clsco.Plane(distance=230.0, slope_x=1.0), (0.0, 0.0, 230.0)),
+        (clsco.Cone(apex=(1.0, 2.0, -3.0)), (1.0, 2.0, -3.0)),
+        (clsco.Sphere(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (clsco.Cylinder(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (clsco.Ellipsoid(center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (clsco.Quadric(coefficients=COEFFICIENTS, center=(1.0, 2.0, 300.0)), (1.0, 2.0, 300.0)),
+        (clsco.DepthMap(depth="z.npy"), (0.0, 0.0, 0.0)),
     ],
 )
 def test_origin(shape: AnyShape, expected: tuple[float, float, float]) -> None:
@@ -85,69 +74,77 @@ def test_origin(shape: AnyShape, expected: tuple[float, float, float]) -> None:
 
 
 def test_moves() -> None:
-    assert not ObjectMotion().moves
-    assert not ObjectMotion(velocity=(0.0, -0.0, 0.0)).moves
-    assert ObjectMotion(velocity=(0.0, 0.0, 1e-9)).moves
-    assert ObjectMotion(angular_velocity=(0.0, -1.0, 0.0)).moves
-    assert not ObjectMotion(acceleration=(0.0, 0.0, 0.0)).moves
-    assert ObjectMotion(acceleration=(0.0, 0.0, 1e-9)).moves
-    assert ObjectMotion(angular_acceleration=(0.0, -1.0, 0.0)).turns == (False, True, False)
-    assert ObjectMotion(angular_acceleration=(0.0, -1.0, 0.0)).moves
+    assert not clsco.ObjectMotion().moves
+    assert not clsco.ObjectMotion(velocity=(0.0, -0.0, 0.0)).moves
+    assert clsco.ObjectMotion(velocity=(0.0, 0.0, 1e-9)).moves
+    assert clsco.ObjectMotion(angular_velocity=(0.0, -1.0, 0.0)).moves
+    assert not clsco.ObjectMotion(acceleration=(0.0, 0.0, 0.0)).moves
+    assert clsco.ObjectMotion(acceleration=(0.0, 0.0, 1e-9)).moves
+    assert clsco.ObjectMotion(angular_acceleration=(0.0, -1.0, 0.0)).turns == (False, True, False)
+    assert clsco.ObjectMotion(angular_acceleration=(0.0, -1.0, 0.0)).moves
 
 
 def test_a_scene_moves_where_anything_does() -> None:
     moving: dict[str, Any] = {"velocity": (0.0, 1.0, 0.0)}
-    assert not Scene(objects=(Sphere(), Plane())).moves
-    assert Scene(objects=(Plane(), Sphere(motion=ObjectMotion(**moving)))).moves
-    assert Scene(camera=Camera(motion=CameraMotion(**moving)), objects=(Plane(),)).moves
+    assert not clsco.Scene(objects=(clsco.Sphere(), clsco.Plane())).moves
+    assert clsco.Scene(objects=(clsco.Plane(), clsco.Sphere(motion=clsco.ObjectMotion(**moving)))).moves
+    assert clsco.Scene(camera=clsco.Camera(motion=clsco.CameraMotion(**moving)), objects=(clsco.Plane(),)).moves
 
 
 def test_rays_meet_what_is_analytic_and_not_warped_forward() -> None:
-    forward, moving = Motion(warp="forward"), ObjectMotion(velocity=(0.0, 1.0, 0.0))
-    assert Scene(objects=(Sphere(), Plane()), motion=forward).is_ray_castable
-    assert Scene(objects=(Sphere(motion=moving), Plane())).is_ray_castable
-    assert not Scene(objects=(Sphere(motion=moving), Plane()), motion=forward).is_ray_castable
-    assert not Scene(objects=(Plane(), DepthMap(depth="z.npy"))).is_ray_castable
+    forward, moving = clsco.Motion(warp="forward"), clsco.ObjectMotion(velocity=(0.0, 1.0, 0.0))
+    assert clsco.Scene(objects=(clsco.Sphere(), clsco.Plane()), motion=forward).is_ray_castable
+    assert clsco.Scene(objects=(clsco.Sphere(motion=moving), clsco.Plane())).is_ray_castable
+    assert not clsco.Scene(objects=(clsco.Sphere(motion=moving), clsco.Plane()), motion=forward).is_ray_castable
+    assert not clsco.Scene(objects=(clsco.Plane(), clsco.DepthMap(depth="z.npy"))).is_ray_castable
 
 
 @pytest.mark.parametrize(
     "shape",
     [
-        Sphere(center=(0.0, 0.0, -29.0)),
-        Cylinder(center=(0.0, 0.0, -29.0)),
-        Cylinder(center=(0.0, 0.0, -1000.0), axis=(0.0, 1.0, 1e-3)),
-        Cone(apex=(0.0, 0.0, -1000.0)),
-        Cone(apex=(0.0, 0.0, 1.0), nappe="towards"),
-        Ellipsoid(center=(0.0, 0.0, -49.0)),
+        clsco.Sphere(center=(0.0, 0.0, -29.0)),
+        clsco.Cylinder(center=(0.0, 0.0, -29.0)),
+        clsco.Cylinder(center=(0.0, 0.0, -1000.0), axis=(0.0, 1.0, 1e-3)),
+        clsco.Cone(apex=(0.0, 0.0, -1000.0)),
+        clsco.Cone(apex=(0.0, 0.0, 1.0), nappe="towards"),
+        clsco.Ellipsoid(center=(0.0, 0.0, -49.0)),
     ],
 )
 def test_a_part_in_front_of_the_lens_is_enough(shape: AnyShape) -> None:
-    assert Scene(objects=(shape,)).objects == (shape,)
+    assert clsco.Scene(objects=(shape,)).objects == (shape,)
 
 
 def test_python_code_may_say_object_or_objects() -> None:
-    assert Scene(objects=(Sphere(),)) == Scene.model_validate({"object": [{"shape": "sphere"}]})
+    assert clsco.Scene(objects=(clsco.Sphere(),)) == clsco.Scene.model_validate({"object": [{"shape": "sphere"}]})
 
 
 def test_objects_without_a_name_are_numbered() -> None:
-    scene = Scene(objects=(Sphere(), Plane(), Sphere(), Sphere(name="sphere 2"), Sphere(name="plane")))
+    scene = clsco.Scene(
+        objects=(
+            clsco.Sphere(),
+            clsco.Plane(),
+            clsco.Sphere(),
+            clsco.Sphere(name="sphere 2"),
+            clsco.Sphere(name="plane"),
+        )
+    )
     assert [item.name for item in scene.objects] == ["sphere", "plane 2", "sphere 3", "sphere 2", "plane"]
-    again = Scene(objects=(*scene.objects[1:3], *Scene(objects=(Sphere(), Sphere())).objects))
+    again = clsco.Scene(objects=(*scene.objects[1:3], *clsco.Scene(objects=(clsco.Sphere(), clsco.Sphere())).objects))
     assert [item.name for item in again.objects] == ["plane", "sphere", "sphere 2", "sphere 3"]
     with pytest.raises(SceneError, match="names must differ"):
-        Scene(objects=(Sphere(name="ball"), Plane(name="ball")))
-    assert len(Scene(objects=(Sphere(),) * 64).objects) == 64
+        clsco.Scene(objects=(clsco.Sphere(name="ball"), clsco.Plane(name="ball")))
+    assert len(clsco.Scene(objects=(clsco.Sphere(),) * 64).objects) == 64
 
 
 def test_scenes_are_frozen_and_hashable() -> None:
-    scene = Scene(objects=(Sphere(),))
+    scene = clsco.Scene(objects=(clsco.Sphere(),))
     with pytest.raises(ValidationError, match="frozen"):
         scene.title = "other"
-    assert hash(scene) == hash(Scene(objects=(Sphere(),)))
+    assert hash(scene) == hash(clsco.Scene(objects=(clsco.Sphere(),)))
 
 
 def test_whole_numbers_become_floats() -> None:
-    radius = Sphere(radius=25).radius
+    radius = clsco.Sphere(radius=25).radius
     assert radius == 25.0
     assert isinstance(radius, float)
 
