@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.reference.inpainting.fill import Method, far_bounds, fill, fill_ait, fill_objects, mark_missing
+from clsco.reference.inpainting.fill import FillReport, Method, far_bounds, fill_ait, fill_objects, mark_missing
 from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 
@@ -67,6 +67,14 @@ def random_masks(count: int, largest: int = 14) -> list[tuple[Array, Mask]]:
         shape = tuple(rng.integers(1, largest, 2))
         cases.append((rng.random((*shape, 2)), rng.random(shape) < rng.random()))
     return cases
+
+
+def fill(
+    values: Array, known: Mask, method: Method, allowed: Mask | None = None
+) -> tuple[Array, NDArray[np.uint8], FillReport]:
+    """Values, status and report of a scene with one object."""
+    result, _, *rest = fill_objects(values, np.zeros(known.shape, np.uint8), known, allowed, method, 0, far=False)
+    return result, *rest
 
 
 def test_missing_is_between_known() -> None:
@@ -128,7 +136,7 @@ def test_ait_takes_pairs_in_their_order() -> None:
 def test_filling_always_ends_with_nothing_left(method: Method) -> None:
     filled_in_all, many_sweeps = 0, 0
     for values, known in random_masks(200 if method == "ait" else 100):
-        result, status, report = fill(values, known, None, method, 0)
+        result, status, report = fill(values, known, method)
         missing = status == 1
         assert (missing | ~mark_missing(known, None)).all()
         assert not mark_missing(known | missing, None).any()
@@ -154,7 +162,7 @@ def test_what_cannot_be_filled_is_reported() -> None:
     allowed = np.zeros((9, 9), dtype=bool)
     allowed[4, 4] = True  # no known neighbor ever comes near
     for method in ("ait", "mean_median"):
-        _, status, report = fill(np.ones((9, 9, 2)), known, allowed, method, 0)
+        _, status, report = fill(np.ones((9, 9, 2)), known, method, allowed)
         assert (report.missing_pixels, report.filled_pixels, report.unfilled_pixels, report.sweeps) == (
             1,
             0,
@@ -163,7 +171,7 @@ def test_what_cannot_be_filled_is_reported() -> None:
         )
         assert status[4, 4] == 2
         assert status.sum() == 2
-    _, status, report = fill(np.ones((9, 9, 2)), known, None, "none", 0)
+    _, status, report = fill(np.ones((9, 9, 2)), known, "none")
     assert (report.missing_pixels, report.unfilled_pixels, report.sweeps) == (5, 5, 0)
     assert (status[4, 2:7] == 2).all()
 
@@ -258,7 +266,7 @@ def test_mean_median_is_its_stages_one_after_another(kind: str) -> None:
         values[..., 0] = values[..., 1] = np.arange(22) // 11  # the median keeps this edge, the mean does not
     known = rng.random((20, 22)) < 0.9
     known[7:13, 8:14] = False
-    result, status, _ = fill(values, known, None, "mean_median", 0)
+    result, status, _ = fill(values, known, "mean_median")
     wins = score_mean_median(values[..., :2], known, 2.0**16).median_wins()
     assert wins[4:].any() == (kind == "lines")
     expected, valid = values, known.copy()
@@ -319,7 +327,7 @@ def test_what_an_edge_uncovers_is_filled_from_the_far_side(method: Method) -> No
     # Means and medians of equal values, which a few roundings may change.
     np.testing.assert_allclose(result, values, rtol=1e-12)
     assert (found == objects).all()
-    across, *_ = fill(given, known, None, method, 0)
+    across, *_ = fill(given, known, method)
     assert np.abs(across - values)[..., 0].max() > 0.3
 
 

@@ -12,7 +12,7 @@ from clsco.constants import NO_WINNER
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.reference.common.geometry import Array, pixel_ray, rest_pixel, sample_texture, solve_quadric
-from clsco.reference.inpainting.fill import Method, fill, fill_objects, mark_missing
+from clsco.reference.inpainting.fill import Method, fill_objects, mark_missing
 from clsco.reference.trace.trace import padded_grid
 from clsco.reference.warp.warp import (
     nearest_pixel,
@@ -49,7 +49,7 @@ def warp(at: Placer, item: Object, shape: tuple[int, int], guard: int = 0) -> tu
 def test_missing_pixels_of_the_thesis(motion: ObjectMotion, count: int, guard: int, at: Placer) -> None:
     known, radiance, w, _ = warp(at, Plane(motion=motion), (512, 512), guard)
     values = np.concatenate([radiance, w[..., None]], axis=-1)
-    _, _, report = fill(values, known, None, "ait", guard)
+    *_, report = fill_objects(values, np.zeros(known.shape, np.uint8), known, None, "ait", guard, far=False)
     assert report.filled_first_sweep == count
     assert report.unfilled_pixels == 0
     # The crossings of 20 missing rows with 20 missing columns wait for the second sweep.
