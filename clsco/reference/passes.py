@@ -15,7 +15,7 @@ from clsco.inputs.textures import radiance_span
 from clsco.optics.chords import chord_weights
 from clsco.optics.lens_path import camera_at, colored, lens_at
 from clsco.optics.motion import Eye, poses_at, rest_poses
-from clsco.optics.quadrics import cutting_bounds, place
+from clsco.optics.quadrics import place
 from clsco.optics.vignetting import throughput
 from clsco.optics.visibility import NO_GROUP
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -74,9 +74,7 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
         cast = trace(view, group, guard)
         sources, finer = spread_sources(cast) if psf.tilt and not plan.psf.diffracted else cast, None
         if psf.silhouette_samples > 1:
-            bounds, grid = [cutting_bounds(item) for item in view.scene.objects], padded_grid(view.scene.camera, guard)
-            args = view.scene.camera, view.surfaces, bounds, group, *grid
-            w = np.where(cast.label > 0, cast.inverse_depth, 0.0)
+            args, w = (view, group, *padded_grid(view.camera, guard)), np.where(cast.label > 0, cast.inverse_depth, 0.0)
             small = small_members(*args).any(axis=0) | hidden_by_small(*args, w)
             marked = silhouettes_of(view, group, guard, cast.label) | small
             several = marked if cast.parts is None else marked | (cast.parts > 0)
