@@ -28,7 +28,6 @@ from clsco.reference.common.geometry import (
     rest_pixel,
     sample_texture,
     solve_quadric,
-    solve_root,
     surface_normal,
     surface_slope,
     table_coordinate,
@@ -347,7 +346,7 @@ def test_nearest_of_several_surfaces(at: Placer) -> None:
 def test_sheets_are_the_two_roots(at: Placer) -> None:
     ball = at(Sphere(center=(5.0, -3.0, 280.0)))
     rays = pixel_ray(CAMERA.model_copy(update={"pixel_pitch": 0.1}), np.arange(49.0)[:, None], np.arange(65.0))
-    near, far = (solve_root(ball, None, rays, only) for only in (1, 2))
+    near, far = (solve_quadric(ball, None, rays, only) for only in (1, 2))
     hit = near[1] > 0
     assert 0.1 < hit.mean() < 0.9
     assert (near[0] == solve_quadric(ball, None, rays)[0]).all()

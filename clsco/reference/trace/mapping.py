@@ -26,14 +26,7 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.rays import ray_changes
 from clsco.optics.texture_mapping import TextureMap, detail_least, texture_spread
-from clsco.reference.common.geometry import (
-    Array,
-    Filter,
-    canonical_gradient,
-    surface_normal,
-    turned,
-    turned_back,
-)
+from clsco.reference.common.geometry import Array, Filter, canonical_gradient, surface_normal, turned
 from clsco.scene.model import Camera
 
 BENT = 256.0  # squared distance from a pole, in pixels, within which coordinates are far from linear
@@ -87,7 +80,7 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
     """Points on rays (n, 3) at inverse depths w (n,) in 1/mm, in the frame of a texture."""
     d = turned(surface.turn, rays)
     gradient = canonical_gradient(surface, d, w)
-    n, facing = turned_back(surface.turn, gradient), (gradient * d).sum(axis=-1)
+    n, facing = turned(surface.turn.T, gradient), (gradient * d).sum(axis=-1)
     scale = np.where(facing != 0.0, -1.0 / np.where(facing != 0.0, facing, 1.0), 0.0)
     changes = [np.eye(3)[axis] + rays * (n[..., axis] * scale)[..., None] for axis in range(2)]
     along, aside, upwards = ray_changes(camera, rays[..., 0], rays[..., 1])
@@ -99,12 +92,6 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
     return Mapped(turned(texture_map.frame, own_points), *steps)
 
 
-def square_from_axis(q: Array) -> Array:
-    """Squared distance (n,) from the axis, never exactly 0."""
-    least = np.maximum(TINY * (q * q).sum(axis=-1), 1e-30)
-    return np.asarray(np.maximum(q[..., 0] ** 2 + q[..., 2] ** 2, least))
-
-
 def cube_side(q: Array) -> tuple[Indices, Array]:
     """Side of a cube that directions (n, 3) meet, and the directions in its axes: right, up and out."""
     side, _, _ = side_of(q)
@@ -113,8 +100,7 @@ def cube_side(q: Array) -> tuple[Indices, Array]:
 
 def on_side(q: Array, side: Indices) -> Array:
     """Vectors (n, 3) in the axes of sides (n,)."""
-    axes = np.array([[axis for axis, _ in (right, up, out)] for out, right, up in SIDES])
-    signs = np.array([[sign for _, sign in (right, up, out)] for out, right, up in SIDES])
+    axes, signs = np.moveaxis(np.array(SIDES)[:, [1, 2, 0]], -1, 0)  # SIDES: out, right, up
     return np.asarray(np.take_along_axis(q, axes[side], -1) * signs[side])
 
 
@@ -155,7 +141,8 @@ def texel_change(texture_map: TextureMap, q: Array, dq: Array) -> tuple[Array, A
     """Change of column and row for a change dq of q, (n, 3)."""
     x, y = dq[..., 0], dq[..., 1]
     if texture_map.kind in (MAP_CYLINDER, MAP_LONGITUDE, MAP_CONE):
-        square = square_from_axis(q)
+        least = np.maximum(TINY * (q * q).sum(axis=-1), 1e-30)
+        square = np.maximum(q[..., 0] ** 2 + q[..., 2] ** 2, least)  # from the axis
         x = (q[..., 2] * dq[..., 0] - q[..., 0] * dq[..., 2]) / square
         if texture_map.kind == MAP_LONGITUDE:
             radius = np.sqrt(square)

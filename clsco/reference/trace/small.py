@@ -23,7 +23,7 @@ from clsco.reference.common.geometry import (
     blur_radius,
     pixel_ray,
     quarter_discriminant,
-    solve_root,
+    solve_quadric,
     turned,
 )
 from clsco.reference.trace.light import shade
@@ -229,7 +229,7 @@ def with_small(
         rays = pixel_ray(view.camera, row, column)
         w, slope = outline_plane(surface, rays)
         if view.bounds[k] is not None and surface.canonical.q.any():  # the surface itself, if bounds cut it
-            depth, root = solve_root(surface, view.bounds[k], rays, group.root)
+            depth, root = solve_quadric(surface, view.bounds[k], rays, group.root)
             w = np.where(root > 0, depth, w)
         alone = cast(replace(view, light=None), replace(group, members=1 << k), row, column, texel, samples)
         size, label = blur_radius(view.lens, rays, w), np.where(covered > 0.0, 2 * k + 1, 0).astype(np.uint8)

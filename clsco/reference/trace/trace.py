@@ -24,7 +24,6 @@ from clsco.optics.rays import ray_changes
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import (
-    SMALLEST_RADIUS,
     Array,
     blur_gradient,
     blur_radius,
@@ -34,6 +33,7 @@ from clsco.reference.common.geometry import (
     pixel_tilt,
     rest_pixel,
     sample_texture,
+    signed_size,
     surface_slope,
     tilt_slope,
 )
@@ -220,8 +220,7 @@ def _ellipses(view: View, row: NDArray[Any], column: NDArray[Any]) -> tuple[Arra
 def spread_sources(sources: Sources) -> Sources:
     """Sources with the radius and gradient that `scatter` uses: those of whole pixels, see `pixel_tilt`."""
     tilt, radius = pixel_tilt(sources.gradient, sources.radius)
-    size = np.maximum(np.abs(radius), SMALLEST_RADIUS) * np.where(radius < 0.0, -1.0, 1.0)
-    return replace(sources, radius=radius, gradient=size[..., None] * tilt)
+    return replace(sources, radius=radius, gradient=signed_size(radius)[..., None] * tilt)
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -297,9 +296,8 @@ def trace_subpixels(
         rays = pixel_ray(view.camera, at_row, at_column)[lit]
         pixel, i, j = np.nonzero(lit)
         # As on devices, from the gradient divided by the radius of the covered area.
-        size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
         tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted)
-        tilted = (tilted if widening is None else tilted + widening) * size[..., None] * psf.tilt
+        tilted = (tilted if widening is None else tilted + widening) * signed_size(lens_radius)[..., None] * psf.tilt
         points = Points(
             rays, hit.w[lit], lens_radius[lit], offsets[j], offsets[i], 1.0 / samples, tilted[lit], limb[lit],
             place=np.stack([row[pixel], column[pixel]]) - guard,
