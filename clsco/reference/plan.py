@@ -108,25 +108,22 @@ class ReferencePlan:
     def occlusion(self) -> Occlusion:
         """Method: "none" if set or nothing can be hidden, "layered" for depth maps and moved pixels, or the scene's."""
         scene = self.scene
-        if scene.psf.occlusion == "none" or (
-            len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
-        ):
+        convex = len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
+        if scene.psf.occlusion == "none" or convex:
             return "none"
         return scene.psf.occlusion if not (self.static_map or self.forward) else "layered"
 
     @cached_property
     def groups(self) -> tuple[OcclusionGroup, ...]:
         """Occlusion groups: each object, or each root of a hollow object, with all others as occluders."""
-        items = self.scene.objects
         if self.occlusion != "visibility":
             return (everything(self.scene),)
-        occluders = [(1 << len(items)) - 1 - (1 << k) for k in range(len(items))]
-        groups = []
-        for k, item in enumerate(items):
+        groups, every = [], everything(self.scene).members
+        for k, item in enumerate(self.scene.objects):
             if _hollow(item):
-                groups += [OcclusionGroup(1 << k, occluders[k] | 1 << k, k, root) for root in (1, 2)]
+                groups += [OcclusionGroup(1 << k, every, k, root) for root in (1, 2)]
             else:
-                groups.append(OcclusionGroup(1 << k, occluders[k]))
+                groups.append(OcclusionGroup(1 << k, every & ~(1 << k)))
         return tuple(groups)
 
     @property

@@ -317,11 +317,12 @@ class Visibility:
     True if fully hidden, judged by the blur's cells; near: True for a pixel's source near the focus; part: px per cell;
     lean (M, 2): change of the tilt per cell of a narrow lens, if a part of the lens is behind the surface, else 0; bent
     (M, 3): xx, xy, yy of the map from taps to an ellipse's disc, or from a narrow lens's cells to the ellipse, None for
-    discs; ray_numbers, ray_parts, ray_scale: from `RayMeans.around`. Common to all sources: occluders: per surface, a
-    mask (M,) of sources that it hides in part, and the data; extent: of the lens in lens radii; cells: weights (L, L)
-    of its cells; mask: straight edges (n, 3) of the lens, normal and distance, empty if round; circles: rims that cut
-    light; waves: True if light spreads beyond the geometric blur; signed: True if cells are mirrored for R < 0; round:
-    True for a circular aperture; pupil: None unless weights include the rims; rays: mean lens points of wide lenses.
+    discs; ray_numbers, ray_parts, ray_scale: from `RayMeans.around`, if there are `rays`. Common to all sources:
+    occluders: per surface, a mask (M,) of sources that it hides in part, and the data; extent: of the lens in lens
+    radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens, normal and distance, empty if
+    round; circles: rims that cut light; waves: True if light spreads beyond the geometric blur; signed: True if cells
+    are mirrored for R < 0; round: True for a circular aperture; pupil: None unless weights include the rims; rays: mean
+    lens points of wide lenses.
     """
 
     row: NDArray[np.int64]
@@ -344,9 +345,9 @@ class Visibility:
     pupil: Pupil | None = None
     bent: Array | None = None
     rays: RayMeans | None = None
-    ray_numbers: NDArray[np.int64] | None = None
-    ray_parts: Array | None = None
-    ray_scale: Array | None = None
+    ray_numbers: Any = None
+    ray_parts: Any = None
+    ray_scale: Any = None
     behind: Mask | None = None
     near: Mask | None = None
     part: Array | None = None

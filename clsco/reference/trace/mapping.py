@@ -20,8 +20,7 @@ from clsco.constants import (
     WRAP_MIRROR,
     WRAP_REPEAT,
 )
-from clsco.inputs.mipmaps import SIDES, mipmap
-from clsco.inputs.mipmaps import cube_side as side_of
+from clsco.inputs.mipmaps import SIDES, cube_side, mipmap
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.rays import ray_changes
@@ -92,14 +91,8 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
     return Mapped(turned(texture_map.frame, own_points), *steps)
 
 
-def cube_side(q: Array) -> tuple[Indices, Array]:
-    """Side of a cube that directions (n, 3) meet, and the directions in its axes: right, up and out."""
-    side, _, _ = side_of(q)
-    return side, on_side(q, side)
-
-
 def on_side(q: Array, side: Indices) -> Array:
-    """Vectors (n, 3) in the axes of sides (n,)."""
+    """Vectors (n, 3) in the axes of sides (n,) of a cube: right, up and out."""
     axes, signs = np.moveaxis(np.array(SIDES)[:, [1, 2, 0]], -1, 0)  # SIDES: out, right, up
     return np.asarray(np.take_along_axis(q, axes[side], -1) * signs[side])
 
@@ -115,8 +108,7 @@ def wrapped_position(position: Array, count: int, wrap: int) -> Array:
     if wrap in (WRAP_REPEAT, WRAP_MIRROR):
         period = 2.0 * count if wrap == WRAP_MIRROR else float(count)
         position = position - period * np.floor(position / period)
-    position = np.where(position < FARTHEST_TEXEL, position, FARTHEST_TEXEL)
-    return np.asarray(np.maximum(position, -FARTHEST_TEXEL))
+    return np.maximum(np.fmin(position, FARTHEST_TEXEL), -FARTHEST_TEXEL)
 
 
 def texel_at(texture_map: TextureMap, q: Array) -> Texel:
@@ -131,8 +123,9 @@ def texel_at(texture_map: TextureMap, q: Array) -> Texel:
         length = np.sqrt((q * q).sum(axis=-1))
         x, y = length * np.sin(texture_map.slant * angle), length * np.cos(texture_map.slant * angle)
     elif texture_map.kind == MAP_CUBE:
-        side, on = cube_side(q)
-        x, y = on[..., 0] / on[..., 2], on[..., 1] / on[..., 2]
+        side = cube_side(q)[0]
+        right, up, out = np.moveaxis(on_side(q, side), -1, 0)
+        x, y = right / out, up / out
     column, row = texels_of(texture_map, x, y)
     return Texel(column + texture_map.shift[0], row + texture_map.shift[1], side)
 
@@ -156,8 +149,7 @@ def texel_change(texture_map: TextureMap, q: Array, dq: Array) -> tuple[Array, A
             x = out * np.sin(angle) + around * np.cos(angle)
             y = out * np.cos(angle) - around * np.sin(angle)
     if texture_map.kind == MAP_CUBE:
-        side, on = cube_side(q)
-        d = on_side(dq, side)
+        on, d = (on_side(vectors, cube_side(q)[0]) for vectors in (q, dq))
         x, y = ((d[..., k] * on[..., 2] - on[..., k] * d[..., 2]) / on[..., 2] ** 2 for k in (0, 1))
     return texels_of(texture_map, x, y)
 

@@ -81,7 +81,7 @@ class Points:
 
     def at_middle(self, frame: int, eye: Eye) -> tuple[Array, NDArray[np.bool_]]:
         """`Follow` to the middle of a frame's shutter; no shift for points behind the lens."""
-        scene, time = self.scene, middle_time(self.scene.sequence, frame) if self.scene.moves else 0.0
+        scene, time = self.scene, middle_of(self.scene, frame)
         camera, poses = camera_at(scene, time), poses_at(scene, time, eye)
         row, column, ratio = self.places(camera, poses)
         hidden = (ratio <= 0.0) | outside_frame(scene.camera, row, column)
@@ -89,6 +89,11 @@ class Points:
         at_row, at_column = padded_grid(scene.camera, 0)
         shift = np.stack([column - at_column, row - at_row], axis=-1)
         return np.where((ratio > 0.0)[..., None], shift, 0.0), hidden & (self.number >= 0)
+
+
+def middle_of(scene: Scene, frame: int) -> float:
+    """Time of a frame's ground truth, s; 0 in a scene without motion."""
+    return middle_time(scene.sequence, frame) if scene.moves else 0.0
 
 
 def nearest_at(scene: Scene, camera: Camera, poses: tuple[Pose, ...], row: Array, column: Array) -> Array:
@@ -171,8 +176,7 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
     surface.
     """
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
-    now = middle_time(scene.sequence, frame) if scene.moves else 0.0
-    view = view_at(scene, textures, now, eye, scene.is_displaced or shifts_view(scene, eye))
+    view = view_at(scene, textures, middle_of(scene, frame), eye, scene.is_displaced or shifts_view(scene, eye))
     arrays, points = surface_truth(view, rest, *padded_grid(scene.camera, 0))
     return followed(arrays, replace(points, scene=scene).at_middle, scene, frame, eye)
 
