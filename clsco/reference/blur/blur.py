@@ -35,12 +35,9 @@ def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
     """
 
     def along(radius: Array, there: NDArray[np.bool_]) -> Array:
-        ahead, behind = np.zeros_like(there), np.zeros_like(there)
-        ahead[:, :-1] = there[:, 1:]
-        behind[:, 1:] = there[:, :-1]
-        high, low = radius.copy(), radius.copy()
-        high[:, :-1] = np.where(ahead[:, :-1], radius[:, 1:], radius[:, :-1])
-        low[:, 1:] = np.where(behind[:, 1:], radius[:, :-1], radius[:, 1:])
+        padded, mask = np.pad(radius, ((0, 0), (1, 1))), np.pad(there, ((0, 0), (1, 1)))
+        ahead, behind = mask[:, 2:], mask[:, :-2]
+        high, low = np.where(ahead, padded[:, 2:], radius), np.where(behind, padded[:, :-2], radius)
         distance = ahead.astype(np.int64) + behind
         return np.where(there & (distance > 0), (high - low) / np.maximum(distance, 1), 0.0)
 

@@ -152,16 +152,14 @@ def footprint_of(
     most = np.where(bent, MOST_BENT_TEXELS, MOST_TEXELS) ** 2
     for _ in texture.levels[1:]:
         scale = 4.0**level
-        coarser = ~(narrow < total * (4.0 * APART * LEAST_TEXELS**2 * scale)) | (
-            APART * most * scale < np.maximum(across, along)
-        )
+        coarser = ~(narrow < total * (4.0 * APART * LEAST_TEXELS**2 * scale))
+        coarser |= APART * most * scale < np.maximum(across, along)
         level += coarser & (level + 1 < len(texture.levels))
     cells_x, cells_y = (
         cells_of(square / 4.0**level, column * row / 4.0**level, bent)
         for square, (column, row) in zip((across, along), changes, strict=True)
     )
-    kinds = np.stack([level, cells_x, cells_y, bent.astype(np.intp)], axis=-1)
-    return Footprint(kinds, changes)
+    return Footprint(np.stack([level, cells_x, cells_y, bent.astype(np.intp)], axis=-1), changes)
 
 
 def mean_texture(
@@ -170,29 +168,27 @@ def mean_texture(
     """Means (n, channels) of a texture over parts of pixels, displaced by `aside` parts to the right and `below` parts
     down from the footprints.
     """
-    result = np.empty((len(footprint.kinds), texture.levels[0].shape[3]))
+    result = np.zeros((len(footprint.kinds), texture.levels[0].shape[3]))
     for kind in np.unique(footprint.kinds, axis=0):
-        selected = (footprint.kinds == kind).all(axis=-1)
-        result[selected] = _mean_of_kind(texture, point, texel, footprint, selected, (aside, below))
+        selected = np.flatnonzero((footprint.kinds == kind).all(axis=-1))
+        for part in _cell_means(texture, point, texel, footprint, selected, (aside, below)):
+            result[selected] += part
     return result
 
 
-def _mean_of_kind(
-    texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, selected: NDArray[np.bool_],
+def _cell_means(
+    texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, selected: Indices,
     shift: tuple[float, float],
-) -> Array:  # fmt: skip
-    """`mean_texture` for pixels `selected`, which share one level and number of cells."""
-    level, cells_x, cells_y, bent = (int(n) for n in footprint.kinds[selected][0])
+) -> Iterator[Array]:  # fmt: skip
+    """Parts of `mean_texture` by cell, for pixels `selected`, which share one level and number of cells."""
+    level, cells_x, cells_y, bent = footprint.kinds[selected[0]].tolist()
     texture_map, stored = texture.map, texture.levels[level]
     border = CUBE_BORDER if texture_map.kind == MAP_CUBE else 0
     share_x = (stored.shape[2] - 2 * border) / texture_map.columns
     share_y = (stored.shape[1] - 2 * border) / texture_map.rows
-    right, down = (
-        tuple(c[selected] * s for c, s in zip(change, (share_x, share_y), strict=True)) for change in footprint.changes
-    )
+    right, down = ((x[selected] * share_x, y[selected] * share_y) for x, y in footprint.changes)
     center = Texel(texel.column[selected], texel.row[selected], texel.side[selected])
     places = 0.5 * (texture.texture_filter != "nearest")
-    total = np.zeros((int(selected.sum()), stored.shape[3]))
     steps = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
     steps = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in steps]
     width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*steps, strict=True))
@@ -208,11 +204,8 @@ def _mean_of_kind(
             if not bent:
                 x = x + a * right[0] + b * down[0]
                 y = y + a * right[1] + b * down[1]
-            rows, columns = (
-                taps_of(*cell, texture.texture_filter) for cell in ((y + border, width_y), (x + border, width_x))
-            )
-            total += add_texels(stored, texture_map, at.side, rows, columns, skew) / (cells_x * cells_y)
-    return total
+            rows, columns = (taps_of(p + border, n, texture.texture_filter) for p, n in ((y, width_y), (x, width_x)))
+            yield add_texels(stored, texture_map, at.side, rows, columns, skew) / (cells_x * cells_y)
 
 
 def sharpening(texture: MappedTexture, radius: Array) -> Array:

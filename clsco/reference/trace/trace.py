@@ -128,13 +128,9 @@ def everything(scene: Scene) -> OcclusionGroup:
 
 
 def cast(
-    view: View,
-    group: OcclusionGroup,
-    row: NDArray[Any],
-    column: NDArray[Any],
-    texel: tuple[NDArray[Any], NDArray[Any]],
-    sources: int = 1,
-) -> Cast:
+    view: View, group: OcclusionGroup, row: NDArray[Any], column: NDArray[Any],
+    texel: tuple[NDArray[Any], NDArray[Any]], sources: int = 1,
+) -> Cast:  # fmt: skip
     """The nearest surface of an occlusion group along rays through (row, column) px, 0 without a hit.
 
     texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel.
@@ -242,14 +238,11 @@ def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
     share = np.where(marked, 0.0, sources.share)
     radiance = sources.radiance.copy()
     for axis in (0, 1):
-        first, second = ([slice(None)] * 2 for _ in range(2))
-        first[axis], second[axis] = slice(None, -1), slice(1, None)
-        low, high = tuple(first), tuple(second)
-        shared = (share[low] > 0.0) & (share[high] > 0.0)
-        flow = np.where(shared, 0.5 * (share[low] + share[high]), 0.0)[..., None]
-        flow = flow * (sources.radiance[low] - sources.radiance[high])
-        radiance[low] += flow
-        radiance[high] -= flow
+        s, light, new = (np.moveaxis(plane, axis, 0) for plane in (share, sources.radiance, radiance))
+        shared = (s[:-1] > 0.0) & (s[1:] > 0.0)
+        flow = np.where(shared, 0.5 * (s[:-1] + s[1:]), 0.0)[..., None] * (light[:-1] - light[1:])
+        new[:-1] += flow
+        new[1:] -= flow
     return replace(sources, radiance=radiance)
 
 
