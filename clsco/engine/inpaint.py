@@ -11,9 +11,9 @@ import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
 from clsco.errors import ArgumentError, SceneError
-from clsco.inpainting.methods import METHODS, THESIS, Filled, Task, check_method, method_for
+from clsco.inpainting.methods import THESIS, Filled, check_method, fill
 from clsco.inpainting.report import Report
-from clsco.inpainting.rules import MeanMedian, as_stored, value_span
+from clsco.inpainting.rules import MeanMedian, as_stored
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 
@@ -155,13 +155,10 @@ def _inpaint(
     if not isinstance(options, MeanMedian | None):
         raise SceneError(f"options: must be a MeanMedian; got {type(options).__name__}")
     chosen, before = options or MeanMedian(), perf_counter()
-    result, done, name = image.copy(), Filled(np.empty(0, np.int64), np.empty((0, 1), np.float32)), method
+    result, done = image.copy(), Filled(np.empty(0, np.int64), np.empty((0, 1), np.float32), method)
     if missing.any():
         planes = np.ascontiguousarray(image).reshape(*missing.shape, -1)
-        task = Task(planes, missing, value_span(image, missing), chosen, progress or (lambda _: None))
-        name = method_for(session, task, method)
-        done = METHODS[name](session, task)
+        done = fill(session, method, planes, missing, chosen, progress or (lambda _: None))
         result.reshape(-1, planes.shape[2])[done.pixels] = as_stored(done.values, image.dtype)
-    seconds = perf_counter() - before
-    device = str(session.device)
-    return result, Report(name, device, image.shape, str(image.dtype), int(missing.sum()), seconds, done.stages, chosen)
+    of_image = str(session.device), image.shape, str(image.dtype), int(missing.sum()), perf_counter() - before
+    return result, Report(done.method, *of_image, done.stages, chosen)

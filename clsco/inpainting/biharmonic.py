@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -32,14 +33,10 @@ CHECK_EVERY = 10  # number of steps between two tests of the residual, as a test
 def fill_biharmonic(
     session: Session, image: NDArray[Any], missing: NDArray[np.bool_], progress: Progress = no_progress
 ) -> NDArray[np.float32]:
-    """Values (N, channels) of the N missing pixels of an image, row by row.
+    """`clsco.inpainting.fse.fill_texture` by the biharmonic equation.
 
-    image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: called
-    with the fraction done, 0 to 1, after each tile. Filled values are limited to the range of nearby known ones. Every
-    run on a device gives the same bits. Memory besides the image: a byte per pixel, and 8 bytes and the result per
-    missing pixel; in the tile (`clsco.inpainting.tiles`) that is filled, 12 channels + 6 more per pixel and 43 channels
-    + 5 per missing one. Raises ArgumentError if no pixel is known, and DeviceError. Validated against direct solutions:
-    a dense one (tests/kernels/test_biharmonic.py) and scikit-image's (benchmarks/inpainting).
+    Memory besides the image: a byte per pixel, and 8 bytes and the result per missing pixel; in the tile that is
+    filled, 12 channels + 6 bytes more per pixel and 43 channels + 5 per missing one.
     """
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2]}
@@ -69,9 +66,8 @@ class _Level:
 def _fill(
     session: Session, program: Program, real: Real, image: NDArray[np.float32], missing: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    solver = _Solver(session, program, real, image.shape[2], missing)
     result = image.copy()
-    result[missing] = solver.solve(image)
+    result[missing] = _Solver(session, program, real, image.shape[2], missing).solve(image)
     return result
 
 
@@ -96,13 +92,10 @@ class _Solver:
         """The solution (N, K) at the N missing pixels, row by row, of an image (H, W, K)."""
         finest, now = self.levels[0], 0
         known = upload(self.session, image)
-        zero = np.zeros(1, np.uint32)
-        cl.enqueue_fill_buffer(self.session.queue, self.solution, zero, 0, self.solution.size)
-        cl.enqueue_fill_buffer(self.session.queue, self.direction, zero, 0, self.direction.size)
-        cl.enqueue_fill_buffer(self.session.queue, self.sums, zero, 0, self.sums.size)
-        self._each(
-            "start_residual", finest, *finest.size, known, finest.index, finest.list, finest.count, self.residual
-        )
+        for buffer in (self.solution, self.direction, self.sums):
+            cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
+        unknowns = finest.index, finest.list, finest.count
+        self._each("start_residual", finest, *finest.size, known, *unknowns, self.residual)
         self._precondition()
         self._dot(self.residual, self.better, now)
         # As all other sums are 0, the first direction is the preconditioned residual itself.
@@ -111,8 +104,7 @@ class _Solver:
         for step in range(MOST_STEPS):
             if step % CHECK_EVERY == 0 and not (self._sum(now) > TOLERANCE**2 * first).any():
                 break
-            inputs = (*finest.size, self.direction, finest.index, finest.list, finest.count, self.applied)
-            self._each("apply_biharmonic", finest, *inputs)
+            self._each("apply_biharmonic", finest, *finest.size, self.direction, *unknowns, self.applied)
             self._dot(self.direction, self.applied, 2)
             vectors = (self.direction, self.applied, finest.count, self.solution, self.residual)
             self._each("take_step", finest, self.sums, np.int32(now), *vectors)
@@ -120,12 +112,11 @@ class _Solver:
             self._dot(self.residual, self.better, 1 - now)
             self._each("turn_direction", finest, self.sums, np.int32(now), self.better, finest.count, self.direction)
             now = 1 - now
-        found = download(self.session, self.solution, (int(finest.count), self.channels), self.real)
-        return found.astype(np.float32)
+        return download(self.session, self.solution, (int(finest.count), self.channels), self.real).astype(np.float32)
 
     def _precondition(self) -> None:
         """Compute the preconditioned residual, from the finest resolution to the coarsest and back."""
-        pairs = list(zip(self.levels, self.levels[1:], strict=False))
+        pairs = list(pairwise(self.levels))
         for fine, coarse in pairs:
             gain = self.real(FIRST_GAIN if fine is self.levels[0] else FINER_GAIN)
             inputs = (*fine.size, fine.vector, fine.index, coarse.list, coarse.count, gain, coarse.vector)

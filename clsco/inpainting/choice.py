@@ -28,14 +28,12 @@ def choose_method(
     image: (rows, columns, channels), of any type; missing: (rows, columns). At most MOST_WINDOWS windows are examined,
     evenly chosen among those with holes. In each, a copy of the holes is shifted cyclically by SHIFT, and either method
     fills the copied and the true holes together; windows are stacked in one image, so that few launches suffice. If no
-    window is usable, the method is "texture". Every run on a device gives the same answer; the cost does not grow with
-    the image. Gains and losses: benchmarks/inpainting.
+    window is usable, the method is "texture". The cost does not grow with the image.
     """
     windows = _windows(missing)
     if not windows:
         return "texture"
-    tried = [_tried(missing[window]) for window in windows]
-    apart = np.concatenate(tried)
+    apart = np.concatenate([_tried(missing[window]) for window in windows])
     holes = np.concatenate([missing[window] for window in windows]) | apart
     if holes.all() or not apart.any():
         return "texture"

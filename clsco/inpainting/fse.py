@@ -39,8 +39,7 @@ def fill_texture(
     with the fraction done, 0 to 1, after each tile. Filled values are limited to the range of nearby known ones. Every
     run on a device gives the same bits. Memory besides the image: a byte per pixel; for each missing pixel 8 bytes and
     the result; and about 28 channels + 12 bytes per pixel of one tile (`clsco.inpainting.tiles`). Raises ArgumentError
-    if no pixel is known, and DeviceError. Validated against `clsco.reference.inpainting.fse`
-    (tests/kernels/test_fse.py), and compared with OpenCV's FSR (benchmarks/inpainting).
+    if no pixel is known, and DeviceError.
     """
     features = {"CHANNELS": image.shape[2]}
     program = build(session, ["inpainting/fse.cl"], features, structs("float"), "float")
@@ -51,20 +50,16 @@ def fill_texture(
 
 
 def _fill(
-    session: Session,
-    program: Program,
-    constants: list[cl.Buffer],
-    image: NDArray[np.float32],
+    session: Session, program: Program, constants: list[cl.Buffer], image: NDArray[np.float32],
     missing: NDArray[np.bool_],
-) -> NDArray[np.float32]:
+) -> NDArray[np.float32]:  # fmt: skip
     if not missing.any():
         return image
     turns = block_turns(missing, FSE_BLOCK)
     start = np.where(missing[..., None], np.float32(0), image)
     weights = np.where(missing, np.float32(0), np.float32(1))
     if turns.max() > 1:  # a block has no known pixel
-        coarse = _fill(session, program, constants, *halved(start, missing))
-        start[missing] = doubled(coarse, missing)
+        start[missing] = doubled(_fill(session, program, constants, *halved(start, missing)), missing)
         weights[missing] = GUESS
     value, weight = (copied(session, array) for array in (start, weights))
     size = (np.int32(missing.shape[0]), np.int32(missing.shape[1]))
@@ -74,14 +69,13 @@ def _fill(
     settings = (np.float32(STEP), np.float32(WAVES_PER_CONTRAST), np.int32(FEWEST_WAVES), np.int32(MOST_WAVES))
     held = []  # buffers to keep until the queue has finished
     for first, end in pairwise(ends):
-        count = int(end - first)
+        count = np.int32(end - first)
         if not count:
             continue
-        listed = upload(session, blocks[first:end])
-        filled = empty(session, 4 * FSE_BLOCK**2 * image.shape[2] * count)
-        todo = (listed, np.int32(count), *settings, filled)
-        launch(session, kernel(program, "extrapolate_blocks"), (count,), LOCAL, *size, value, weight, *constants, *todo)
-        settled = (*size, filled, listed, np.int32(count), np.float32(TRUST), value, weight)
-        launch(session, kernel(program, "settle_blocks"), (count,), LOCAL, *settled)
+        listed, filled = upload(session, blocks[first:end]), empty(session, 4 * FSE_BLOCK**2 * image.shape[2] * count)
+        todo: tuple[Any, ...] = (*size, value, weight, *constants, listed, count, *settings, filled)
+        launch(session, kernel(program, "extrapolate_blocks"), (int(count),), LOCAL, *todo)
+        settled = (*size, filled, listed, count, np.float32(TRUST), value, weight)
+        launch(session, kernel(program, "settle_blocks"), (int(count),), LOCAL, *settled)
         held += [listed, filled]
     return download(session, value, image.shape, np.float32)

@@ -24,7 +24,7 @@ def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
     missing: (H, W), not all True; block: side of a block, px. Filling goes inwards ring by ring; within a ring, first
     the black squares of a chessboard of blocks are filled, then the white ones. A block with known pixels is in ring 0;
     a fully missing block is in ring n if its chessboard distance to the nearest block with known pixels is n blocks.
-    Two passes compute this exactly (Rosenfeld and Pfaltz 1968). Validated against scipy's distance transform.
+    Two passes compute this exactly (Rosenfeld and Pfaltz 1968).
     """
     rows, columns = missing.shape
     padding = ((0, -rows % block), (0, -columns % block))

@@ -90,7 +90,6 @@ def fill_mean_median(
     image: (rows, columns, K), codes or floats; values of missing pixels are ignored; missing: (rows, columns), some but
     not all True; span: range of the values; progress: called with the fraction done, from 0 to 1. Takes 100 to 200
     bytes per missing pixel and per known pixel beside it, and up to 8 per pixel of the image. Raises DeviceError.
-    Validated against `clsco.reference.inpainting.mean_median`, bit by bit.
     """
     program = _program(session, image.shape[2], image.dtype == np.uint8)
     layout = Layout(missing)
@@ -117,9 +116,8 @@ def fill_mean_median(
         stages.sweeps = holes.fill(wins, constants.minimum, most_sweeps(*missing.shape), reported)
         stages.filled = holes.values()
     with stage("smooth") as reported:
-        stages.smoothed = (
-            holes.smooth(constants.smoothing_rounds, reported) if constants.smoothing_rounds else stages.filled
-        )
+        rounds = constants.smoothing_rounds
+        stages.smoothed = holes.smooth(rounds, reported) if rounds else stages.filled
     del holes
     if layout.border.size and constants.border_share:
         with stage("blend") as reported:
@@ -206,7 +204,6 @@ class Band:
 
     @property
     def count(self) -> int:
-        """Number of rows in the band."""
         return self.missing.shape[0]
 
 
@@ -221,12 +218,11 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) ->
         if not wanted[top:bottom].any():
             continue
         part = slice(max(top - 1, 0), min(bottom + 1, rows))
-        size = (part.stop - part.start) * columns * channels
-        pixels = room[:size].reshape(-1, columns, channels)
+        pixels = room[: (part.stop - part.start) * columns * channels].reshape(-1, columns, channels)
         pixels[...] = image[part]
         if image.dtype.kind == "f":
             pixels[missing[part]] = 0  # values of missing pixels may be NaN
-        yield Band(top, bottom, part.start, room[: size + most], missing[part])
+        yield Band(top, bottom, part.start, room[: pixels.size + most], missing[part])
 
 
 def score_image(
@@ -373,9 +369,7 @@ def blend_border(
     rows, columns, channels = image.shape
     stages.gradients = np.empty(border.size, np.float64)
     stages.blended = np.empty((border.size, channels), np.float32)
-    wanted = np.zeros(rows, np.bool_)
-    wanted[border // columns] = True
-    for band in bands(image, missing, wanted, np.float32):
+    for band in bands(image, missing, np.isin(np.arange(rows), border // columns), np.float32):
         before, size = band.above * columns, band.count * columns
         planes = band.value[: channels * size].reshape(size, channels)
         holes = slice(*np.searchsorted(stages.pixels, (before, before + size)))

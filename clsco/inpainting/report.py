@@ -35,20 +35,18 @@ class Report:
         Gradients are in the image's unit; mse: mean square errors of mean and median by the number of known neighbors,
         in the square of that unit; these lists are empty if no pixel has eight known neighbors.
         """
-        found: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "method": self.method, "device": self.device, "shape": list(self.shape), "dtype": self.dtype,
             "missing_pixels": self.missing_pixels, "seconds": self.seconds,
         }  # fmt: skip
-        stages = self.stages
-        if stages is None:
-            return found
-        found |= {"border_pixels": stages.border.size, "sweeps": stages.sweeps, "constants": asdict(self.constants)}
-        if stages.histogram is not None:
-            histogram = stages.histogram
-            found["gradient_range"] = [histogram.least, histogram.most]
-            found |= {"threshold": histogram.threshold, "blended_pixels": int(stages.is_blended.sum())}
+        if (stages := self.stages) is None:
+            return figures
+        figures |= {"border_pixels": stages.border.size, "sweeps": stages.sweeps, "constants": asdict(self.constants)}
+        if (histogram := stages.histogram) is not None:
+            figures["gradient_range"] = [histogram.least, histogram.most]
+            figures |= {"threshold": histogram.threshold, "blended_pixels": int(stages.is_blended.sum())}
         if stages.score is not None:
             mean, median = stages.score.mean_square_errors()
             wins = ["median" if win else "mean" for win in stages.score.median_wins()[COUNTS.start :]]
-            found["mse"] = {"neighbors": list(COUNTS), "mean": mean, "median": median, "chosen": wins}
-        return found | {"seconds_by_stage": stages.seconds}
+            figures["mse"] = {"neighbors": list(COUNTS), "mean": mean, "median": median, "chosen": wins}
+        return figures | {"seconds_by_stage": stages.seconds}

@@ -28,10 +28,9 @@ def fill_in_tiles(
     """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
     fill: returns a part of the image with its holes filled, given that part, whose known values are scaled to 0 to 1 in
-    each channel, and a mask of holes; results are clipped to 0 to 1. progress: called with the fraction done after each
-    tile. Tiles are filled row by row, each with a margin of MARGIN px in which previously filled values count as known;
-    tiles without a known pixel are deferred. Only one tile at a time is held as floats. Raises ArgumentError if no
-    pixel of the image is known.
+    each channel, and a mask of holes; results are clipped to 0 to 1. Tiles are filled row by row, each with a margin of
+    MARGIN px in which previously filled values count as known; tiles without a known pixel are deferred. Only one tile
+    at a time is held as floats. Raises ArgumentError if no pixel of the image is known.
     """
     if missing.all():
         raise ArgumentError(f"missing: must leave a pixel known; got all {missing.size} missing")
@@ -49,9 +48,8 @@ def fill_in_tiles(
             among, row, column = _within(around, pixels, missing.shape[1])
             part[row, column] = values[among]
             part = _filled(part, left[around], fill)
-            inner = [(a.start + k >= t.start) & (a.start + k < t.stop)
-                     for t, a, k in zip(tile, around, (row, column), strict=True)]  # fmt: skip
-            own = inner[0] & inner[1]
+            axes = zip(tile, around, (row, column), strict=True)
+            own = np.logical_and(*((a.start + k >= t.start) & (a.start + k < t.stop) for t, a, k in axes))
             values[among[own]] = part[row[own], column[own]]
             left[tile] = False
             done += 1
@@ -63,9 +61,8 @@ def fill_in_tiles(
 def _within(
     part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Find the pixels of a part of an image of `columns` columns among ascending pixel numbers (N,).
-
-    Returns their indices in `pixels`, and their rows and columns in the part.
+    """Indices among ascending pixel numbers (N,) of a part of an image of `columns` columns, and rows and columns of
+    these pixels in the part.
     """
     first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
     row, column = np.divmod(pixels[first:end], columns)

@@ -1,4 +1,4 @@
-"""Time samples of a frame and their weights: the device's samples are checked, and replaced if they are not sufficient.
+"""Time samples of a frame and their weights.
 
 The number of time samples affects a frame with motion. The device's samples are used if their intervals cover the
 exposure of each line, and if they are as many as the scene asks for or, for "auto", as the displacement measured here
@@ -64,8 +64,8 @@ def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[A
 
 
 def light_passed(curve: ArrayLike, time: Array) -> Array:
-    """Fraction of an exposure's light that has passed at times from 0 to 1, by the trapezoidal rule; curve: shutter
-    curve at equal time steps.
+    """Fraction of an exposure's light that has passed at times from 0 to 1, by the trapezoidal rule; curve: at equal
+    time steps.
     """
     heights = np.asarray(curve, np.float64) / np.max(curve)
     nodes, inside = np.linspace(0.0, 1.0, len(heights)), np.clip(time, 0.0, 1.0)

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import LEAST_OPENING, LENS_CELLS
+from clsco.constants import LEAST_OPENING
 from clsco.inputs.textures import radiance_span
 from clsco.optics.chords import chord_weights
 from clsco.optics.lens_path import camera_at, colored, lens_at
 from clsco.optics.motion import Eye, poses_at, rest_poses
-from clsco.optics.quadrics import cutting_bounds, place
+from clsco.optics.quadrics import place
 from clsco.optics.vignetting import throughput
 from clsco.optics.visibility import NO_GROUP
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import Array, along_rays, blur_radius, pixel_ray
-from clsco.reference.common.visibility import HIDDEN, PARTLY, check_visibility
-from clsco.reference.common.visibility_test import cut_weights, rim_share
+from clsco.reference.common.visibility import HIDDEN, PARTLY, Visibility, check_visibility
+from clsco.reference.common.visibility_test import CELL_MIDDLES, cut_weights, rim_share
 from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_objects
 from clsco.reference.layered.layered import cluster, spread_depth_layers
 from clsco.reference.plan import Maps, ReferencePlan, band_of, silhouettes_of
@@ -74,9 +74,7 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
         cast = trace(view, group, guard)
         sources, finer = spread_sources(cast) if psf.tilt and not plan.psf.diffracted else cast, None
         if psf.silhouette_samples > 1:
-            bounds, grid = [cutting_bounds(item) for item in view.scene.objects], padded_grid(view.scene.camera, guard)
-            args = view.scene.camera, view.surfaces, bounds, group, *grid
-            w = np.where(cast.label > 0, cast.inverse_depth, 0.0)
+            args, w = (view, group, *padded_grid(view.camera, guard)), np.where(cast.label > 0, cast.inverse_depth, 0.0)
             small = small_members(*args).any(axis=0) | hidden_by_small(*args, w)
             marked = silhouettes_of(view, group, guard, cast.label) | small
             several = marked if cast.parts is None else marked | (cast.parts > 0)
@@ -114,46 +112,43 @@ def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: fl
 
 def _cut_by_rims(plan: ReferencePlan, time: float, guard: int, sources: Sources) -> Sources:
     """Sources of an image with their light cut by rims."""
-    scene, lit = plan.scene, sources.lit.copy()
-    camera = colored(camera_at(scene, time), scene.lens, plan.only)
-    rays = pixel_ray(camera, *padded_grid(scene.camera, guard))[lit]
-    zeros = np.zeros(len(rays))
-    lens, radius = lens_at(scene, time, plan.only), sources.radius[lit]
-    local_lens = along_rays(lens, rays)
-    w = (blur_radius(lens, rays, zeros) - radius) / local_lens.blur_scale  # extrapolated pixels have no depth
-    points = Points(rays, w, radius, zeros, zeros, 1.0, np.zeros((len(rays), 2)))
-    state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
+    lit = sources.lit.copy()
+    state, visibility = _check_rims(plan, time, guard, lit, sources.radius[lit], 1.0)
     number = np.full(lit.size, -1)
     number[np.flatnonzero(lit)] = visibility.row
     lit[lit] = state != HIDDEN
     return replace(sources, lit=lit, visibility=replace(visibility, row=number))
 
 
+def _check_rims(
+    plan: ReferencePlan, time: float, guard: int, mask: NDArray[np.bool_], radius: Array, width: float
+) -> tuple[NDArray[np.uint8], Visibility]:
+    """State of the lens (N,) behind rims, and the data for tests per tap, for sources of a `width` in px with signed
+    radii (N,), at the pixels in `mask` (H, W).
+    """
+    scene, lens = plan.scene, lens_at(plan.scene, time, plan.only)
+    camera, zeros = colored(camera_at(scene, time), scene.lens, plan.only), np.zeros(len(radius))
+    rays = pixel_ray(camera, *padded_grid(scene.camera, guard))[mask]
+    w = (blur_radius(lens, rays, zeros) - radius) / along_rays(lens, rays).blur_scale  # some pixels have no depth
+    points = Points(rays, w, radius, zeros, zeros, width, np.zeros((len(rays), 2)))
+    state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
+    return state, visibility
+
+
 def _open_share(plan: ReferencePlan, time: float) -> Array:
     """Fraction (m, n) of the lens's light that passes the rims to each pixel, for a point in focus at that pixel."""
-    scene = plan.scene
-    camera, lens = colored(camera_at(scene, time), scene.lens, plan.only), lens_at(scene, time, plan.only)
-    rays = pixel_ray(camera, *padded_grid(scene.camera, 0)).reshape(-1, 3)
-    none = np.zeros(len(rays))
-    w = blur_radius(lens, rays, none) / along_rays(lens, rays).blur_scale
-    points = Points(rays, w, none, none, none, 0.0, np.zeros((len(rays), 2)))  # points, so that lens cells are used
-    state, _, visibility = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
+    mask, zeros = np.ones(plan.shape, dtype=bool), np.zeros(np.prod(plan.shape))
+    state, visibility = _check_rims(plan, time, 0, mask, zeros, 0.0)  # points, so that lens cells are used
     share, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
     if visibility.pupil is not None:
         zero, ones = np.zeros(1), np.ones(1)
         size, borders = LEAST_OPENING * ones, visibility.pupil.borders
         full = chord_weights(zero, zero, size, rims=((zero, zero, ones),), borders=borders) / visibility.pupil.light
-        share[partly] = cut_weights(visibility, none[partly] + 1.0, 0.0, 0.0, False) / full
+        share[partly] = cut_weights(visibility, zeros[partly] + 1.0, 0.0, 0.0, False) / full
     else:
-        at_cells = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-        share[partly] = (
-            sum(
-                cells[i, j] * rim_share(visibility, none[partly] + x, none[partly] + y)
-                for i, y in enumerate(at_cells)
-                for j, x in enumerate(at_cells)
-            )
-            / cells.sum()
-        )
+        places, here = CELL_MIDDLES[np.indices(cells.shape)].reshape(2, -1).T, zeros[partly]
+        shares = [rim_share(visibility, here + x, here + y) for y, x in places]
+        share[partly] = cells.ravel() @ np.reshape(shares, (len(places), -1)) / cells.sum()
     return share.reshape(plan.shape)
 
 

@@ -24,7 +24,7 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.methods import BlurSpec, Occlusion
 from clsco.plan.plan import make_plan
 from clsco.plan.request import Request
-from clsco.reference.common.geometry import Array, blur_radius, nearest_surface, pixel_ray
+from clsco.reference.common.geometry import Array, blur_radius, pixel_ray
 from clsco.reference.trace.trace import SILHOUETTE_RANGE, everything, mark_silhouettes, padded_grid
 from clsco.reference.trace.view import View
 from clsco.scene.model import Object, Plane, Rectangle, Scene
@@ -108,25 +108,22 @@ class ReferencePlan:
     def occlusion(self) -> Occlusion:
         """Method: "none" if set or nothing can be hidden, "layered" for depth maps and moved pixels, or the scene's."""
         scene = self.scene
-        if scene.psf.occlusion == "none" or (
-            len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
-        ):
+        convex = len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
+        if scene.psf.occlusion == "none" or convex:
             return "none"
         return scene.psf.occlusion if not (self.static_map or self.forward) else "layered"
 
     @cached_property
     def groups(self) -> tuple[OcclusionGroup, ...]:
         """Occlusion groups: each object, or each root of a hollow object, with all others as occluders."""
-        items = self.scene.objects
         if self.occlusion != "visibility":
             return (everything(self.scene),)
-        occluders = [(1 << len(items)) - 1 - (1 << k) for k in range(len(items))]
-        groups = []
-        for k, item in enumerate(items):
+        groups, every = [], everything(self.scene).members
+        for k, item in enumerate(self.scene.objects):
             if _hollow(item):
-                groups += [OcclusionGroup(1 << k, occluders[k] | 1 << k, k, root) for root in (1, 2)]
+                groups += [OcclusionGroup(1 << k, every, k, root) for root in (1, 2)]
             else:
-                groups.append(OcclusionGroup(1 << k, occluders[k]))
+                groups.append(OcclusionGroup(1 << k, every & ~(1 << k)))
         return tuple(groups)
 
     @property
@@ -147,13 +144,12 @@ def band_of(plan: ReferencePlan, view: View) -> int:
     """
     if plan.scene.psf.border == "renormalize":
         return 0
-    bounds = [cutting_bounds(item) for item in view.scene.objects]
     guard, needed = 0, 0
     while guard <= WIDEST_BAND:
-        row, column = padded_grid(view.scene.camera, guard)
-        rays, largest = pixel_ray(view.scene.camera, row, column), np.zeros((row.size, column.size))
+        row, column = padded_grid(view.camera, guard)
+        rays, largest = pixel_ray(view.camera, row, column), np.zeros((row.size, column.size))
         for group in plan.groups:
-            w, label, _ = nearest_surface(view.surfaces, bounds, group, rays)
+            w, label, _ = view.nearest(group, rays)
             largest = np.maximum(largest, np.where(label > 0, np.abs(blur_radius(view.lens, rays, w)), 0.0))
         pairs = zip((row, column), plan.shape, strict=True)
         away = np.maximum(*(np.maximum(-position, position - size + 1) for position, size in pairs))
@@ -169,16 +165,13 @@ def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray
     """Mask (H, W) of pixels that get sub-pixel sources: near a change of the labels (H, W), or near an object that the
     rays through all pixel centers within SILHOUETTE_RANGE px miss.
     """
-    row, column = padded_grid(view.scene.camera, guard)
-    bounds, center = [cutting_bounds(item) for item in view.scene.objects], label & 127
-    missed = np.zeros(label.shape, dtype=bool)
+    (row, column), center, missed = padded_grid(view.camera, guard), label & 127, np.zeros(label.shape, dtype=bool)
     members = [item for k, item in enumerate(view.scene.objects) if group.members >> k & 1]
     if len(members) == 1 and isinstance(members[0], Plane) and members[0].bounds is None:  # half of the view or more
         return mark_silhouettes(label)
     places = (np.arange(CASTS) + 0.5) / CASTS - 0.5
     for below, right in ((y, x) for y in places for x in places):
-        rays = pixel_ray(view.scene.camera, row + below, column + right)
-        _, labels, _ = nearest_surface(view.surfaces, bounds, group, rays)
+        _, labels, _ = view.nearest(group, pixel_ray(view.camera, row + below, column + right))
         for neighbor in np.unique(labels[labels != center]).tolist():
             missed |= (labels == neighbor) & ~_near(center == neighbor)
     return mark_silhouettes(label) | _near(missed)

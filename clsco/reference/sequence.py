@@ -31,8 +31,8 @@ from clsco.reference.plan import ReferencePlan
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.reference.trace.line_truth import line_truth
 from clsco.reference.trace.mapping import mapped_texture
-from clsco.reference.trace.trace import Sources, padded_grid
-from clsco.reference.trace.truth import ground_truth
+from clsco.reference.trace.trace import padded_grid
+from clsco.reference.trace.truth import ground_truth, middle_of
 from clsco.reference.trace.view import Texture
 from clsco.scene.model import Object, Scene
 
@@ -104,8 +104,7 @@ def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
 
 def _frame(plan: ReferencePlan, textures: tuple[Texture, ...], index: int, subframes: bool) -> Frame:
     scene, guard, maps, samples = plan.scene, plan.claimed[1], plan.maps, []
-    color = np.zeros((*plan.shape, plan.channels))
-    missing, alone = np.zeros(plan.shape, dtype=bool), []
+    color, missing, alone = np.zeros((*plan.shape, plan.channels)), np.zeros(plan.shape, dtype=bool), []
     least = least_samples(scene, maps, plan.eye, index, guard)
     for time, weights in zip(*exposure_of(scene, index, plan.claimed[0], least), strict=True):
         outputs = run(plan, textures, float(time))
@@ -114,28 +113,24 @@ def _frame(plan: ReferencePlan, textures: tuple[Texture, ...], index: int, subfr
         if subframes:
             alone.append(_without_channel(outputs["plane"]))
         report = outputs.get("counts") or asdict(FillReport())
-        report |= {name: outputs[name] for name in ("depth_layers",) if name in outputs}
+        report |= {name: value for name, value in outputs.items() if name == "depth_layers"}
         samples.append({"time": float(time), "weight": float(weights.mean()), **report})
     arrays = _truth(plan, textures, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
     if plan.forward or plan.static_map:
-        time = middle_time(scene.sequence, index) if scene.moves else 0.0
-        middle = warped_image(scene, textures, maps, guard, time, plan.eye)
+        middle = warped_image(scene, textures, maps, guard, middle_of(scene, index), plan.eye)
         arrays |= {"sharp": crop(middle.sources.radiance, guard), "filled": crop(middle.status, guard)}
         missing = arrays["filled"] > 0 if plan.static_map else missing
         if not scene.is_analytic:
             arrays |= _map_truth(plan, textures, middle, index)
     arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
     if scene.darkens or scene.aperture.rim:
-        middle_of_exposure = middle_time(scene.sequence, index) if scene.moves else 0.0
-        arrays["throughput"] = frame_throughput(scene, middle_of_exposure, plan.psf)
-    sharp = _without_channel(arrays.pop("sharp"))
-    arrays["color"] = _without_channel(color)
+        arrays["throughput"] = frame_throughput(scene, middle_of(scene, index), plan.psf)
+    arrays |= {"sharp": _without_channel(arrays["sharp"]), "color": _without_channel(color)}
     if scene.sensor is not None:
         model = sensor_model(scene, plan.channels)
         arrays |= sensor_outputs(model, color, camera_word(index, plan.eye), SENSOR_NAMES)
-    eye = plan.eye if scene.stereo else ""
     metadata = {"intermediate": samples, "f_number": camera_at(scene, middle_time(scene.sequence, index)).opening}
-    return Frame(index=index, sharp=sharp, metadata=metadata, eye=eye, **arrays)
+    return Frame(index=index, metadata=metadata, eye=plan.eye if scene.stereo else "", **arrays)
 
 
 def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> dict[str, Any]:
@@ -149,40 +144,20 @@ def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> di
     return {name: array for name, array in arrays.items() if name not in absent}
 
 
-def _depth(sources: Sources) -> Array:
-    """Depth in mm of sources, +inf without one."""
-    return np.where(sources.lit, 1.0 / np.where(sources.lit, sources.inverse_depth, 1.0), np.inf)
-
-
 def _map_truth(plan: ReferencePlan, textures: tuple[Texture, ...], middle: Warped, index: int) -> dict[str, Any]:
     """Ground truth of a scene with depth maps, from the moved pixels."""
-    scene, guard, maps = plan.scene, plan.claimed[1], plan.maps
-    valid = crop(middle.sources.lit, guard)
-    w = crop(middle.sources.inverse_depth, guard)
-    middle_of_exposure = middle_time(scene.sequence, index) if scene.moves else 0.0
-    rays = pixel_ray(camera_at(scene, middle_of_exposure), *padded_grid(scene.camera, 0))
-    lenses = lenses_at(scene, middle_of_exposure)
-    radii = [np.where(valid, blur_radius(lens, rays, w), 0.0) for lens in lenses]
+    scene, guard = plan.scene, plan.claimed[1]
+    times = [middle_of(scene, k) for k in (index, index + 1, index - 1)]
+    now, then, before = ((camera_at(scene, time), poses_at(scene, time, plan.eye)) for time in times)
+    valid, w = crop(middle.sources.lit, guard), crop(middle.sources.inverse_depth, guard)
+    rays = pixel_ray(now[0], *padded_grid(scene.camera, 0))
+    radii = [np.where(valid, blur_radius(lens, rays, w), 0.0) for lens in lenses_at(scene, times[0])]
     numbers = crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
     backgrounds = [k for k, item in enumerate(scene.objects) if item.is_background]
     surface = valid & ~np.isin(numbers, backgrounds)  # the background has radiance and blur, but is no surface
     number = np.where(surface, numbers, -1).astype(np.int32)
     depth = np.where(surface, 1.0 / np.where(surface, w, 1.0), np.inf)
-    times = [middle_time(scene.sequence, k) if scene.moves else 0.0 for k in (index, index + 1, index - 1)]
-    now, then, before = ((camera_at(scene, time), poses_at(scene, time, plan.eye)) for time in times)
     points = MapPoints(scene.objects, depth, number, *now)
-    stereo: dict[str, Any] = {}
-    moving: dict[str, Any] = {}
-    if scene.moves:
-        following = _depth(warped_image(scene, textures, maps, guard, times[1], plan.eye).sources)
-        moving["flow_backward"] = map_flow(points, *before)
-        moving["flow_occluded"] = map_occluded(points, *then, crop(following, guard))
-    if scene.stereo is not None:
-        opposite: Eye = "left" if plan.eye == "right" else "right"
-        poses = poses_at(scene, times[0], opposite)
-        opposite_sources = warped_image(scene, textures, maps, guard, times[0], opposite).sources
-        stereo_arrays = map_stereo(points, poses, crop(_depth(opposite_sources), guard), plan.eye)
-        stereo = dict(zip(("disparity", "occluded"), stereo_arrays, strict=True))
     arrays = {
         "depth": depth,
         "blur_radius": radii[0] if len(radii) == 1 else np.stack(radii, axis=-1),
@@ -192,4 +167,16 @@ def _map_truth(plan: ReferencePlan, textures: tuple[Texture, ...], middle: Warpe
         "flow": map_flow(points, *then),
         "hidden": (crop(middle.status, guard) > 0) & (surface | ~valid),
     }
-    return arrays | stereo | moving
+
+    def depth_at(time: float, eye: Eye) -> Array:
+        sources = warped_image(scene, textures, plan.maps, guard, time, eye).sources
+        return crop(np.where(sources.lit, 1.0 / np.where(sources.lit, sources.inverse_depth, 1.0), np.inf), guard)
+
+    if scene.moves:
+        arrays["flow_backward"] = map_flow(points, *before)
+        arrays["flow_occluded"] = map_occluded(points, *then, depth_at(times[1], plan.eye))
+    if scene.stereo is not None:
+        opposite: Eye = "left" if plan.eye == "right" else "right"
+        other = poses_at(scene, times[0], opposite), depth_at(times[0], opposite)
+        arrays["disparity"], arrays["occluded"] = map_stereo(points, *other, plan.eye)
+    return arrays

@@ -170,33 +170,24 @@ def behind_rims(
 
     slopes: (places, 2), X / Z and Y / Z; inverse: (depths,), 1 / Z; radius: (places, depths), px.
     """
-    size = weights.shape[-1]
-    count, reach = radius.size, size // 2
-    rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1)
-    zero = np.zeros(count)
-    points = Points(
-        np.repeat(rays, len(inverse), axis=0), np.tile(inverse, len(slopes)), radius.ravel(), zero, zero, 1.0,
-        np.zeros((count, 2)),
-    )  # fmt: skip
+    size, count, zero = weights.shape[-1], radius.size, np.zeros(radius.size)
+    rays = np.repeat(np.pad(slopes, ((0, 0), (0, 1)), constant_values=1.0), len(inverse), axis=0)
+    depths = np.tile(inverse, len(slopes))
+    points = Points(rays, depths, radius.ravel(), zero, zero, 1.0, np.zeros((count, 2)))
     state, _, visibility = check_visibility(lens, (), (), NO_GROUP, spread, points)
     passed = np.where(state == HIDDEN, 0.0, 1.0)[:, None, None] * weights.reshape(count, size, size)
     if (partly := state == PARTLY).any():
         cells = cell_visibility(visibility)
         for row, column in np.ndindex(size, size):
-            dx, dy, weight = column - reach, row - reach, passed[partly, row, column]
+            dx, dy, weight = column - size // 2, row - size // 2, passed[partly, row, column]
             weight = cut_weights(visibility, weight, dx, dy, spread.edge == "area")
             passed[partly, row, column] = weight * tap_share(visibility, cells, dx, dy)
     return passed.reshape(*radius.shape, size, size).astype(np.float32)
 
 
-def _middle(camera: Camera) -> Array:
-    columns, rows = camera.frame_size
-    return np.array([(columns - 1) / 2, (rows - 1) / 2])
-
-
 def _field(camera: Camera) -> Array:
     """Positions (FIELD, 2) from the middle of the frame to its lower right corner."""
-    return np.linspace(1.0, 2.0, FIELD)[:, None] * _middle(camera)
+    return np.linspace(0.5, 1.0, FIELD)[:, None] * (np.array(camera.frame_size) - 1)
 
 
 def _places(camera: Camera, at: Sequence[tuple[float, float]]) -> Array:
@@ -235,11 +226,9 @@ def _stacked(spreads: Sequence[PointSpread], radius: Array, places: Array) -> ND
     ]
     weights_by_key = {key: spread_weights(*key) for key in dict.fromkeys(keys)}
     reach = max(key.shape[0] // 2 for key in weights_by_key.values())
-    size = 4 * radius.size * (2 * reach + 1) ** 2
-    if size > LARGEST_STACK:
-        raise SceneError(
-            f"psf: must take at most {LARGEST_STACK >> 20} MiB; got {size >> 20} MiB: ask for fewer depths"
-        )
+    if (size := 4 * radius.size * (2 * reach + 1) ** 2) > LARGEST_STACK:
+        rule = f"psf: must take at most {LARGEST_STACK >> 20} MiB"
+        raise SceneError(f"{rule}; got {size >> 20} MiB: ask for fewer depths")
     stack = np.zeros((radius.size, 2 * reach + 1, 2 * reach + 1), np.float32)
     for square, key in zip(stack, keys, strict=True):
         far = weights_by_key[key].shape[0] // 2
@@ -247,19 +236,14 @@ def _stacked(spreads: Sequence[PointSpread], radius: Array, places: Array) -> ND
     return stack.reshape(*radius.shape, *stack.shape[1:])
 
 
-def spread_weights(
-    spread: PointSpread, radius: float, place: tuple[float, float] | None = None
-) -> NDArray[np.float32]:  # fmt: skip
+def spread_weights(spread: PointSpread, radius: float, place: tuple[float, float] | None = None) -> NDArray[np.float32]:
     """Weights (n, n) of a source with a signed blur radius, px, from the tables that a device reads; place: its column
     and row in the frame, if weights vary over it.
     """
     if spread.varying is None or place is None:
-        table = psf_table(spread, abs(radius), abs(radius), blocks=_block)
-        return table_weights(table, spread, radius)
-    numbers, shares = spread.varying.blend(*place)
-    parts = [
-        np.float32(share) * spread_weights(spread.places[n], radius) for n, share in zip(numbers, shares, strict=True)
-    ]
+        return table_weights(psf_table(spread, abs(radius), abs(radius), blocks=_block), spread, radius)
+    pairs = zip(*spread.varying.blend(*place), strict=True)
+    parts = [np.float32(share) * spread_weights(spread.places[n], radius) for n, share in pairs]
     return np.asarray(sum(parts), np.float32)
 
 

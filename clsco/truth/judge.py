@@ -55,8 +55,12 @@ class Row:
 
     @property
     def decibels(self) -> float:
-        """PSNR in dB after subtraction of the rays' noise, which may be the whole difference."""
-        return -10 * math.log10(max(self.rms**2 - self.noise**2, 1e-2 * self.noise**2, 1e-12))
+        return decibels_of(self.rms**2, self.noise**2)
+
+
+def decibels_of(square: float, noise: float) -> float:
+    """PSNR in dB of a mean square difference, after subtraction of the rays' `noise`, which may be all of it."""
+    return -10 * math.log10(max(square - noise, 1e-2 * noise, 1e-12))
 
 
 @dataclass(frozen=True)
@@ -129,9 +133,9 @@ class Judgement:
         if not len(self.right):  # wave optics, if everything is hidden or tilted
             return {"pixels": 0, "deviations": 0}
         off, noise = self.got - self.right, max(float(np.mean(self.error**2)), 1e-18)
-        square = max(float(np.mean(off**2)) - noise, 1e-2 * noise, 1e-12)
+        psnr = decibels_of(float(np.mean(off**2)), noise)
         return {
-            "psnr": round(-10 * math.log10(square), 1), "psnr_noise": round(-10 * math.log10(noise), 1),
+            "psnr": round(psnr, 1), "psnr_noise": round(-10 * math.log10(noise), 1),
             "mean": round(float(off.mean()), 5), "pixels": len(off), "deviations": int(self.deviations.sum()),
             "lights": len(self.lights), "lights_off": len(self.dim),
         }  # fmt: skip
@@ -170,37 +174,22 @@ def judge(
 ) -> Judgement:  # fmt: skip
     """Compare a frame with rays.
 
-    Parameters
-    ----------
-    problem : Problem
-    image : ndarray (rows, columns[, channels])
-        Linear radiance.
-    rays : int
-        Largest number of rays per pixel.
-    seconds : float
-        Time in s after which no more rays are started, not counting compilation.
-    seed : int
-        Seed of pixels and rays: equal seeds give equal bits, unless the time runs out.
-
-    Returns
-    -------
-    Judgement
+    image: (rows, columns[, channels]), linear radiance; rays: most per pixel; seconds: as for `trace`; seed: of pixels
+    and rays. Equal seeds give equal bits, unless the time runs out.
     """
     began, pixels = time.perf_counter(), choose_pixels(problem, seed)
     frame = np.asarray(image, float).reshape(*problem.size, -1)
     if problem.scene.psf.model == "wave":
         mean, error, hidden, cast = trace_waves(problem, seed)
         is_judged = hidden[pixels.row, pixels.column] < HIDDEN
-        pixels = Pixels(*(getattr(pixels, name)[is_judged] for name in Pixels.__dataclass_fields__))
+        pixels = pixels.select(is_judged)
         mean, error = (each[pixels.row, pixels.column] for each in (mean, error))
         return _judgement(problem, pixels, frame, mean, error, (), cast, began)
-    places = np.zeros((len(pixels.row), 5))
-    places[:, 0], places[:, 1], places[:, 2:4] = pixels.column, pixels.row, 1.0
-    boxes = list(_boxes(problem))
-    whole = [(n, -1) for n, *_ in boxes], [(-1, n) for n, *_ in boxes]
-    jobs = np.array([(-1, -1)] * len(places) + whole[0] + whole[1], np.int64).reshape(-1, 2)
-    places = np.concatenate([places, *(np.array(each[k]).reshape(1, 5) for k in (1, 2) for each in boxes)])
-    count = len(pixels.row)
+    boxes, count = list(_boxes(problem)), len(pixels.row)
+    pairs = [(-1, -1)] * count + [(n, -1) for n, *_ in boxes] + [(-1, n) for n, *_ in boxes]
+    jobs = np.array(pairs, np.int64).reshape(-1, 2)
+    corners = [(column, row, 1.0, 1.0, 0.0) for column, row in zip(pixels.column, pixels.row, strict=True)]
+    places = np.array(corners + [box[k] for k in (1, 2) for box in boxes], float).reshape(-1, 5)
     enough = np.full(len(jobs), NOISE)
     enough[count : count + len(boxes)] = [LIGHT_NOISE / (box[2] * box[3]) for _, box, _ in boxes]
     mean, error, cast = trace(problem, jobs, places, rays, seconds, seed, lambda error: error > enough)
@@ -233,7 +222,7 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
     """Radiance (rows, columns[, channels]) of all pixels by rays, and its standard error; the error's RMS is below
     `noise`, if `rays` rays per pixel are enough.
     """
-    row, column = (indices.ravel() for indices in np.indices(problem.size))
+    row, column = np.indices(problem.size).reshape(2, -1)
     places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
 
     def go_on(error: Array) -> NDArray[np.bool_]:  # pixels near others with an error may have missed a surface
@@ -309,10 +298,8 @@ def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[flo
         if extent is None or not extent.width < SMALL_PX:
             continue
         middle = extent.places[len(extent.places) // 2]
-        column, row, radius = (
-            np.concatenate(part)
-            for part in zip(*(places_of(problem, n, moment, extent.places) for moment in moments), strict=True)
-        )
+        by_moment = [places_of(problem, n, moment, extent.places) for moment in moments]
+        column, row, radius = (np.concatenate(part) for part in zip(*by_moment, strict=True))
         if len(column) < len(moments) * len(extent.places):
             continue
         depth = problem.moments.poses[moments[0], n, 11]

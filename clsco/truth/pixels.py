@@ -29,6 +29,9 @@ class Pixels:
     kind: NDArray[np.int64]
     item: NDArray[np.int64]
 
+    def select(self, chosen: NDArray[np.bool_]) -> Pixels:
+        return Pixels(*(values[chosen] for values in vars(self).values()))
+
 
 @dataclass(frozen=True)
 class Extent:
@@ -86,17 +89,15 @@ def choose_pixels(problem: Problem, seed: int) -> Pixels:
         candidates.append((*_around(problem, n, middle, count, draw), SMALL, n))
     chosen = _inside(candidates, label, rows, columns)
     counts = np.bincount(chosen.item[chosen.item >= 0], minlength=len(problem.scene.objects))
-    candidates = [(chosen.row, chosen.column, -1, -1)]
+    candidates = []
     for n in np.nonzero(counts < OF_EACH)[0].tolist():
         row, column = np.nonzero(label == n)
         at = draw.integers(0, max(len(row), 1), OF_EACH if len(row) else 0)
         candidates.append((row[at], column[at], RANDOM, n))
         if not len(row):
             candidates.append((*_around(problem, n, middle, OF_EACH, draw), SMALL, n))
-    additional = _inside(candidates[1:], label, rows, columns)
-    pair, names = (chosen, additional), Pixels.__dataclass_fields__
-    joined = (np.concatenate([getattr(pixels, name) for pixels in pair]) for name in names)
-    return Pixels(*joined)
+    pair = vars(chosen).values(), vars(_inside(candidates, label, rows, columns)).values()
+    return Pixels(*map(np.concatenate, zip(*pair, strict=True)))
 
 
 def radius_of(problem: Problem, depth: Array, moment: int) -> Array:
@@ -109,10 +110,9 @@ def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ..
     """Rows and columns (n,) of pixels beside another object, and the larger |R| of the two."""
     parts = []
     for axis in (0, 1):
-        first, second = (np.take(label, range(k, label.shape[axis] - 1 + k), axis) for k in (0, 1))
-        size = [np.abs(np.take(radius, range(k, label.shape[axis] - 1 + k), axis)) for k in (0, 1)]
-        row, column = np.nonzero(first != second)
-        parts.append((row, column, np.maximum(*size)[row, column]))
+        row, column = np.nonzero(np.diff(label, axis=axis))
+        larger = np.maximum(*(np.delete(np.abs(radius), k, axis) for k in (-1, 0)))
+        parts.append((row, column, larger[row, column]))
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 

@@ -27,13 +27,9 @@ def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
         matrix = Rotation.from_rotvec(-angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
         return TOWARDS @ matrix @ TOWARDS
     (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    matrix = np.array(
-        [
-            [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
-            [-cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz],
-            [sy, -sx * cy, cx * cy],
-        ]
-    )
+    first = cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz
+    second = -cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz
+    matrix = np.array([first, second, (sy, -sx * cy, cx * cy)])
     return TOWARDS @ np.moveaxis(matrix, (0, 1), (-2, -1)) @ TOWARDS
 
 

@@ -96,11 +96,8 @@ def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles 
     """Read a scene that rays can predict, with its resolution; frame: index; eye: left or right view of a stereo
     pair.
     """
-    normalized = scene.model_copy(
-        update={"aperture": scene.aperture.model_copy(update={"exposure": "normalized"})}
-    )  # fmt: skip
-    textures = (files or shared_files()).textures(normalized)
-    pupil = pupil_of(scene)
+    aperture, pupil = scene.aperture.model_copy(update={"exposure": "normalized"}), pupil_of(scene)
+    textures = (files or shared_files()).textures(scene.model_copy(update={"aperture": aperture}))
     exposure = pupil.light if scene.aperture.exposure == "area" else 1.0
     surfaces = _surfaces(scene, [texture.images for texture in textures])
     return Problem(scene, surfaces, _moments(scene, frame, eye), _optics(scene, pupil, exposure))
@@ -108,16 +105,16 @@ def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles 
 
 def _surfaces(scene: Scene, textures: Any) -> Surfaces:
     color = scene.separates_colors or any(image.ndim == 3 for images in textures for image in images)
-    texels, mappings, count, stored = [], np.zeros((len(scene.objects), SIZE)), 0, list[tuple[Any, int]]()
+    texels, mappings, count, begins = [], np.zeros((len(scene.objects), SIZE)), 0, dict[int, int]()
     for n, (item, images) in enumerate(zip(scene.objects, textures, strict=True)):
         rows, columns = images[0].shape[:2]
-        if not any(image is images[0] for image, _ in stored):
-            stored.append((images[0], count))
+        if id(images[0]) not in begins:
+            begins[id(images[0])] = count
             for image in images:
                 wide = image.reshape(rows * columns, -1)
                 texels.append(np.broadcast_to(wide, (rows * columns, 3 if color else 1)))
                 count += rows * columns
-        begin = next(place for image, place in stored if image is images[0])
+        begin = begins[id(images[0])]
         mappings[n, :4] = 0, begin, rows, columns
         if lies(item):
             mappings[n] = mapping_of(item, (rows, columns), begin, scene.motion.texture_filter)
@@ -132,9 +129,7 @@ def _surfaces(scene: Scene, textures: Any) -> Surfaces:
     for n, (item, (coefficients, center, span)) in enumerate(zip(scene.objects, surfaces, strict=True)):
         shapes[0, n, :10], shapes[1, n, :7] = coefficients, bounds_of(item, span)
         shapes[2, n, :9], shapes[2, n, 9:] = static_rotation(item.rotation).ravel(), center
-    return Surfaces(
-        shapes, mappings, np.ascontiguousarray(np.concatenate(texels), np.float32), background, light
-    )  # fmt: skip
+    return Surfaces(shapes, mappings, np.ascontiguousarray(np.concatenate(texels), np.float32), background, light)
 
 
 def poses_of(scene: Scene, eye: str, times: Array) -> tuple[Array, tuple[Array, Array]]:

@@ -73,13 +73,11 @@ def cells_of(problem: Problem) -> Cells:
     places[:, 0], places[:, 1], places[:, 4] = column / parts - window // 2, row / parts - window // 2, 0.0
     lenses, numbers = problem.moments.lenses.copy(), problem.optics.numbers.copy()
     lenses[:, 1], numbers[18] = 1e-9, 0.0
-    cell_problem = problem._replace(
-        moments=problem.moments._replace(lenses=lenses), optics=problem.optics._replace(numbers=numbers)
-    )
-    filled = np.where(shines, radius, 0.0)
+    moments, optics = problem.moments._replace(lenses=lenses), problem.optics._replace(numbers=numbers)
     inner = minimum_filter(shines, 3)  # excludes differences across an outline to empty cells
-    tilted = (np.hypot(*np.gradient(filled)) * parts > TILTED) & inner
-    return Cells(parts, window, radius, shines, ((first < last) | tilted) & shines, cell_problem, places)
+    tilted = (np.hypot(*np.gradient(np.where(shines, radius, 0.0))) * parts > TILTED) & inner
+    hidden, pinholes = ((first < last) | tilted) & shines, problem._replace(moments=moments, optics=optics)
+    return Cells(parts, window, radius, shines, hidden, pinholes, places)
 
 
 def spread_light(problem: Problem, cells: Cells, light: Array, error: Array) -> tuple[Array, Array, Array]:
@@ -90,9 +88,8 @@ def spread_light(problem: Problem, cells: Cells, light: Array, error: Array) -> 
     radii, count = cells.radius[cells.shines], [next_fast_len(size) for size in cells.radius.shape]
     middles = psf.wavelengths if channels == 3 else psf.wavelengths[1:2]
     finest = unit_of(problem, min(psf.wavelengths) - 0.5 * psf.bandwidth)
-    nodes, gap = np.linspace(
-        radii.min(), radii.max(), 1 + math.ceil(np.ptp(radii) * RADII_PER_UNIT / finest), retstep=True
-    )
+    steps = math.ceil(np.ptp(radii) * RADII_PER_UNIT / finest)
+    nodes, gap = np.linspace(radii.min(), radii.max(), 1 + steps, retstep=True)
     sums = np.zeros((channels, 3, count[0], count[1] // 2 + 1), complex)
     at, band_weights = np.polynomial.legendre.leggauss(3 if psf.bandwidth else 1)
     for radius in nodes:

@@ -84,7 +84,7 @@ def test_one_sheet_or_both_within_bounds(session: Session, run_source: Run, item
     found_labels = []
     for only in range(3):
         w, label = solved(session, run_source, [item], rays, real, only)
-        expected_w, expected = twin.solve_root(surface, item.bounds, rays, only)
+        expected_w, expected = twin.solve_quadric(surface, item.bounds, rays, only)
         np.testing.assert_array_equal(label, expected)
         np.testing.assert_allclose(w, expected_w, rtol=1e-9 if real == "double" else 1e-6, atol=0)
         found_labels.append(label)

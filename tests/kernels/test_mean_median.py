@@ -33,7 +33,7 @@ from clsco.opencl.session import Program, Session
 from clsco.passes.pack import grid_struct
 from clsco.records import structs
 from clsco.reference.inpainting import mean_median as twin
-from clsco.reference.inpainting.fill_mean_median import smooth_median
+from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from tests.slow import mostly_slow
 
@@ -107,8 +107,7 @@ def plain_sweeps(
     sheet: list[Array] = [array.reshape(images, -1, *array.shape[1:]).copy() for array in (values, known, missing)]
     while (left := np.flatnonzero(sheet[2].any(axis=(1, 2)))).size:
         planes, valid, open_ = (array[left].reshape(-1, *array.shape[2:]) for array in sheet)
-        near = twin.settle_holes(valid, open_, np.zeros_like(open_))[2]
-        planes, filled = twin.fill_holes(planes, valid, open_ & (near >= least), wins, least)
+        planes, filled, _ = fill_mean_median(planes, valid, open_, wins, least)
         for array, new in zip(sheet, (planes, valid | filled, open_ & ~filled), strict=True):
             array[left] = new.reshape(left.size, *array.shape[1:])
         if filled.any():
@@ -213,7 +212,8 @@ def test_a_group_sweeps_what_is_left_of_a_list(session: Session, monkeypatch: py
     args = (holes.slots, size, np.int32(1), np.int32(bits_of(SOME_WIN)), *rest)
     launch(session, kernel(built, "sweep_holes"), (8,), (8,), *args)
     assert download(session, rest[-1], (5, 2), np.int32)[[0, 4]].tolist() == [[1, size - begin], [size, size]]
-    expected, _ = twin.fill_holes(np.where(missing[..., None], np.float32(0), image), ~missing, missing, SOME_WIN, 4)
+    known_values = np.where(missing[..., None], np.float32(0), image)
+    expected, *_ = fill_mean_median(known_values, ~missing, missing, SOME_WIN, 4)
     for plane in (holes.found, holes.value):
         found = download(session, plane, (int(holes.slots),), np.float32)[holes.index]
         assert (found[:begin] == np.inf).all()

@@ -16,6 +16,7 @@ from clsco.scene.model import Camera, Ellipsoid, Object, ObjectMotion, Psf, Scen
 from clsco.scene.model import Sequence as Exposure
 
 COLUMNS, ROWS = 24, 20
+BOX = ((-64.0, 64.0),) * 3
 LIGHT = (-4, 1, 3)  # powers of two by which textures are brighter
 EXAMPLES = {"laws": 500, "some_laws": 100}  # of each law, by the profile of `make laws`
 NAMES = ("depth", "blur_radius", "mask", "object_id", "normal", "flow")
@@ -55,11 +56,10 @@ speeds = triples(-8, 8)
 def bodies(draw: st.DrawFn) -> Object:
     """A ball or an ellipsoid in a box that it fits into, moving."""
     motion = ObjectMotion(velocity=draw(speeds))
-    box = ((-64.0, 64.0),) * 3
     if draw(st.booleans()):
-        return Sphere(center=draw(centers), radius=draw(radii), motion=motion, bounds=box)
+        return Sphere(center=draw(centers), radius=draw(radii), motion=motion, bounds=BOX)
     axes = draw(st.tuples(radii, radii, radii))
-    return Ellipsoid(center=draw(centers), semi_axes=axes, motion=motion, bounds=box)
+    return Ellipsoid(center=draw(centers), semi_axes=axes, motion=motion, bounds=BOX)
 
 
 pairs = st.tuples(bodies(), bodies())

@@ -15,6 +15,7 @@ from clsco.scene.model import Camera, Ellipsoid, Motion, Object, ObjectMotion, P
 from clsco.scene.model import Sequence as Exposure
 from clsco.scene.quantities import Vector
 from tests.laws.scenes import (
+    BOX,
     CAMERA,
     FILTERS,
     LIGHT,
@@ -33,6 +34,7 @@ from tests.laws.scenes import (
 )
 
 ROUNDING = 4e-6  # of white: sums of some hundred weights of float32 in another order
+MOTION = ObjectMotion(velocity=(1.0, 2.0, 3.0))
 
 pytestmark = pytest.mark.laws
 
@@ -96,10 +98,8 @@ def test_a_mirrored_scene_is_mirrored(light: Path, objects: tuple[Object, ...]) 
 @law
 @given(centers, radii, bodies(), PRECISIONS)
 def test_a_sphere_is_an_ellipsoid(light: Path, center: Vector, radius: float, other: Object, precision: str) -> None:
-    box = ((-64.0, 64.0),) * 3
-    motion = ObjectMotion(velocity=(1.0, 2.0, 3.0))
-    ball = Sphere(center=center, radius=radius, bounds=box, motion=motion)
-    same = Ellipsoid(center=center, semi_axes=(radius,) * 3, bounds=box, motion=motion)
+    ball = Sphere(center=center, radius=radius, bounds=BOX, motion=MOTION)
+    same = Ellipsoid(center=center, semi_axes=(radius,) * 3, bounds=BOX, motion=MOTION)
     a, b = (rendered(scene(light, (item, other)), precision=precision) for item in (ball, same))
     assert same_bits(hit(a), hit(b))
     np.testing.assert_allclose(np.asarray(a.depth), np.asarray(b.depth), rtol=1.2e-7)
@@ -112,15 +112,11 @@ def test_a_multiple_of_an_equation_is_the_same_surface(
     light: Path, center: Vector, radius: float, other: Object, exponent: int
 ) -> None:
     coefficients = (1.0, 2.0, 0.5, 0.25, 0.0, -0.5, 0.0, 0.0, 0.0, -(radius**2))
-    seen = []
-    for factor in (1.0, 2.0**exponent):
-        item = Quadric(
-            coefficients=times(coefficients, factor), center=center, bounds=((-64.0, 64.0),) * 3,
-            motion=ObjectMotion(velocity=(1.0, 2.0, 3.0)),
-        )  # fmt: skip
-        seen.append(rendered(scene(light, (item, other))))
-    assert same_bits(seen[0].color, seen[1].color)
-    assert same_bits(seen[0].depth, seen[1].depth)
+    item = Quadric(coefficients=coefficients, center=center, bounds=BOX, motion=MOTION)
+    multiple = changed(item, coefficients=times(coefficients, 2.0**exponent))
+    one, same = (rendered(scene(light, (each, other))) for each in (item, multiple))
+    assert same_bits(one.color, same.color)
+    assert same_bits(one.depth, same.depth)
 
 
 @law
@@ -142,10 +138,7 @@ def test_a_moving_camera_sees_what_moves_the_other_way(
     light: Path, objects: tuple[Object, ...], velocity: tuple[float, float, float]
 ) -> None:
     camera = {"motion": {"velocity": velocity}}
-    back = tuple(
-        moved_at(item, tuple(own - v for own, v in zip(item.motion.velocity, velocity, strict=True)))
-        for item in objects
-    )
+    back = tuple(moved_at(item, tuple(np.subtract(item.motion.velocity, velocity).tolist())) for item in objects)
     one, other = rendered(scene(light, objects, camera=camera)), rendered(scene(light, back))
     assert same_bits(hit(one), hit(other))
     np.testing.assert_allclose(np.asarray(one.depth), np.asarray(other.depth), rtol=1.2e-7)
@@ -207,14 +200,12 @@ def test_brighter_textures_are_brighter_images(
 def test_an_even_white_plane_through_the_focus_is_white(
     model: str, occlusion: str, steepness: float, error: float
 ) -> None:
-    camera = Camera(
-        focal_length=20.0, pixel_pitch=0.02, resolution=(32, 24), focus_distance=250.0, aperture_diameter=10.0
-    )
+    lens = {"focal_length": 20.0, "focus_distance": 250.0, "aperture_diameter": 10.0}
+    camera = Camera.model_validate(lens | {"pixel_pitch": 0.02, "resolution": (32, 24)})
     psf, far = Psf.model_validate({"model": model, "occlusion": occlusion}), Plane(distance=500.0, texture="#000000")
     for right, up in ((1.0, 0.0), (0.6, -0.8)):
-        plane = Plane(
-            distance=250.0, slope_x=50.0 * steepness * right, slope_y=50.0 * steepness * up, texture="#ffffff"
-        )
+        slope_x, slope_y = 50.0 * steepness * right, 50.0 * steepness * up
+        plane = Plane(distance=250.0, slope_x=slope_x, slope_y=slope_y, texture="#ffffff")
         items = (plane, far) if occlusion == "visibility" else (plane,)
         color = clsco.render_frame(Scene(camera=camera, objects=items, psf=psf)).color[4:-4, 4:-4]
         np.testing.assert_allclose(color, 1.0, atol=error)

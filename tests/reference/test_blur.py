@@ -72,14 +72,12 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
 GAUSSIAN, SAMPLED = Psf(model="gaussian"), Psf(edge="sampled")
 
 
+KEPT = [(Psf(), True, "renormalize"), (GAUSSIAN, True, "lose"), (SAMPLED, False, "lose")]
+
+
 @pytest.mark.parametrize(
     ("psf", "tilt", "border"),
-    combined(
-        [Psf(), GAUSSIAN, SAMPLED],
-        [True, False],
-        ["lose", "renormalize"],
-        kept=[(Psf(), True, "renormalize"), (GAUSSIAN, True, "lose"), (SAMPLED, False, "lose")],
-    ),
+    combined([Psf(), GAUSSIAN, SAMPLED], [True, False], ["lose", "renormalize"], kept=KEPT),
     ids=lambda value: name_of(value) if isinstance(value, Psf) else str(value),
 )
 def test_scatter_is_the_plain_sum(psf: Psf, tilt: bool, border: str) -> None:
@@ -136,12 +134,7 @@ def test_a_subpixel_source_lights_its_disc(offset: tuple[int, int]) -> None:
     none = np.zeros((13, 13), dtype=bool)
     sources = Sources(empty[..., None], empty, empty.astype(np.uint8), empty, np.zeros((13, 13, 2)), none)
     sub = SubpixelSources(
-        np.array([6]),
-        np.array([6]),
-        hit,
-        np.full(hit.shape, -2.3),
-        np.zeros((*hit.shape, 2)),
-        np.ones((*hit.shape, 1)),
+        np.array([6]), np.array([6]), hit, np.full(hit.shape, -2.3), np.zeros((*hit.shape, 2)), np.ones((*hit.shape, 1))
     )
     color = scatter(spec_of(Psf()), sources, sub, (13, 13), 0)[..., 0]
     # The disc by counting points of a 1/40 px lattice: its rim crosses each pixel along at most 2 px.
@@ -213,13 +206,12 @@ def test_tilted_plane_agrees_with_a_thin_lens() -> None:
     assert np.hypot(*sources.gradient[10, 10]) > 0.1
     assert 2 < np.abs(sources.radius).max() < 10
     expected = thin_lens(scene, sources, texture, 10)
-    error = {
-        tilt: np.sqrt(np.mean((scatter(spec_of(Psf(tilt=tilt)), sources, None, (24, 24), 10)[..., 0] - expected) ** 2))
-        for tilt in (True, False)
-    }
-    mirrored = replace(sources, gradient=-sources.gradient)
-    wrong = np.sqrt(np.mean((scatter(spec_of(Psf()), mirrored, None, (24, 24), 10)[..., 0] - expected) ** 2))
+
+    def error(sources: Sources, tilt: bool = True) -> float:
+        color = scatter(spec_of(Psf(tilt=tilt)), sources, None, (24, 24), 10)
+        return float(np.sqrt(np.mean((color[..., 0] - expected) ** 2)))
+
     # 600 lens points by 36 of the detector leave noise of about 0.3 / sqrt(21600) = 0.002; less, being even.
-    assert error[True] < 0.002
-    assert error[False] > 2 * error[True]
-    assert wrong > 2 * error[False] * 0.8
+    assert error(sources) < 0.002
+    assert error(sources, tilt=False) > 2 * error(sources)
+    assert error(replace(sources, gradient=-sources.gradient)) > 2 * error(sources, tilt=False) * 0.8

@@ -8,13 +8,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.reference.inpainting.fill import Method, far_bounds, fill, fill_ait, fill_objects, mark_missing
+from clsco.reference.inpainting.fill import FillReport, Method, far_bounds, fill_ait, fill_objects, mark_missing
 from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+STEPS = {"NW": (-1, -1), "N": (-1, 0), "NE": (-1, 1), "W": (0, -1), "E": (0, 1)}
+STEPS |= {"SW": (1, -1), "S": (1, 0), "SE": (1, 1)}
+
+
+def known_around(values: Array, known: Mask, i: int, j: int) -> list[Array]:
+    """Values of the known neighbors of a pixel."""
+    places = [(i + down, j + right) for down, right in STEPS.values()]
+    inside = [(a, b) for a, b in places if 0 <= a < known.shape[0] and 0 <= b < known.shape[1]]
+    return [values[place] for place in inside if known[place]]
 
 
 def plain_missing(known: Mask) -> Mask:
@@ -69,6 +77,15 @@ def random_masks(count: int, largest: int = 14) -> list[tuple[Array, Mask]]:
     return cases
 
 
+def fill(
+    values: Array, known: Mask, method: Method, allowed: Mask | None = None
+) -> tuple[Array, NDArray[np.uint8], FillReport]:
+    """Values, status and report of a scene with one object."""
+    objects = np.zeros(known.shape, np.uint8)
+    result, _, status, report = fill_objects(values, objects, known, allowed, method, 0, far=False)
+    return result, status, report
+
+
 def test_missing_is_between_known() -> None:
     masks = [known for _, known in random_masks(200)]
     assert any(mark_missing(known, None).any() for known in masks)
@@ -107,18 +124,8 @@ def test_ait_takes_pairs_in_their_order() -> None:
         (("NE", "SE"), 64.0),
     ):
         known = np.zeros((3, 3), dtype=bool)
-        place = {
-            "NW": (0, 0),
-            "N": (0, 1),
-            "NE": (0, 2),
-            "W": (1, 0),
-            "E": (1, 2),
-            "SW": (2, 0),
-            "S": (2, 1),
-            "SE": (2, 2),
-        }
         for name in pairs:
-            known[place[name]] = True
+            known[1 + STEPS[name][0], 1 + STEPS[name][1]] = True
         result, filled, _ = fill_ait(values, known, missing)
         assert filled[1, 1], pairs
         assert result[1, 1, 0] == expected, pairs
@@ -128,7 +135,7 @@ def test_ait_takes_pairs_in_their_order() -> None:
 def test_filling_always_ends_with_nothing_left(method: Method) -> None:
     filled_in_all, many_sweeps = 0, 0
     for values, known in random_masks(200 if method == "ait" else 100):
-        result, status, report = fill(values, known, None, method, 0)
+        result, status, report = fill(values, known, method)
         missing = status == 1
         assert (missing | ~mark_missing(known, None)).all()
         assert not mark_missing(known | missing, None).any()
@@ -154,16 +161,11 @@ def test_what_cannot_be_filled_is_reported() -> None:
     allowed = np.zeros((9, 9), dtype=bool)
     allowed[4, 4] = True  # no known neighbor ever comes near
     for method in ("ait", "mean_median"):
-        _, status, report = fill(np.ones((9, 9, 2)), known, allowed, method, 0)
-        assert (report.missing_pixels, report.filled_pixels, report.unfilled_pixels, report.sweeps) == (
-            1,
-            0,
-            1,
-            0,
-        )
+        _, status, report = fill(np.ones((9, 9, 2)), known, method, allowed)
+        assert (report.missing_pixels, report.filled_pixels, report.unfilled_pixels, report.sweeps) == (1, 0, 1, 0)
         assert status[4, 4] == 2
         assert status.sum() == 2
-    _, status, report = fill(np.ones((9, 9, 2)), known, None, "none", 0)
+    _, status, report = fill(np.ones((9, 9, 2)), known, "none")
     assert (report.missing_pixels, report.unfilled_pixels, report.sweeps) == (5, 5, 0)
     assert (status[4, 2:7] == 2).all()
 
@@ -180,7 +182,7 @@ def test_scores_are_those_of_every_subset() -> None:
             if not known[i - 1 : i + 2, j - 1 : j + 2].all():
                 continue
             count += 1
-            near = np.array([values[i + a, j + b] for a, b in AROUND])
+            near = np.array(known_around(values, known, i, j))
             for k in range(4, 9):
                 for subset in combinations(range(8), k):
                     subsets += 1
@@ -222,9 +224,7 @@ def test_a_sweep_of_mean_median_by_hand() -> None:
         result, filled, _ = fill_mean_median(values, known, missing, median_wins, minimum)
         seen = set()
         for i, j in zip(*np.nonzero(missing), strict=True):
-            near = [
-                values[i + a, j + b] for a, b in AROUND if 0 <= i + a < 10 and 0 <= j + b < 11 and known[i + a, j + b]
-            ]
+            near = known_around(values, known, i, j)
             assert filled[i, j] == (len(near) >= minimum)
             if len(near) >= minimum:
                 seen.add(len(near))
@@ -243,7 +243,7 @@ def test_smoothing_reads_the_former_round() -> None:
     result = smooth_median(values, filled, valid)
     changed = 0
     for i, j in np.ndindex(9, 9):
-        near = [values[i + a, j + b] for a, b in AROUND if 0 <= i + a < 9 and 0 <= j + b < 9 and valid[i + a, j + b]]
+        near = known_around(values, valid, i, j)
         expected = np.median(near, axis=0) if filled[i, j] and near else values[i, j]
         np.testing.assert_allclose(result[i, j], expected, rtol=1e-15)
         changed += bool(filled[i, j])
@@ -258,7 +258,7 @@ def test_mean_median_is_its_stages_one_after_another(kind: str) -> None:
         values[..., 0] = values[..., 1] = np.arange(22) // 11  # the median keeps this edge, the mean does not
     known = rng.random((20, 22)) < 0.9
     known[7:13, 8:14] = False
-    result, status, _ = fill(values, known, None, "mean_median", 0)
+    result, status, _ = fill(values, known, "mean_median")
     wins = score_mean_median(values[..., :2], known, 2.0**16).median_wins()
     assert wins[4:].any() == (kind == "lines")
     expected, valid = values, known.copy()
@@ -279,8 +279,6 @@ NEAR, FAR = 1 / 200.0, 1 / 400.0
 
 def test_bounds_come_from_the_first_pair_on_opposite_sides() -> None:
     """One wanted pixel in an empty image, known ones at given steps from it: the farther of which pair decides?"""
-    directions = {"W": (0, -1), "E": (0, 1), "N": (-1, 0), "S": (1, 0)}
-    directions |= {"NW": (-1, -1), "SE": (1, 1), "NE": (-1, 1), "SW": (1, -1)}
     for ends, expected in (
         ({"W": (1, FAR), "E": (4, NEAR)}, FAR),  # uncovered by an edge that has moved to the right
         ({"W": (1, NEAR), "E": (1, NEAR), "N": (9, FAR), "S": (1, FAR)}, NEAR),  # a gap in a near surface
@@ -297,20 +295,26 @@ def test_bounds_come_from_the_first_pair_on_opposite_sides() -> None:
         w, known, wanted = np.zeros((19, 19)), np.zeros((19, 19), dtype=bool), np.zeros((19, 19), dtype=bool)
         wanted[9, 9] = True
         for name, (step, depth) in ends.items():
-            at = (9 + step * directions[name][0], 9 + step * directions[name][1])
+            at = (9 + step * STEPS[name][0], 9 + step * STEPS[name][1])
             w[at], known[at] = depth, True
         bounds = far_bounds(w, known, wanted)
         assert bounds[9, 9] == np.float32(1.02) * np.float32(expected), ends
         assert np.isinf(bounds[~wanted]).all()
 
 
-@pytest.mark.parametrize("method", ["ait", "mean_median"])
-def test_what_an_edge_uncovers_is_filled_from_the_far_side(method: Method) -> None:
-    """A hole between a near card (1) and a far plane (2): nothing of the card comes into it."""
+def cards(*columns: slice) -> tuple[Array, NDArray[np.uint8], Mask]:
+    """Values and objects of near cards (1) before a far plane (2), and a mask with all pixels known."""
     values, objects = np.zeros((30, 40, 2)), np.full((30, 40), 2, dtype=np.uint8)
     values[..., 0], values[..., 1] = 0.2, FAR
-    values[8:20, 20:32], objects[8:20, 20:32] = (0.9, NEAR), 1
-    known = np.ones((30, 40), dtype=bool)
+    for card in columns:
+        values[8:20, card], objects[8:20, card] = (0.9, NEAR), 1
+    return values, objects, np.ones((30, 40), dtype=bool)
+
+
+@pytest.mark.parametrize("method", ["ait", "mean_median"])
+def test_what_an_edge_uncovers_is_filled_from_the_far_side(method: Method) -> None:
+    """A hole between a near card and a far plane: nothing of the card comes into it."""
+    values, objects, known = cards(slice(20, 32))
     known[8:20, 12:20] = known[14, 25] = False  # uncovered, and a gap in the card
     given, seen = np.where(known[..., None], values, 0.0), np.where(known, objects, 255).astype(np.uint8)
     result, found, status, report = fill_objects(given, seen, known, None, method, 0)
@@ -319,18 +323,14 @@ def test_what_an_edge_uncovers_is_filled_from_the_far_side(method: Method) -> No
     # Means and medians of equal values, which a few roundings may change.
     np.testing.assert_allclose(result, values, rtol=1e-12)
     assert (found == objects).all()
-    across, *_ = fill(given, known, None, method, 0)
+    across, *_ = fill(given, known, method)
     assert np.abs(across - values)[..., 0].max() > 0.3
 
 
 @pytest.mark.parametrize("method", ["ait", "mean_median"])
 def test_a_hole_between_two_near_things_is_filled_from_behind_them(method: Method) -> None:
-    """Two cards (1) with a wall (2) behind them; what lies between the cards is hidden or uncovered."""
-    values, objects = np.zeros((30, 40, 2)), np.full((30, 40), 2, dtype=np.uint8)
-    values[..., 0], values[..., 1] = 0.2, FAR
-    for columns in (slice(6, 14), slice(22, 32)):
-        values[8:20, columns], objects[8:20, columns] = (0.9, NEAR), 1
-    known = np.ones((30, 40), dtype=bool)
+    """What lies between two cards is hidden or uncovered."""
+    values, objects, known = cards(slice(6, 14), slice(22, 32))
     known[8:20, 14:22] = False
     given, seen = np.where(known[..., None], values, 0.0), np.where(known, objects, 255).astype(np.uint8)
     result, found, *_ = fill_objects(given, seen, known, None, method, 0)

@@ -107,12 +107,10 @@ def test_without_a_jump_there_is_one_layer() -> None:
 
 def test_too_many_jumps_leave_the_smallest_alone() -> None:
     coc = np.repeat(np.array([-20.0, -18.5] * 8 + [0.0, 5.0, 6.5, 8.0, 9.5, 11, 12.5, 14, 15.5, 17]), 2)[None]
-    bounds = layer_bounds(
-        find_discontinuities(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0].astype(np.int32)
-    )
+    there, (low, bins) = np.ones(coc.shape, dtype=bool), bins_of(20.0)
+    bounds = layer_bounds(find_discontinuities(coc, there, low, bins, 9)[0].astype(np.int32))
     assert 0 < len(bounds) < MOST_LAYERS
-    low, bins = bins_of(20.0)
-    layer = label_depth_layers(coc, np.ones(coc.shape, dtype=bool), low, bins, bounds)[0]
+    layer = label_depth_layers(coc, there, low, bins, bounds)[0]
     assert layer[30] < layer[32] < layer[34]  # -18.5, 0, 5
     noise = RNG(5).uniform(-20, 20, (30, 30))
     assert len(cuts(noise, np.ones(noise.shape, dtype=bool), 20.0)) < MOST_LAYERS
@@ -244,9 +242,7 @@ def test_one_brightness_everywhere_stays_so() -> None:
 
 def test_a_sharp_object_before_a_blurred_plane_keeps_its_edge() -> None:
     guard, shape = 12, (40, 44)
-    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
-    near = blob(size)
-    image, _ = layered(
-        spec_of(Psf(), 8.0), np.where(near, 0.0, 1.0)[..., None], np.where(near, 0.0, 8.0), near | True, shape, guard
-    )
+    near = blob((shape[0] + 2 * guard, shape[1] + 2 * guard))
+    light, coc = np.where(near, 0.0, 1.0)[..., None], np.where(near, 0.0, 8.0)
+    image, _ = layered(spec_of(Psf(), 8.0), light, coc, near | True, shape, guard)
     np.testing.assert_allclose(image[..., 0], ~near[guard:-guard, guard:-guard], rtol=0, atol=1e-12)

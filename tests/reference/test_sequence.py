@@ -50,13 +50,8 @@ def test_facing_plane_is_one_convolution() -> None:
 @pytest.mark.parametrize("warp", ["inverse", "forward"])
 def test_motion_by_whole_pixels_is_a_mean_of_shifts(warp: str) -> None:
     item = Plane(distance=250.0, motion=ObjectMotion(velocity=(1.0, 0.0, 0.0)))  # 8 px in 1 s
-    scene = scene_of(
-        item,
-        size=SIZE,
-        camera=SHARP,
-        motion=Motion(warp="forward") if warp == "forward" else Motion(),
-        sequence=Sequence(frames=2, interval=1.0, shutter=1.0, samples=4),
-    )
+    sequence = Sequence(frames=2, interval=1.0, shutter=1.0, samples=4)
+    scene = scene_of(item, size=SIZE, camera=SHARP, motion=Motion.model_validate({"warp": warp}), sequence=sequence)
     still = truth(only(scene_of(Plane(distance=250.0), size=SIZE, camera=SHARP)), "sharp")
     first, second = render(scene)
     assert (first.index, second.index) == (0, 1)
@@ -76,15 +71,11 @@ def test_motion_by_whole_pixels_is_a_mean_of_shifts(warp: str) -> None:
 
 @pytest.mark.parametrize("method", mostly_slow(["ait", "mean_median"], ["ait"]))
 def test_warps_agree_where_nothing_was_hidden(method: Method) -> None:
-    item = Cylinder(
-        center=(0.0, 0.0, 285.0),
-        motion=ObjectMotion(angular_velocity=(0.0, 1.0, 10.0), velocity=(0.0, 0.0, -20.0)),
-    )
-    sequence = Sequence(samples=3)
-    inverse = only(scene_of(item, size=(64, 48), sequence=sequence))
-    forward = only(
-        scene_of(item, size=(64, 48), sequence=sequence, motion=Motion(warp="forward"), fill=Fill(method=method))
-    )
+    motion = ObjectMotion(angular_velocity=(0.0, 1.0, 10.0), velocity=(0.0, 0.0, -20.0))
+    of: dict[str, Any] = {"size": (64, 48), "sequence": Sequence(samples=3)}
+    item = Cylinder(center=(0.0, 0.0, 285.0), motion=motion)
+    inverse = only(scene_of(item, **of))
+    forward = only(scene_of(item, **of, motion=Motion(warp="forward"), fill=Fill(method=method)))
     for name in ("depth", "blur_radius", "mask", "normal", "flow", "hidden"):
         assert (truth(inverse, name) == truth(forward, name)).all()
     steps = forward.metadata["intermediate"]
@@ -101,11 +92,8 @@ def test_warps_agree_where_nothing_was_hidden(method: Method) -> None:
 
 def test_domain_surface_leaves_the_gap_between_two_sheets() -> None:
     # x^2 - y^2 - z^2 = 1: a bowl on the left, one on the right, and 16 px of nothing between them.
-    item = Quadric(
-        center=(0.0, 0.0, 250.0),
-        coefficients=(1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0),
-        motion=ObjectMotion(velocity=(0.0, 0.0, -50.0)),
-    )
+    sheets, motion = (1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0), ObjectMotion(velocity=(0.0, 0.0, -50.0))
+    item = Quadric(center=(0.0, 0.0, 250.0), coefficients=sheets, motion=motion)
     domains: tuple[Literal["surface", "span"], ...] = ("surface", "span")
     surface, span = (
         only(scene_of(item, size=SIZE, motion=Motion(warp="forward"), fill=Fill(domain=domain))) for domain in domains

@@ -140,8 +140,7 @@ RIMS = [{"distance": 12.0, "diameter": 12.0}, {"distance": -6.0, "diameter": 9.0
 
 
 @pytest.mark.parametrize(
-    ("distance", "shape"),
-    combined([180.0, 258.0, 420.0], [{}, BLADES], kept=[(258.0, BLADES), (420.0, {})]),
+    ("distance", "shape"), combined([180.0, 258.0, 420.0], [{}, BLADES], kept=[(258.0, BLADES), (420.0, {})])
 )
 def test_rims_cut_light_off(distance: float, shape: dict[str, Any]) -> None:
     camera = {"resolution": [48, 40], "pixel_pitch": 0.1, "aperture_diameter": 12.0}

@@ -13,14 +13,7 @@ from clsco.optics.point_spread import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import pixel_ray, rest_pixel, solve_quadric
-from clsco.reference.trace.trace import (
-    SILHOUETTE_RANGE,
-    mark_silhouettes,
-    padded_grid,
-    trace,
-    trace_subpixels,
-    view_at,
-)
+from clsco.reference.trace.trace import SILHOUETTE_RANGE, mark_silhouettes, padded_grid, trace, trace_subpixels, view_at
 from clsco.reference.trace.truth import ground_truth
 from clsco.reference.trace.view import View
 from clsco.scene.model import Ellipsoid, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
@@ -210,16 +203,11 @@ def test_nothing_flows_and_nothing_is_hidden_at_rest() -> None:
 
 
 def test_back_of_a_turned_sphere_was_hidden() -> None:
-    item = SMALL_SPHERE.model_copy(
-        update={"center": (0.0, 0.0, 280.0), "motion": ObjectMotion(angular_velocity=(0.0, 180.0, 0.0))}
-    )
+    motion = ObjectMotion(angular_velocity=(0.0, 180.0, 0.0))
+    item = SMALL_SPHERE.model_copy(update={"center": (0.0, 0.0, 280.0), "motion": motion})
     truth = ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0)  # turned by 90 deg about y
-    hidden = truth.hidden & truth.mask
     # At a distance of 112 radii half of the disc, within 1/112 of its width, shows what was behind the limb.
-    left, right = (
-        hidden[:, :24].sum() / truth.mask[:, :24].sum(),
-        hidden[:, 24:].sum() / truth.mask[:, 24:].sum(),
-    )
+    left, right = (truth.hidden[:, half][truth.mask[:, half]].mean() for half in (slice(24), slice(24, 48)))
     assert sorted((left > 0.95, right > 0.95)) == [False, True]
     assert min(left, right) < 0.05
 

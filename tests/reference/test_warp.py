@@ -12,9 +12,10 @@ from clsco.constants import NO_WINNER
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.reference.common.geometry import Array, pixel_ray, rest_pixel, sample_texture, solve_quadric
-from clsco.reference.inpainting.fill import Method, fill, fill_objects, mark_missing
+from clsco.reference.inpainting.fill import Method, fill_objects, mark_missing
 from clsco.reference.trace.trace import padded_grid
 from clsco.reference.warp.warp import (
+    Reprojected,
     nearest_pixel,
     reproject,
     reproject_depth,
@@ -49,7 +50,7 @@ def warp(at: Placer, item: Object, shape: tuple[int, int], guard: int = 0) -> tu
 def test_missing_pixels_of_the_thesis(motion: ObjectMotion, count: int, guard: int, at: Placer) -> None:
     known, radiance, w, _ = warp(at, Plane(motion=motion), (512, 512), guard)
     values = np.concatenate([radiance, w[..., None]], axis=-1)
-    _, _, report = fill(values, known, None, "ait", guard)
+    *_, report = fill_objects(values, np.zeros(known.shape, np.uint8), known, None, "ait", guard, far=False)
     assert report.filled_first_sweep == count
     assert report.unfilled_pixels == 0
     # The crossings of 20 missing rows with 20 missing columns wait for the second sweep.
@@ -152,14 +153,25 @@ def two_objects(side: int, motion: ObjectMotion, *, mapped: bool = False) -> tup
     maps: list[Any] = [None, None]
     if mapped:
         rays = pixel_ray(camera, *padded_grid(camera, 0))
-        still = [place(item, pose_at(item.motion, 0.0, "euler")) for item in items]
-        maps[0] = solve_quadric(still[0], CARD, rays)[0]
+        maps[0] = solve_quadric(place(card, pose_at(motion, 0.0, "euler")), CARD, rays)[0]
         items = (DepthMap(name="card", depth="card.npy", center=(0.0, 0.0, 200.0), motion=motion), items[1])
     return Scene(camera=camera, objects=items, motion=Motion(warp="forward")), textures, maps
 
 
-def seen_truth(scene: Scene, textures: list[Array], poses: list[Pose]) -> tuple[Array, Array]:
+def poses_of(scene: Scene, time: float) -> list[Pose]:
+    return [pose_at(item.motion, time, "euler") for item in scene.objects]
+
+
+def warped(scene: Scene, textures: list[Array], maps: list[Any]) -> tuple[Reprojected, Array, Array, Array]:
+    """Pixels after 1 s, their values, and radiance and object (rows, columns) by rays cast at the moved surfaces."""
+    still = [place(item, pose) for item, pose in zip(scene.objects, poses_of(scene, 0.0), strict=True)]
+    new = reproject(scene, textures, still, maps, poses_of(scene, 1.0), 0)
+    return new, np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1), *seen_truth(scene, textures)
+
+
+def seen_truth(scene: Scene, textures: list[Array]) -> tuple[Array, Array]:
     """Radiance and object (rows, columns) by rays cast at the moved surfaces."""
+    poses = poses_of(scene, 1.0)
     rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
     nearest, radiance, seen = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2]), np.full(rays.shape[:2], 255)
     for k, (item, pose) in enumerate(zip(scene.objects, poses, strict=True)):
@@ -180,13 +192,12 @@ def decibels(found: Array, truth: Array) -> float:
 @pytest.mark.parametrize("mapped", [False, True])
 def test_each_source_moves_with_its_object(mapped: bool) -> None:
     scene, textures, maps = two_objects(80, ObjectMotion(velocity=(0.6, 0.0, 0.0)), mapped=mapped)
-    poses = [pose_at(item.motion, 1.0, "euler") for item in scene.objects]
-    still = [pose_at(item.motion, 0.0, "euler") for item in scene.objects]
-    rest = [None if depth is not None else place(i, p) for i, p, depth in zip(scene.objects, still, maps, strict=True)]
+    triples = zip(scene.objects, poses_of(scene, 0.0), maps, strict=True)
+    rest = [None if depth is not None else place(item, pose) for item, pose, depth in triples]
     w, whose = reproject_rest(scene, rest, maps)
     assert (whose == 0).sum() == 30 * 30  # 3 mm at 200 mm
     assert (1 / w[whose == 0] == pytest.approx(200.0)) is True
-    found = reproject(scene, textures, rest, maps, poses, 0)
+    found = reproject(scene, textures, rest, maps, poses_of(scene, 1.0), 0)
     moved = np.roll(whose == 0, 6, axis=1)  # 0.6 mm at 200 mm
     uncovered = (whose == 0) & ~moved
     assert (found.known == ~uncovered).all()
@@ -214,11 +225,7 @@ def test_what_is_uncovered_shows_what_is_behind(motion: ObjectMotion, after: flo
     hole: 32 to 33 dB of 12 and 15 px, 43 to 45 dB of 3 and 4 px.
     """
     scene, textures, maps = two_objects(120, motion)
-    poses = [pose_at(item.motion, 1.0, "euler") for item in scene.objects]
-    still = [place(item, pose_at(item.motion, 0.0, "euler")) for item in scene.objects]
-    truth, seen = seen_truth(scene, textures, poses)
-    new = reproject(scene, textures, still, maps, poses, 0)
-    values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
+    new, values, truth, seen = warped(scene, textures, maps)
     uncovered = ~new.known
     assert uncovered.sum() > 150
     found = {}
@@ -235,11 +242,7 @@ def test_what_is_uncovered_shows_what_is_behind(motion: ObjectMotion, after: flo
 def test_a_card_that_comes_nearer_stays_closed(depth_mm: float) -> None:
     """Otherwise the plane behind shows in every gap between its pixels, where a pixel of the plane happens to come."""
     scene, textures, maps = two_objects(120, ObjectMotion(velocity=(0.0, 0.0, depth_mm - 200.0)))
-    poses = [pose_at(item.motion, 1.0, "euler") for item in scene.objects]
-    still = [place(item, pose_at(item.motion, 0.0, "euler")) for item in scene.objects]
-    truth, seen = seen_truth(scene, textures, poses)
-    new = reproject(scene, textures, still, maps, poses, 0)
-    values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
+    new, values, truth, seen = warped(scene, textures, maps)
     filled, objects, status, _ = fill_objects(values, new.object, new.known, None, "ait", 0)
     # The outermost pixels of the card at rest end half a pixel, as large as it is now, inside its outline.
     inner = seen == 0

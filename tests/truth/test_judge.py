@@ -85,21 +85,18 @@ def test_natural_vignetting_goes_by_the_angle() -> None:
 
 def test_half_of_the_exposure_is_half_of_the_light() -> None:
     """A card comes into a pixel after a quarter of the exposure: a triangle has let 1/8 of its light pass."""
-    card: dict[str, Any] = {
-        "shape": "rectangle",
-        "center": [0.0, 0.0, 250.0],
-        "size": [20.0, 20.0],
-        "texture": "#ffffff",
-    }
     keys = [{"time": 0.0}, {"time": 0.25, "position": [0.0, 50.0, 0.0]}]
-    card["motion"] = {"keyframe": keys, "interpolation": "step"}
-    given = scene(card, sequence={"shutter_curve": "triangle"})
+    card = {"shape": "rectangle", "center": [0.0, 0.0, 250.0], "size": [20.0, 20.0], "texture": "#ffffff"}
+    motion = {"motion": {"keyframe": keys, "interpolation": "step"}}
+    given = scene(card | motion, sequence={"shutter_curve": "triangle"})
     assert traced(given, 4096, row=24, column=24)[0][0] == pytest.approx(0.125, abs=2e-3)
 
 
 def test_poses_and_lenses_are_those_of_the_engine() -> None:
     keys = [{"time": t, "position": [t, -t * t, 5 * t], "rotation": [20 * t, -50 * t, 30 * t * t]} for t in (0, 0.4, 1)]
     spline = [{"time": 0.2 * k, "position": [k % 3, 0.0, 0.0], "rotation": [0.0, 9.0 * k, 0.0]} for k in range(5)]
+    zoom = [{"time": 0.0, "focus_distance": 240.0, "f_number": 2.0}, {"time": 0.8, "focal_length": 25.0}]
+    zoom.append({"time": 1.0, "f_number": 3.0})
     moved = {
         "camera": {
             "motion": {"velocity": [1.0, 2.0, 3.0], "angular_velocity": [3.0, 5.0, 7.0], "acceleration": [1.0, 0, 2]},
@@ -107,15 +104,8 @@ def test_poses_and_lenses_are_those_of_the_engine() -> None:
         },
         "group": [{"name": "g", "motion": {"angular_velocity": [0.0, 40.0, 5.0]}}],
         "stereo": {"baseline": 30.0, "toe_in": 3.0},
-        "lens": {
-            "keyframe": [
-                {"time": 0.0, "focus_distance": 240.0, "f_number": 2.0},
-                {"time": 0.8, "focal_length": 25.0},
-                {"time": 1.0, "f_number": 3.0},
-            ],
-            "outside": "linear",
-        },
-    }  # fmt: skip
+        "lens": {"keyframe": zoom, "outside": "linear"},
+    }
     objects: list[Any] = [
         BALL | {"group": "g", "rotation": [10.0, 20.0, 30.0], "motion": {"keyframe": keys}},
         BALL | {"motion": {"keyframe": spline, "interpolation": "bspline", "outside": "linear"}},
@@ -233,7 +223,6 @@ def test_seconds_are_those_of_rays_and_not_of_the_compiler(monkeypatch: pytest.M
 
     monkeypatch.setattr(module, "accumulate", compiled_first)
     monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
-    _, _, cast = trace(
-        make_problem(scene(BALL)), np.full((1, 2), -1), np.array([[37.0, 24.0, 1.0, 1.0, 0.0]]), 2048, 1.0, 5
-    )
+    place = np.array([[37.0, 24.0, 1.0, 1.0, 0.0]])
+    _, _, cast = trace(make_problem(scene(BALL)), np.full((1, 2), -1), place, 2048, 1.0, 5)
     assert cast == 2048

@@ -35,12 +35,9 @@ def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
     """
 
     def along(radius: Array, there: NDArray[np.bool_]) -> Array:
-        ahead, behind = np.zeros_like(there), np.zeros_like(there)
-        ahead[:, :-1] = there[:, 1:]
-        behind[:, 1:] = there[:, :-1]
-        high, low = radius.copy(), radius.copy()
-        high[:, :-1] = np.where(ahead[:, :-1], radius[:, 1:], radius[:, :-1])
-        low[:, 1:] = np.where(behind[:, 1:], radius[:, :-1], radius[:, 1:])
+        padded, mask = np.pad(radius, ((0, 0), (1, 1))), np.pad(there, ((0, 0), (1, 1)))
+        ahead, behind = mask[:, 2:], mask[:, :-2]
+        high, low = np.where(ahead, padded[:, 2:], radius), np.where(behind, padded[:, :-2], radius)
         distance = ahead.astype(np.int64) + behind
         return np.where(there & (distance > 0), (high - low) / np.maximum(distance, 1), 0.0)
 
@@ -67,9 +64,8 @@ def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike
 
 
 def place_weights(
-    psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64],
-    subpixel: bool = False,
-) -> Array:  # fmt: skip
+    psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64], subpixel: bool = False
+) -> Array:
     """Weights (n,) of taps for sources at positions `place` (2, n), row and column in the frame, px.
 
     dx, dy: px, scalar or (n,); radius: (n,) signed, px; subpixel: True for `PointSpread.subpixel_weights`, else
@@ -109,9 +105,14 @@ def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Vi
     For each group: numbers of the sources, their part of `visibility`, and their `cell_visibility`.
     """
     hidden = np.flatnonzero(visibility.row >= 0)
-    hidden = hidden[np.argsort(np.abs(visibility.radius[visibility.row[hidden]]), kind="stable")]
-    parts = [hidden[start : start + OCCLUDED_BLOCK] for start in range(0, hidden.size, OCCLUDED_BLOCK)]
+    parts = _blocks(hidden, visibility.radius[visibility.row[hidden]], OCCLUDED_BLOCK)
     return [(part, group, cell_visibility(group)) for part in parts for group in [visibility.select(part)]]
+
+
+def _blocks(numbers: NDArray[np.int64], radius: Array, size: int) -> list[NDArray[np.int64]]:
+    """Numbers (n,) of sources with signed radii (n,) in blocks of ascending |R|, which have nearly the same taps."""
+    numbers = numbers[np.argsort(np.abs(radius), kind="stable")]
+    return [numbers[start : start + size] for start in range(0, numbers.size, size)]
 
 
 def _tap_shares(
@@ -121,15 +122,11 @@ def _tap_shares(
 
     there: mask (H, W) of the sources to use. Targets outside of the frame are left out.
     """
-    size, waves = np.abs(sources.radius).ravel(), spec.psf.diffracted
-    slope = tilt_slope(sources.gradient, sources.radius, waves).reshape(-1, 2)
-    signed = sources.radius.ravel()
-    place = np.stack([axis.ravel() - guard for axis in np.indices(there.shape)])
-    row, column = place
-    at = np.flatnonzero(there)
-    at = at[np.argsort(size[at], kind="stable")]  # so that the sources of a block have nearly the same taps
-    blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
-    reaches = [spec.psf.reach(float(size[block[-1]])) for block in blocks]
+    radius, at = sources.radius.ravel(), np.flatnonzero(there)
+    slope = tilt_slope(sources.gradient, sources.radius, spec.psf.diffracted).reshape(-1, 2)
+    row, column = place = np.indices(there.shape).reshape(2, -1) - guard
+    blocks = _blocks(at, radius[at], BLOCK)
+    reaches = [spec.psf.reach(float(np.abs(radius[block[-1]]))) for block in blocks]
     groups = [] if sources.visibility is None else _group_by_radius(sources.visibility)
     shape_at = None if sources.shape is None else sources.shape.reshape(-1, 3)
     alone = spec.psf.signed or shape_at is not None
@@ -141,9 +138,9 @@ def _tap_shares(
             if far >= max(abs(right), abs(down)):
                 offset = np.asarray(float(right)), np.asarray(float(down))
                 if shape_at is None:
-                    weight[block] = place_weights(spec.psf, *offset, signed[block], place[:, block])
+                    weight[block] = place_weights(spec.psf, *offset, radius[block], place[:, block])
                 else:
-                    disc_radius = np.maximum(size[block], LEAST_OPENING)
+                    disc_radius = np.maximum(np.abs(radius[block]), LEAST_OPENING)
                     weight[block] = chord_weights(*offset, disc_radius, shape_at[block])
         lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
@@ -154,14 +151,13 @@ def _tap_shares(
                 continue
             share = weight[source]
             if spec.tilt:
-                share = share * tilt_factor(*within_rim(spec.psf, dx, dy, signed[source]), slope[source])
+                share = share * tilt_factor(*within_rim(spec.psf, dx, dy, radius[source]), slope[source])
             for hidden, visibility, cells in groups:
                 at_source = np.minimum(np.searchsorted(source, hidden), source.size - 1)
                 matches = source[at_source] == hidden
                 if matches.any():
-                    partial, point = at_source[matches], spec.psf.edge == "area"
-                    hidden_weight = weight[hidden]
-                    cut = cut_weights(visibility, hidden_weight, dx, dy, point)
+                    partial, hidden_weight = at_source[matches], weight[hidden]
+                    cut = cut_weights(visibility, hidden_weight, dx, dy, spec.psf.edge == "area")
                     share[partial] *= cut[matches] / hidden_weight[matches]
                     share[partial] *= tap_share(visibility, cells, dx, dy)[matches]
             yield source, target, share
@@ -175,19 +171,15 @@ def _subpixel_tap_shares(
     Sources are numbered in the order of `hit`; the fraction includes the source's weight 1/S^2. Targets outside of the
     frame are left out.
     """
-    samples = sub.hit.shape[1]
-    pixel, i, j = np.nonzero(sub.hit)
-    offset = subpixel_offsets(samples)
-    order = np.argsort(np.abs(sub.radius[sub.hit]), kind="stable")  # so that the sources of a block have the same taps
-    size = BLOCK if sub.visibility is None else OCCLUDED_BLOCK
-    for start in range(0, pixel.size, size):
-        block = order[start : start + size]
-        p, y, x = pixel[block], offset[i[block]], offset[j[block]]
-        radius = sub.radius[sub.hit][block]
-        slope = tilt_slope(sub.gradient[sub.hit][block], radius, spec.psf.diffracted)
-        limb = False if sub.limb is None else sub.limb[sub.hit][block]
+    samples, places = sub.hit.shape[1], np.nonzero(sub.hit)
+    offset, size = subpixel_offsets(samples), BLOCK if sub.visibility is None else OCCLUDED_BLOCK
+    for block in _blocks(np.arange(len(places[0])), sub.radius[sub.hit], size):
+        p, i, j = at = tuple(indices[block] for indices in places)
+        y, x, radius = offset[i], offset[j], sub.radius[at]
+        slope = tilt_slope(sub.gradient[at], radius, spec.psf.diffracted)
+        limb = False if sub.limb is None else sub.limb[at]
         if sub.widening is not None:
-            slope = slope + sub.widening[sub.hit][block]
+            slope = slope + sub.widening[at]
         far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
         place = np.stack([sub.row[p], sub.column[p]]) - guard
         visibility = None if sub.visibility is None else sub.visibility.select(block)
@@ -234,39 +226,37 @@ def renormalize(
     """Sources with their radiance scaled so that light lost outside of the frame is returned to it.
 
     Arguments as for `scatter`. The radiance is divided by the fraction of the source's PSF (with tilt) inside the
-    frame, ignoring occluders; sources outside of the frame are dropped. Validated: the sum over the image equals the
-    sum of radiance in the frame.
+    frame, ignoring occluders; sources outside of the frame are dropped.
     """
     m, n = shape
     inside = np.zeros(sources.label.shape, dtype=bool)
     inside[guard : guard + m, guard : guard + n] = True
     mask = _whole_sources(sources, sub) & inside
-    light: Array = np.zeros(mask.size)
-    for source, _, share in _tap_shares(spec, replace(sources, visibility=None), mask, shape, guard):
-        light[source] += share
-    light = light.reshape(mask.shape)
-    scale = np.where(light > 0.0, 1.0 / np.where(light > 0.0, light, 1.0), 0.0)
-    sources = replace(sources, lit=sources.lit & inside, radiance=sources.radiance * scale[..., None])
+
+    def scale_of(count: int, taps: Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]) -> Array:
+        light = np.zeros(count)
+        for source, _, share in taps:
+            light[source] += share  # for a single offset, no source occurs twice
+        return np.where(light > 0.0, 1.0 / np.where(light > 0.0, light, 1.0), 0.0)
+
+    scale = scale_of(mask.size, _tap_shares(spec, replace(sources, visibility=None), mask, shape, guard))
+    radiance = sources.radiance * scale.reshape(mask.shape)[..., None]
+    sources = replace(sources, lit=sources.lit & inside, radiance=radiance)
     if sub is None:
         return sources, None
     sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
-    light_sub = np.zeros(int(sub.hit.sum()))
-    for source, _, share in _subpixel_tap_shares(spec, replace(sub, visibility=None), shape, guard):
-        np.add.at(light_sub, source, share)
+    scale, radiance = np.zeros(sub.hit.shape), sub.radiance
+    taps = _subpixel_tap_shares(spec, replace(sub, visibility=None), shape, guard)
     # Shares include 1/S^2; the divisor must be the share of the source's radiance alone.
-    light_sub *= sub.hit.shape[1] ** 2
-    scale_sub = np.zeros(sub.hit.shape)
-    scale_sub[sub.hit] = np.where(light_sub > 0.0, 1.0 / np.where(light_sub > 0.0, light_sub, 1.0), 0.0)
-    return sources, replace(sub, radiance=sub.radiance * scale_sub[..., None])
+    scale[sub.hit] = scale_of(int(sub.hit.sum()), taps) / sub.hit.shape[1] ** 2
+    return sources, replace(sub, radiance=radiance * scale[..., None])
 
 
 def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
     """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
 
     sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace the source of their
-    pixel, or None; shape: (m, n) of the frame; guard: px. For border = "renormalize" see `renormalize`. Weights are
-    `PointSpread.weights`, and `subpixel_weights` for sub-pixel sources. Validated: energy is conserved, the image of a
-    constant frontal plane is constant, the result is linear, and equals direct sums.
+    pixel, or None; shape: (m, n) of the frame; guard: px. For border = "renormalize" see `renormalize`.
     """
     m, n = shape
     if spec.border == "renormalize":

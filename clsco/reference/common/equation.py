@@ -22,10 +22,6 @@ FAR_PLACE, FOCUSED, FAR_RADII = 4.0, 0.1, 3.0  # see `sees_by_cells`
 PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # cells per lens radius for pixels in focus: radius of a disc with a tent's variance
 
 
-def _dot(weights: Array, vectors: Array) -> Array:
-    return np.asarray(vectors @ weights)
-
-
 @dataclass(frozen=True, eq=False)
 class Points:
     """Surface points of visibility tests.
@@ -126,9 +122,9 @@ class Equation:
 
     B, F: (N,). point (N, 3): points times w, in the canonical frame; right (N,): mm per cell; along_x, along_y (N, 3):
     displacement of the lens point per cell, right and down; linear (N,): l . point; sign: factor applied to the
-    surface's own equation; once (N,): True if there is at most one intersection; flat: True if the surface is a plane;
-    grow_x, grow_y (N,): change of the lens point's last homogeneous coordinate per cell. It is 0 unless K changes over
-    the image: then the blur of an occluder depends on K at its own position, as if lines ended at l / (1 + l . grad R).
+    surface's own equation; once (N,): True if there is at most one intersection; grow_x, grow_y (N,): change of the
+    lens point's last homogeneous coordinate per cell. It is 0 unless K changes over the image: then the blur of an
+    occluder depends on K at its own position, as if lines ended at l / (1 + l . grad R).
     """
 
     B: Array
@@ -141,7 +137,6 @@ class Equation:
     linear: Array
     sign: float
     once: Mask
-    flat: bool
     grow_x: Array
     grow_y: Array
 
@@ -157,52 +152,31 @@ def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells
     along_x, along_y = (
         shift[:, None] * surface.turn[:, i] + grow[:, None] * o for i, (shift, grow) in enumerate(shifts)
     )
-    sign = -1.0 if surface.constant < 0 else 1.0
-    f = np.zeros_like(w) if on_surface else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
-    b = sign * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
-    flat = not q.any()
-    linear = _dot(l, p)
-    return Equation(
-        b, f, sign * surface.constant, p, along_x, along_y, right, linear, sign, f <= 0, flat, grow_x, grow_y
-    )  # fmt: skip
+    sign, linear = -1.0 if surface.constant < 0 else 1.0, p @ l
+    f = np.zeros_like(w) if on_surface else sign * (p * p @ q + w * (2 * linear - k * w))
+    b = sign * (p * o @ q + linear + w * (l @ o - k))
+    return Equation(b, f, sign * surface.constant, p, along_x, along_y, right, linear, sign, f <= 0, grow_x, grow_y)
 
 
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """Coefficients (N,) of B, C and D = B^2 - C F, which is 0 at the outline, as polynomials in the tap (x, y)."""
-
-    D: Array
-    B_x: Array
-    B_y: Array
-    C_x: Array
-    C_y: Array
-    C_xx: Array
-    C_xy: Array
-    C_yy: Array
-    D_x: Array
-    D_y: Array
-    D_xx: Array
-    D_xy: Array
-    D_yy: Array
-
-
-def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
-    """Derivatives of B, C and D by the tap position; d: D (N,) at the middle of the lens."""
+def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> tuple[Array, Array, Array]:
+    """Coefficients of B (N, 3), C and D = B^2 - C F (N, 6), which is 0 at the outline, for 1, x, y, x^2, x y, y^2 of
+    the tap; d: D (N,) at the middle of the lens.
+    """
     q, l, k, o, side = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset, e.sign  # noqa: E741
     ways = (ex, gx), (ey, gy) = (e.along_x, e.grow_x), (e.along_y, e.grow_y)
-    bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u) + g * (e.linear - k * w)) for u, g in ways)
-    cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u) + g * (l @ o - k)) for u, g in ways)
-    cxx, cyy = (side * (_dot(q, u * u) + g * (2 * _dot(l, u) - k * g)) for u, g in ways)
-    cxy = side * 2 * (_dot(q, ex * ey) + gx * (_dot(l, ey) - k * gy) + gy * _dot(l, ex))
+    bx, by = (side * (e.point * u @ q + w * (u @ l) + g * (e.linear - k * w)) for u, g in ways)
+    cx, cy = (side * 2 * (o * u @ q + u @ l + g * (l @ o - k)) for u, g in ways)
+    cxx, cyy = (side * (u * u @ q + g * (2 * (u @ l) - k * g)) for u, g in ways)
+    cxy = side * 2 * (ex * ey @ q + gx * (ey @ l - k * gy) + gy * (ex @ l))
     dx, dy = 2 * e.B * bx - cx * e.F, 2 * e.B * by - cy * e.F
     dxx, dyy, dxy = bx * bx - cxx * e.F, by * by - cyy * e.F, 2 * bx * by - cxy * e.F
-    return Slopes(d, bx, by, cx, cy, cxx, cxy, cyy, dx, dy, dxx, dxy, dyy)
+    parts = (e.B, bx, by), (np.full_like(w, e.C), cx, cy, cxx, cxy, cyy), (d, dx, dy, dxx, dxy, dyy)
+    b, c, d = (np.stack(part, axis=-1) for part in parts)
+    return b, c, d
 
 
 def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
-    """Image displacement (N,), in px per lens radius, of the point where the line meets the surface or passes
-    closest.
-    """
+    """Image displacement (N,), px per lens radius, of the point where the line meets the surface or passes closest."""
     root = np.sqrt(np.maximum(d, 0.0))
     # The outline is at v = sqrt(F / C); half of this as the lower bound keeps the edge from growing without limit if
     # the line passes the surface next to the point.

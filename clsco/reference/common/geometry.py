@@ -1,7 +1,7 @@
 """Rays, the common ray-surface solution, and derived quantities, in NumPy float64.
 
-Rays are arrays (..., 3) whose third component is 1, so that a surface point is ray / w with w the inverse depth in
-1/mm; w = 0 means "no surface". Every function works on arrays of any shape.
+Rays are arrays (..., 3) whose third component is 1, so that a surface point is ray / w with w (...) the inverse depth
+in 1/mm; w = 0 means "no surface". Every function works on arrays of any shape.
 """
 
 from __future__ import annotations
@@ -44,14 +44,12 @@ def _product_error(a: Array, b: Array, product: Array) -> Array:
 
 
 def difference_of_products(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike) -> Array:
-    """a b - c d without cancellation of the products' rounding errors.
+    """a b - c d without cancellation of the products' rounding errors; the arguments broadcast.
 
-    The four arguments broadcast; the unit is that of a b. The error is at most 1.5 ulp (Jeannerod, Louvet, Muller
-    2013), apart from one more rounding of the last sum. Validated against exact rational arithmetic.
+    The error is at most 1.5 ulp (Jeannerod, Louvet, Muller 2013), apart from one more rounding of the last sum.
     """
     a, b, c, d = (np.asarray(v, dtype=np.float64) for v in (a, b, c, d))
-    subtracted = c * d
-    first = a * b
+    first, subtracted = a * b, c * d
     errors = _product_error(a, b, first) - _product_error(c, d, subtracted)
     return np.asarray((first - subtracted) + errors)
 
@@ -59,8 +57,7 @@ def difference_of_products(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLik
 def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
     """Rays (..., 3) through pixel positions: slopes x right, y up, and 1 (3.1, 3.2).
 
-    row, column: px, may be fractional and outside of the frame; they broadcast. The camera must have a resolution.
-    Validated against 3.1 and 3.2 at the corners and the middle.
+    row, column: px, may be fractional and outside of the frame; they broadcast.
     """
     x, y = ray_slopes(camera, row, column)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
@@ -69,8 +66,7 @@ def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
 def project(camera: Camera, position: Array) -> tuple[Array, Array]:
     """Row and column in px of the pinhole projection (2.4, 2.5) of points (..., 3).
 
-    position: camera frame, mm or any common multiple of the coordinates; the third must not be 0. Validated as the
-    inverse of `pixel_ray`.
+    position: camera frame, mm or any common multiple of the coordinates; the third must not be 0.
     """
     columns, rows = camera.frame_size
     right, up = places_of(camera, position[..., 0] / position[..., 2], position[..., 1] / position[..., 2])
@@ -82,20 +78,14 @@ def turned(matrix: Array, vector: Array) -> Array:
     return np.asarray(vector @ matrix.T)
 
 
-def turned_back(matrix: Array, vector: Array) -> Array:
-    """Product of the transposed matrix (3, 3) and vectors (..., 3): from the canonical frame back to the camera's."""
-    return np.asarray(vector @ matrix)
-
-
 def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
     """B^2 - A C of the quadric along canonical rays d (..., 3), without cancellation.
 
     With m = o x d (Lagrange's identity): k A - sum of q_i q_j m_k^2 + (l.d)^2 + 2 sum of q_i d_i l_j m_ij.
-    Validated against B^2 - A C in exact rational arithmetic.
     """
     shape = surface.canonical
     (qx, qy, qz), (lx, ly, lz), (ox, oy, oz) = shape.q, shape.l, surface.offset
-    dx, dy, dz = d[..., 0], d[..., 1], d[..., 2]
+    dx, dy, dz = np.moveaxis(d, -1, 0)
     mx = difference_of_products(oy, dz, oz, dy)
     my = difference_of_products(oz, dx, ox, dz)
     mz = difference_of_products(ox, dy, oy, dx)
@@ -107,9 +97,8 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
 
 
 def both_roots(surface: PlacedSurface, a: Array, b: Array, root: Array) -> tuple[Array, Array]:
-    """Roots (-B + sqrt(D))/C and (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0, with labels 1 and 2.
-
-    a, b, root: (...), A, B and the square root of D. Roots may be infinite or NaN, depending on D and C.
+    """Roots (-B + sqrt(D))/C and (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0, with labels 1 and 2; infinite or NaN for
+    some D and C. root (...): square root of D.
     """
     # -B and -sign(B) sqrt(D) have one sign: their sum does not cancel. The other root comes from A = C w1 w2.
     t = -b - np.copysign(root, b)
@@ -146,31 +135,23 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Ar
     return np.asarray(counts)
 
 
-def solve_quadric(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """`solve_root` with both roots of the quadric allowed."""
-    return solve_root(surface, bounds, rays, 0)
-
-
-def solve_root(
-    surface: PlacedSurface, bounds: Bounds | None, rays: Array, only: int
+def solve_quadric(
+    surface: PlacedSurface, bounds: Bounds | None, rays: Array, only: int = 0
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and its label.
 
     bounds: box in the object's own frame, mm; only: label of the only root to use, 0 for both. Labels: 0 no surface (w
     = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root is visible if it is
     real, 0 < w < 1e6, on the required nappe, within the bounds, and on the disc; there is no division by w, so horizon
-    and infinity are handled by the sign of w. Of two equal roots the first is used. Validated against 3.10, 3.16, 3.22,
-    3.32, 3.36 and against exact arithmetic at c/rho = 1e6.
+    and infinity are handled by the sign of w. Of two equal roots the first is used.
     """
     shape = surface.canonical
     d, own_rays = turned(surface.turn, rays), turned(surface.own_turn, rays)
-    a = (shape.q * d * d).sum(axis=-1)
-    b = ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
+    a, b = (shape.q * d * d).sum(axis=-1), ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
     discriminant = quarter_discriminant(surface, d)
     root = np.sqrt(np.maximum(discriminant, 0.0))
     plus, minus = both_roots(surface, a, b, root)
-    inverse_depth = np.zeros_like(a)
-    label = np.zeros(a.shape, dtype=np.uint8)
+    inverse_depth, label = np.zeros_like(a), np.zeros(a.shape, dtype=np.uint8)
     # The roots differ by 2 sqrt(D) / C: the nearer one first.
     plus_first = (surface.constant > 0.0) | (root == 0.0)
     for first in (True, False):
@@ -188,15 +169,14 @@ def nearest_surface(
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
     """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its object number.
 
-    surfaces, bounds: of all objects; group: the occlusion group, with the members and roots to use. Label: 0 no surface
-    (w = 0, number -1), else 2 k + the label of `solve_quadric` for object k. Of equally near surfaces the first is
-    used.
+    surfaces, bounds: of all objects. Label: 0 no surface (w = 0, number -1), else 2 k + the label of `solve_quadric`
+    for object k. Of equally near surfaces the first is used.
     """
     nearest = np.zeros(rays.shape[:-1])
     label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
     for k, surface in enumerate(surfaces):
         if group.members >> k & 1:
-            w, root = solve_root(surface, bounds[k], rays, group.root)
+            w, root = solve_quadric(surface, bounds[k], rays, group.root)
             nearer = w > nearest
             nearest = np.where(nearer, w, nearest)
             label = np.where(nearer, (2 * k + root).astype(np.uint8), label)
@@ -205,10 +185,7 @@ def nearest_surface(
 
 
 def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:
-    """Gradient (..., 3) of the quadric at hits, multiplied by w / 2, in the canonical frame.
-
-    d: (..., 3) canonical rays; w: (...) 1/mm.
-    """
+    """Gradient (..., 3) of the quadric at hits of canonical rays d, multiplied by w / 2, in the canonical frame."""
     point = surface.offset * w[..., None] + d
     return np.asarray(surface.canonical.q * point + surface.canonical.l * w[..., None])
 
@@ -216,12 +193,12 @@ def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:
 def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     """Derivative of inverse depth (..., 2) by ray slope, x right and y up, in 1/mm.
 
-    rays: (..., 3); w: (...) 1/mm. By implicit differentiation of the quadric. 0 without a surface, and where the
-    quadric has no gradient along the ray (a cone's apex, an exactly tangent ray). Validated against differences.
+    By implicit differentiation of the quadric. 0 without a surface, and where the quadric has no gradient along the ray
+    (a cone's apex, an exactly tangent ray).
     """
     d = turned(surface.turn, rays)
     g = canonical_gradient(surface, d, w)
-    n = turned_back(surface.turn, g)
+    n = turned(surface.turn.T, g)
     along = (g * d).sum(axis=-1)
     usable = (w > 0.0) & (along != 0.0)
     with np.errstate(over="ignore"):
@@ -230,9 +207,7 @@ def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def blur_radius(lens: Lens, rays: Array, w: Array) -> Array:
-    """Signed blur radius (...) in px for inverse depths w (...) in 1/mm on rays (..., 3), by
-    `clsco.optics.lens.Lens`.
-    """
+    """Signed blur radius (...) in px for inverse depths w (...) in 1/mm on rays (..., 3)."""
     return along_rays(lens, rays).blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
 
 
@@ -251,11 +226,10 @@ def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Arra
     if lens.is_curved:
         slope = slope - lens.focus_rise((rays[..., :2] ** 2).sum(axis=-1))[..., None] * rays[..., :2]
     if lens.distortion is not None:
-        local_lens = along_rays(lens, rays)
-        radius = local_lens.blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
         x, y = rays[..., 0], rays[..., 1]
+        radius, scale = blur_radius(lens, rays, w), along_rays(lens, rays).blur_scale
         by_size = lens.distortion.stretch_slope(x, y)
-        changes = (radius * by_size[k] - local_lens.blur_scale * slope[..., k] for k in range(2))
+        changes = (radius * by_size[k] - scale * slope[..., k] for k in range(2))
         right, up = lens.distortion.solved(x, y, *changes)
         return ray_step(camera) * np.stack([right, -up], axis=-1)
     return np.asarray(lens.blur_scale * ray_step(camera) * slope * np.array([-1.0, 1.0]))
@@ -264,10 +238,9 @@ def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Arra
 def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     """Unit normal (..., 3) in the camera frame, towards the lens; 0 without a surface (w = 0).
 
-    rays: (..., 3); w: (...) 1/mm. If the quadric has no gradient (a cone's apex), the direction to the lens. Validated
-    against differences and the sphere's radius vector.
+    If the quadric has no gradient (a cone's apex), the direction to the lens.
     """
-    n = turned_back(surface.turn, canonical_gradient(surface, turned(surface.turn, rays), w))
+    n = turned(surface.turn.T, canonical_gradient(surface, turned(surface.turn, rays), w))
     n = np.where((n * rays).sum(axis=-1, keepdims=True) > 0.0, -n, n)
     n = np.where(np.abs(n).max(axis=-1, keepdims=True) > 0.0, n, -rays)
     n = n / np.sqrt((n * n).sum(axis=-1, keepdims=True))
@@ -277,7 +250,7 @@ def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     """Position (..., 3) in the reference pose, relative to the object's center, of surface points that rays meet.
 
-    rays: (..., 3); w: (...) 1/mm. In the camera's axes, multiplied by w and so without unit.
+    In the camera's axes, multiplied by w and so without unit.
     """
     return np.asarray(surface.body_offset * w[..., None] + turned(surface.body_turn, rays))
 
@@ -285,7 +258,7 @@ def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     """Position (..., 3) of surface points in the reference pose, in the camera frame, multiplied by w: without unit.
 
-    rays: (..., 3); w: (...) 1/mm. The third component is positive if the point was in front of the lens.
+    The third component is positive if the point was in front of the lens.
     """
     return np.asarray(surface.rest * w[..., None] + body_point(surface, rays, w))
 
@@ -294,8 +267,7 @@ def rest_pixel(surface: PlacedSurface, camera: Camera, rays: Array, w: Array) ->
     """Row and column (...) in px of surface points projected in the reference pose, and a mask of points with a
     projection.
 
-    rays: (..., 3); w: (...) 1/mm. False, and row = column = 0, without a surface or if the point was behind the lens.
-    Validated: the pixel itself for the reference pose, 80 px for 10 mm at 250 mm.
+    False, and row = column = 0, without a surface or if the point was behind the lens.
     """
     position = rest_position(surface, rays, w)
     valid = (w > 0.0) & (position[..., 2] > 0.0)
@@ -309,34 +281,35 @@ def mirror_index(i: NDArray[np.int64], n: int) -> NDArray[np.int64]:
     return np.asarray(np.where(folded >= n, 2 * n - 1 - folded, folded))
 
 
+def filter_weights(t: Array, texture_filter: Filter) -> Array:
+    """Weights (..., taps) of the texels around positions t (...) relative to one of them."""
+    if texture_filter == "nearest":
+        return np.ones((*t.shape, 1))
+    if texture_filter == "bilinear":
+        return np.stack([1.0 - t, t], axis=-1)
+    weights = [
+        0.5 * t * (-1.0 + t * (2.0 - t)),
+        1.0 + 0.5 * t * t * (3.0 * t - 5.0),
+        0.5 * t * (1.0 + t * (4.0 - 3.0 * t)),
+        0.5 * t * t * (t - 1.0),
+    ]
+    return np.stack(weights, axis=-1)
+
+
 def _taps(position: Array, texture_filter: Filter) -> tuple[NDArray[np.int64], Array]:
     """First texel and weights (..., taps) of the texels used to interpolate at a position along one axis."""
     position = np.clip(position, -FARTHEST_TEXEL, FARTHEST_TEXEL)
-    if texture_filter == "nearest":
-        return np.floor(position + 0.5).astype(np.int64), np.ones((*position.shape, 1))
-    first = np.floor(position)
-    t = position - first
-    if texture_filter == "bilinear":
-        return first.astype(np.int64), np.stack([1.0 - t, t], axis=-1)
-    weights = (
-        ((-0.5 * t + 1.0) * t - 0.5) * t,
-        (1.5 * t - 2.5) * t * t + 1.0,
-        ((-1.5 * t + 2.0) * t + 0.5) * t,
-        (0.5 * t - 0.5) * t * t,
-    )
-    return first.astype(np.int64) - 1, np.stack(weights, axis=-1)
+    first = np.floor(position + 0.5 * (texture_filter == "nearest"))
+    return first.astype(np.int64) - (texture_filter == "bicubic"), filter_weights(position - first, texture_filter)
 
 
 def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Filter) -> Array:
     """Texture (rows, columns[, channels]) interpolated at positions (...) in px, mirrored outside: (...[, channels]).
 
     texture_filter: "nearest" (halves are rounded up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may overshoot,
-    is not clamped). Validated: all keep texel values, bilinear reproduces linear and bicubic quadratic signals.
+    is not clamped).
     """
-    (first_row, row_weights), (first_column, column_weights) = (
-        _taps(row, texture_filter),
-        _taps(column, texture_filter),
-    )
+    (first_row, row_weights), (first_column, column_weights) = (_taps(at, texture_filter) for at in (row, column))
     rows, columns = texture.shape[:2]
     result = np.zeros(row.shape + texture.shape[2:])
     for i in range(row_weights.shape[-1]):
@@ -381,8 +354,12 @@ def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array
     if waves:
         inverse = radius / np.maximum(np.abs(radius), SMALLEST_RADIUS) ** 2
         return np.clip(gradient * inverse[..., None], -STEEPEST_TILT, STEEPEST_TILT)
-    size = np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
-    return np.clip(gradient / size[..., None], -STEEPEST_TILT, STEEPEST_TILT)
+    return np.clip(gradient / signed_size(radius)[..., None], -STEEPEST_TILT, STEEPEST_TILT)
+
+
+def signed_size(radius: Array) -> Array:
+    """A signed blur radius (...), px, with a size of SMALLEST_RADIUS at least."""
+    return np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
 
 
 def tilt_share(factor: ArrayLike, limb: ArrayLike = False) -> Array:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 from typing import Any
 
@@ -30,7 +31,6 @@ from clsco.reference.common.equation import (
     Division,
     Equation,
     Points,
-    Slopes,
     crossing_place,
     division_of,
     edge_width,
@@ -61,22 +61,18 @@ SHARP_EDGE = 2.0  # px, width up to which a blurred outline needs sub-pixel sour
 
 def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
     """Conditions (N, 4), as in `Occluder`, on an intersection: on the surface's nappe, and within the bounds."""
-    p, e = equation.point, np.stack([equation.right, -equation.right], axis=-1)  # e: mm per cell, right and down
-    grow, limits = np.stack([equation.grow_x, equation.grow_y], axis=-1), []
-    nappe, o = float(surface.canonical.nappe), surface.offset
+    e, limits, nappe = equation, [], float(surface.canonical.nappe)
     if nappe:
-        limits.append(
-            np.stack([p[:, 2], np.full(w.shape, o[2]), equation.along_x[:, 2], equation.along_y[:, 2]], axis=-1) * nappe
-        )
-    if bounds is not None:
-        own_points = surface.own_offset * w[:, None] + turned(surface.own_turn, rays)
-        for axis, (low, high) in enumerate(bounds):
-            at, along = surface.own_offset[axis], e * surface.own_turn[axis, :2]
-            for limit, sign in ((low, 1.0), (high, -1.0)):
-                if np.isinf(limit):
-                    continue
-                head = np.stack([own_points[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
-                limits.append(np.concatenate([head, along + (at - limit) * grow], axis=-1) * sign)
+        ahead = np.full(w.shape, surface.offset[2])
+        limits.append(np.stack([e.point[:, 2], ahead, e.along_x[:, 2], e.along_y[:, 2]], axis=-1) * nappe)
+    own_points = surface.own_offset * w[:, None] + turned(surface.own_turn, rays)
+    for axis, (low, high) in enumerate(bounds or ()):
+        at, (x, y, _) = surface.own_offset[axis], surface.own_turn[axis]
+        for limit, sign in ((low, 1.0), (high, -1.0)):
+            if np.isfinite(limit):
+                slopes = e.right * x + (at - limit) * e.grow_x, -e.right * y + (at - limit) * e.grow_y
+                head = own_points[:, axis] - limit * w, np.full(w.shape, at - limit)
+                limits.append(np.stack([*head, *slopes], axis=-1) * sign)
     return limits
 
 
@@ -96,34 +92,38 @@ class Outline:
     hidden: Mask
 
 
-def outline_slope(m: Slopes) -> Array:
-    """Steepest slope (N,) of D per cell at the outline D = 0, across which D curves by twice its lower eigenvalue."""
-    curve = 0.5 * (m.D_xx + m.D_yy - np.hypot(m.D_xx - m.D_yy, m.D_xy))
-    return np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0))
+def outline_slope(d: Array) -> Array:
+    """Steepest slope (N,) of D per cell at the outline D = 0, across which D curves by twice its lower eigenvalue.
+
+    d (N, 6): from `slopes_of`.
+    """
+    height, x, y, xx, xy, yy = d.T
+    curve = 0.5 * (xx + yy - np.hypot(xx - yy, xy))
+    return np.sqrt(np.maximum(x * x + y * y - 4 * height * curve, 0.0))
 
 
-def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
+def outline_of(e: Equation, b: Array, c: Array, d: Array, soft: Array, most: Array) -> Outline:
     """Outline of a surface that lines meet twice or not at all.
 
-    soft (N,): half width of the edge, in cells; h is divided by the whole width. most (N,): cells to the farthest tap.
+    b, c, d: from `slopes_of`; soft (N,): half width of the edge, in cells; h is divided by the whole width; most (N,):
+    cells to the farthest tap.
     """
-    under = np.sqrt(e.C * e.F)
-    change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
+    under, (_, c_x, c_y, c_xx, c_xy, c_yy) = np.sqrt(e.C * e.F), c.T
+    change = e.F * (np.hypot(c_x, c_y) + (np.abs(c_xx) + np.abs(c_xy) + np.abs(c_yy)) * most) * most
     reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
-    reach = reach + np.hypot(m.B_x, m.B_y) * most
+    reach = reach + np.hypot(b[:, 1], b[:, 2]) * most
     # Slope of h = D / (sqrt(C F) - B) at the outline; without an outline, a thousandth of the range of h per cell, as
     # on devices, where quotients would otherwise overflow.
-    slope = np.maximum(outline_slope(m) / (2 * np.maximum(under, TINY)), np.maximum(1e-3 * reach / most, TINY))
+    slope = np.maximum(outline_slope(d) / (2 * np.maximum(under, TINY)), np.maximum(1e-3 * reach / most, TINY))
     scale = 1 / (2 * soft * slope)
-    x, y = m.C_x / (2 * e.C), m.C_y / (2 * e.C)  # derivatives of the root, over the root
-    bent = under * np.hypot((m.C_xx - m.C_yy) / e.C - (x * x - y * y), m.C_xy / e.C - 2 * x * y)
+    x, y = c_x / (2 * e.C), c_y / (2 * e.C)  # derivatives of the root, over the root
+    bent = under * np.hypot((c_xx - c_yy) / e.C - (x * x - y * y), c_xy / e.C - 2 * x * y)
     thin = np.minimum(bent * soft / slope, 15.0)
-    h = np.where(e.B < 0.0, m.D / (under - e.B), -e.B - under) + strip_share(thin) / scale
-    area = scale * scale * e.F
+    h = np.where(e.B < 0.0, d[:, 0] / (under - e.B), -e.B - under) + strip_share(thin) / scale
     return Outline(
-        h=np.stack([h * scale, -m.B_x * scale, -m.B_y * scale], axis=-1),
+        h=np.stack([h * scale, -b[:, 1] * scale, -b[:, 2] * scale], axis=-1),
         root=under * scale,
-        f=np.stack([m.C_x * area, m.C_y * area, m.C_xx * area, m.C_xy * area, m.C_yy * area], axis=-1),
+        f=c[:, 1:] * (scale * scale * e.F)[:, None],
         strip=thin,
         clear=(h + reach) * scale <= -0.5,
         hidden=(h - reach) * scale >= 0.5,
@@ -138,54 +138,28 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
     of other outlines.
     """
     radius, o, p = surface.canonical.radius, surface.offset, e.point
-    d = turned(surface.turn, points.rays)  # p = o w + d
-    reach = -e.sign * radius * d[:, 2]
-    away = np.stack([difference_of_products(d[:, i], o[2], d[:, 2], o[i]) for i in (0, 1)], axis=-1)
-    shifts = (e.along_x, e.along_y)
-    (r_x, r_y), (a_x, a_y) = (
-        [
-            e.sign * radius * (points.w * shift[:, 2] - p[:, 2] * grow)
-            for shift, grow in zip(shifts, (e.grow_x, e.grow_y), strict=True)
-        ],
-        [p[:, :2] * shift[:, 2:] - p[:, 2:] * shift[:, :2] for shift in shifts],
-    )
+    ray = turned(surface.turn, points.rays)  # p = o w + ray
+    reach = -e.sign * radius * ray[:, 2]
+    away = np.stack([difference_of_products(ray[:, i], o[2], ray[:, 2], o[i]) for i in (0, 1)], axis=-1)
+    shifts = (e.along_x, e.grow_x), (e.along_y, e.grow_y)
+    r_x, r_y = (e.sign * radius * (points.w * shift[:, 2] - p[:, 2] * grow) for shift, grow in shifts)
+    a_x, a_y = (p[:, :2] * shift[:, 2:] - p[:, 2:] * shift[:, :2] for shift, _ in shifts)
     f_x, f_y, f_xy = (2 * (first * second).sum(axis=-1) for first, second in ((away, a_x), (away, a_y), (a_x, a_y)))
     f_xx, f_yy = ((first * first).sum(axis=-1) for first in (a_x, a_y))
-    under, none = np.hypot(*away.T), np.zeros_like(reach)
+    under = np.hypot(*away.T)
     h = reach - under
-    slopes = Slopes(
-        h * (reach + under), none, none, none, none, none, none, none, 2 * reach * r_x - f_x, 2 * reach * r_y - f_y,
-        r_x * r_x - f_xx, 2 * r_x * r_y - f_xy, r_y * r_y - f_yy,
-    )  # fmt: skip
+    linear = h * (reach + under), 2 * reach * r_x - f_x, 2 * reach * r_y - f_y
+    d = np.stack([*linear, r_x * r_x - f_xx, 2 * r_x * r_y - f_xy, r_y * r_y - f_yy], axis=-1)
     span = (np.hypot(r_x, r_y) + np.sqrt(f_xx + f_yy)) * most
-    slope = outline_slope(slopes) / (2 * np.maximum(reach, TINY))
+    slope = outline_slope(d) / (2 * np.maximum(reach, TINY))
     scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * span / most, TINY)))
     return Outline(
         h=np.stack([h * scale, r_x * scale, r_y * scale], axis=-1),
         root=under * scale,
         f=np.stack([f * scale * scale for f in (f_x, f_y, f_xx, f_xy, f_yy)], axis=-1),
-        strip=none,
+        strip=np.zeros_like(h),
         clear=(h + span) * scale <= -0.5,
         hidden=(h - span) * scale >= 0.5,
-    )
-
-
-def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits: Sequence[Array]) -> Occluder:
-    """`Occluder` of a surface: its outline, and its equation for conditions on intersections."""
-    zero = np.zeros_like(e.B)
-    return Occluder(
-        h=outline.h,
-        root=outline.root,
-        f=outline.f,
-        strip=outline.strip,
-        crossings=np.where(e.once, 1, 2),
-        b=np.stack([e.B, m.B_x, m.B_y], axis=-1),
-        f0=e.F,
-        c=np.stack([zero + e.C, m.C_x, m.C_y, m.C_xx, m.C_xy, m.C_yy], axis=-1),
-        d=np.stack([m.D, m.D_x, m.D_y, m.D_xx, m.D_xy, m.D_yy], axis=-1),
-        soft=1 / (2 * soft),
-        limits=tuple(limits),
-        needed=tuple(np.ones(e.B.shape, dtype=bool) for _ in limits),
     )
 
 
@@ -201,12 +175,7 @@ def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, ex
 
 
 def meet_occluder(
-    lens: Lens,
-    surface: PlacedSurface,
-    bounds: Bounds | None,
-    points: Points,
-    division: Division,
-    on_surface: bool = False,
+    lens: Lens, surface: PlacedSurface, bounds: Bounds | None, points: Points, division: Division, on_surface: bool
 ) -> tuple[NDArray[np.uint8], Mask, Occluder, Array]:
     """Compute how a surface hides the lens from N points.
 
@@ -228,15 +197,17 @@ def meet_occluder(
             state = np.select([far | ~e.once | disc.clear, disc.hidden], [CLEAR, HIDDEN], PARTLY)
             occluder = replace(_planar((), (), w.size), h=disc.h, root=disc.root, f=disc.f)
             return state.astype(np.uint8), (e.F < 0) & ~far, occluder, place
-        if e.flat:
+        if not surface.canonical.q.any():
             l = surface.canonical.l  # noqa: E741
             change = (float(l @ surface.offset), e.along_x @ l, e.along_y @ l)
             state, limits, needed = flatten_limits(lens, limits, e.linear, change, division)
             state = np.where(e.once & ~far, state, CLEAR)
             return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, needed, w.size), place
         slopes = slopes_of(surface, e, w, d)
-        outline = outline_of(e, slopes, soft, division.most)
-        occluder = keep_equation(e, slopes, soft, outline, limits)
+        outline = outline_of(e, *slopes, soft, division.most)
+    crossings, all_needed = np.where(e.once, 1, 2), tuple(np.ones(w.shape, dtype=bool) for _ in limits)
+    equation = crossings, slopes[0], e.F, *slopes[1:], 1 / (2 * soft), tuple(limits), all_needed
+    occluder = Occluder(outline.h, outline.root, outline.f, *equation, strip=outline.strip)
     clear, hidden = far | ~e.once & outline.clear, e.once | outline.hidden
     state = np.where(clear, CLEAR, np.where(hidden & (not limits), HIDDEN, PARTLY))
     narrow = ~e.once & ~clear & ~hidden & (place * division.extent <= SHARP_EDGE)
@@ -289,11 +260,9 @@ def flatten_limits(
 
 def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
     """`Occluder` of a plane; each of its `limits` is (N, 4), an h and a part of `two_boxes`."""
-    none, zero = np.zeros((points, 6)), np.zeros(points)
-    crossings = np.zeros(points, dtype=np.int64)
-    return Occluder(
-        none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), needed
-    )
+    none, crossings = np.zeros((points, 6)), np.zeros(points, dtype=np.int64)
+    zero, three = none[:, 0], none[:, :3]
+    return Occluder(three, zero, none[:, :5], crossings, three, zero, none, none, zero, tuple(limits), needed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +281,7 @@ class Circle:
 
     def select(self, chosen: NDArray[Any]) -> Circle:
         """Arrays of the selected sources."""
-        return Circle(*(getattr(self, name)[chosen] for name in ("cuts", "x", "y", "radius", "scale")))
+        return Circle(*(values[chosen] for values in vars(self).values()))
 
 
 def meet_rims(
@@ -348,11 +317,12 @@ class Visibility:
     True if fully hidden, judged by the blur's cells; near: True for a pixel's source near the focus; part: px per cell;
     lean (M, 2): change of the tilt per cell of a narrow lens, if a part of the lens is behind the surface, else 0; bent
     (M, 3): xx, xy, yy of the map from taps to an ellipse's disc, or from a narrow lens's cells to the ellipse, None for
-    discs; ray_numbers, ray_parts, ray_scale: from `RayMeans.around`. Common to all sources: occluders: per surface, a
-    mask (M,) of sources that it hides in part, and the data; extent: of the lens in lens radii; cells: weights (L, L)
-    of its cells; mask: straight edges (n, 3) of the lens, normal and distance, empty if round; circles: rims that cut
-    light; waves: True if light spreads beyond the geometric blur; signed: True if cells are mirrored for R < 0; round:
-    True for a circular aperture; pupil: None unless weights include the rims; rays: mean lens points of wide lenses.
+    discs; ray_numbers, ray_parts, ray_scale: from `RayMeans.around`, if there are `rays`. Common to all sources:
+    occluders: per surface, a mask (M,) of sources that it hides in part, and the data; extent: of the lens in lens
+    radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens, normal and distance, empty if
+    round; circles: rims that cut light; waves: True if light spreads beyond the geometric blur; signed: True if cells
+    are mirrored for R < 0; round: True for a circular aperture; pupil: None unless weights include the rims; rays: mean
+    lens points of wide lenses.
     """
 
     row: NDArray[np.int64]
@@ -375,9 +345,9 @@ class Visibility:
     pupil: Pupil | None = None
     bent: Array | None = None
     rays: RayMeans | None = None
-    ray_numbers: NDArray[np.int64] | None = None
-    ray_parts: Array | None = None
-    ray_scale: Array | None = None
+    ray_numbers: Any = None
+    ray_parts: Any = None
+    ray_scale: Any = None
     behind: Mask | None = None
     near: Mask | None = None
     part: Array | None = None
@@ -406,11 +376,12 @@ def check_visibility(
     as behind that occluder.
     """
     lens = along_rays(lens, points.rays)
+    meet = partial(_meet_occluders, lens, surfaces, bounds, group, points)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
-    state, edge, hits, nearest = _meet_occluders(lens, surfaces, bounds, group, points, division)
+    state, edge, hits, nearest = meet(division)
     cut, circles = meet_rims(lens, psf, points, division)
     state = np.maximum(state, cut)
-    partly = state == PARTLY
+    partly, width = state == PARTLY, np.broadcast_to(points.width, state.shape)
     taps: dict[str, Any] = {}
     if partly.any() and (has_ray_means(psf) or not psf.diffracted):
         pixel_division, by_cells = division, np.broadcast_to(points.shared, partly.shape)
@@ -418,28 +389,29 @@ def check_visibility(
             division = pixel_division if psf.diffracted else tap_division(pixel_division, points.radius, by_cells)
             if has_ray_means(psf):
                 division, taps = _by_rays(psf, points, division)
-            again, _, hits, place = _meet_occluders(lens, surfaces, bounds, group, points, division)
+            again, _, hits, place = meet(division)
             hidden = np.any([mask for mask, _ in hits], axis=0)
             far = hidden & sees_by_cells(division, place) & ~by_cells
             if psf.diffracted or not far.any():
                 break
             by_cells = by_cells | far
         _, circles = meet_rims(lens, psf, points, division)
-        near = division.wide & (np.asarray(division.width) == 1.0) & (division.blur < NEAR_LENS)
+        near = division.wide & (width == 1.0) & (division.blur < NEAR_LENS)
         taps |= {"behind": again == HIDDEN, "near": near, "part": np.broadcast_to(division.part, near.shape)}
-        taps = {name: value if name == "rays" else value[partly] for name, value in taps.items()}
-    occluders = tuple((mask[partly], occluder.select(mask & partly)) for mask, occluder in hits)
     # Hiding and tilt are combined, as both remove the part of the lens behind a surface seen edge-on.
-    leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
-    lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
+    leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (width < 1.0)
+    taps |= {
+        "radius": points.radius, "wide": division.wide, "point": (width < 1.0) | points.shared, "x": points.x,
+        "y": points.y, "limb": np.broadcast_to(points.limb, partly.shape), "nearest": nearest,
+        "lean": np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None],
+    }  # fmt: skip
     return state, edge, Visibility(
-        np.where(partly, np.cumsum(partly) - 1, -1), points.radius[partly], division.wide[partly],
-        np.broadcast_to((np.asarray(points.width) < 1.0) | points.shared, partly.shape)[partly],
-        points.x[partly], points.y[partly], occluders, division.extent, psf.lens_cells(),
-        np.array(psf.pupil.edges).reshape(-1, 3),
-        lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
-        tuple(circle.select(partly) for circle in circles), psf.diffracted, psf.signed,
-        not (psf.signed or psf.diffracted or psf.pupil.edges), psf.pupil if psf.cut_by_chords else None, **taps,
+        row=np.where(partly, np.cumsum(partly) - 1, -1), extent=division.extent, cells=psf.lens_cells(),
+        occluders=tuple((mask[partly], occluder.select(mask & partly)) for mask, occluder in hits),
+        mask=np.array(psf.pupil.edges).reshape(-1, 3), circles=tuple(circle.select(partly) for circle in circles),
+        waves=psf.diffracted, signed=psf.signed, round=not (psf.signed or psf.diffracted or psf.pupil.edges),
+        pupil=psf.pupil if psf.cut_by_chords else None,
+        **{name: value if name == "rays" else value[partly] for name, value in taps.items()},
     )  # fmt: skip
 
 
@@ -448,8 +420,8 @@ def _meet_occluders(
     points: Points, division: Division,
 ) -> tuple[NDArray[np.uint8], Mask, list[tuple[Mask, Occluder]], Array]:  # fmt: skip
     """State of the lens (N,), a mask of edges (N,), the partial occluders, and their smallest `crossing_place` (N,)."""
-    state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
-    occluders, nearest = [], np.full(points.w.shape, np.inf)
+    shape = points.w.shape
+    state, edge, occluders, nearest = np.full(shape, CLEAR), np.zeros(shape, dtype=bool), [], np.full(shape, np.inf)
     for k, surface in enumerate(surfaces):
         # The nearer of two roots is not hidden by its own surface.
         if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):

@@ -23,6 +23,7 @@ DISC_NODES = 8  # number of nodes of integrals over the width of a disc (Gauss, 
 LEAST_CELL = 1e-3  # px, least width of a lens cell for sources that are whole pixels
 LEAST_PART = 1e-6  # share of a tap's light below which a sheet is ignored
 PIXEL_CORNER, PIXELS_CORNER = 0.7072, 1.4143  # px, distance of a pixel's corner from its middle, and twice this
+CELL_MIDDLES = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS  # along an axis, from the middle of the lens
 NARROW_MIDDLE = 7  # px along an axis; farther taps of a lens that is not wide see the same as taps at this distance
 
 
@@ -49,10 +50,11 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         x, y = (np.where(visibility.wide, *values) for values in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
     tap_x, tap_y = x, y
     if visibility.rays is not None and visibility.waves:
-        sheets = [part * _free_of_all(visibility, *at, cut) for part, at, cut in _sheets(visibility, x, y)]
-        return np.asarray(sum(sheets))
+        return _free_by_sheets(visibility, x, y)
     if visibility.rays is not None:
-        x, y, *narrow = _by_rays(visibility, x, y)
+        right, down, *narrow = visibility.rays.lens_points(visibility.ray_numbers, visibility.ray_parts, x, y)
+        lens_point = visibility.ray_scale * right, visibility.ray_scale * down
+        x, y = (np.where(visibility.wide, *pair) for pair in zip(lens_point, (x, y), strict=True))
     elif visibility.mask.size:
         x, y, *narrow = _inside(visibility, x, y)
     else:
@@ -66,8 +68,8 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         within = np.where(visibility.wide & (distance > rim), rim / np.maximum(distance, rim), 1.0)
         x, y = x * within, y * within
         narrow = [np.zeros_like(x)] * 3
-    aside = (0.0 * x, 0.0 * y) if visibility.waves else (tap_x - x, tap_y - y)
-    aside_x, aside_y, none, (xx, xy, yy) = *aside, np.zeros_like(x), narrow
+    none, (xx, xy, yy) = np.zeros_like(x), narrow
+    aside_x, aside_y = (none, none) if visibility.waves else (tap_x - x, tap_y - y)
     axes = np.array([[x, xx, none, aside_x], [y, yy, none, aside_y]])
     if visibility.near is not None and visibility.rays is None:
         near = np.stack([near_focus(visibility, tap) for tap in (tap_x, tap_y)])
@@ -89,11 +91,12 @@ def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
 
 
 def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
-    """Displacement (M,) in px from taps to the mean of the visible part of their response.
+    """Displacement (M,) in px from taps to the mean of the visible part of their response, and the reduction (M,) of
+    its variance.
 
-    The response is cut off s (M,) px farther out than the tap. Also returns the reduction (M,) of its variance. The
-    response to a pixel's source is a tent: mean -(1 - s)^2 / 3 and variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) /
-    3 and (1 + s)^2 / 18. For a point it is a box: -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
+    The response is cut off s (M,) px farther out than the tap. The response to a pixel's source is a tent: mean -(1 -
+    s)^2 / 3 and variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) / 3 and (1 + s)^2 / 18. For a point it is a box:
+    -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
     """
     t, b = np.clip(s, -1.0, 1.0), np.clip(s, -0.5, 0.5)
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
@@ -152,28 +155,16 @@ def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
     return share
 
 
-def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
-    """Taps of wide lenses, moved to the mean lens points of their light, and xx, xy, yy of a `Cut`."""
-    rays, numbers, parts, scale = visibility.rays, visibility.ray_numbers, visibility.ray_parts, visibility.ray_scale
-    assert rays is not None and numbers is not None  # noqa: PT018
-    assert parts is not None and scale is not None  # noqa: PT018
-    right, down, *narrow = rays.lens_points(numbers, parts, x, y)
-    wide = visibility.wide
-    return np.where(wide, scale * right, x), np.where(wide, scale * down, y), *narrow
-
-
-def _sheets(visibility: Visibility, x: Array, y: Array) -> list[tuple[Array, tuple[Array, Array], Cut]]:
-    """For each sheet of bent rays: fraction of the light of taps, mean lens points of that light, and its `Cut`."""
-    rays, numbers, parts, scale = visibility.rays, visibility.ray_numbers, visibility.ray_parts, visibility.ray_scale
-    assert rays is not None and numbers is not None  # noqa: PT018
-    assert parts is not None and scale is not None  # noqa: PT018
-    second, *planes = rays.lens_points(numbers, parts, x, y)
-    sheets = []
+def _free_by_sheets(visibility: Visibility, x: Array, y: Array) -> Array:
+    """`free_share` with bent rays: sum over their sheets, each with its share of the taps' light."""
+    assert visibility.rays is not None
+    second, *planes = visibility.rays.lens_points(visibility.ray_numbers, visibility.ray_parts, x, y)
+    scale, free = visibility.ray_scale, np.zeros_like(x)
     for part, sheet in zip((1.0 - second, second), np.reshape(planes, (SHEETS, SHEET_PLANES, -1)), strict=True):
         right, down, xx, xy, yy, aside_x, aside_y, *covariance = sheet / np.maximum(part, LEAST_PART)
         cut = Cut(aside_x, aside_y, xx, xy, yy, 0.0 * xx, 0.0 * xx, np.stack(covariance))
-        sheets.append((part, (scale * right, scale * down), cut))
-    return sheets
+        free += part * _free_of_all(visibility, scale * right, scale * down, cut)
+    return free
 
 
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
@@ -181,10 +172,7 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
 
     weight: (M,), of the whole opening, returned unless rims cut by chords; point: True for point sources.
     """
-    cut = np.zeros(weight.shape, np.bool_)
-    pupil = visibility.pupil
-    for circle in visibility.circles * (pupil is not None):
-        cut |= circle.cuts
+    pupil, cut = visibility.pupil, np.any([circle.cuts for circle in visibility.circles], axis=0)
     if pupil is None or not cut.any():
         return weight
     size = np.maximum(np.abs(visibility.radius), LEAST_OPENING)
@@ -213,10 +201,8 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
     right, down, xx, xy, yy = np.zeros((5, *x.shape))
     turn = np.where(visibility.radius < 0, -1.0, 1.0)
     for nx, ny, distance in visibility.mask:
-        s = distance * np.abs(visibility.radius) - turn * (nx * x + ny * y)
-        inwards, narrow = inwards_of(visibility, s)
-        right += nx * inwards * turn
-        down += ny * inwards * turn
+        inwards, narrow = inwards_of(visibility, distance * np.abs(visibility.radius) - turn * (nx * x + ny * y))
+        right, down = right + nx * inwards * turn, down + ny * inwards * turn
         xx, xy, yy = xx + nx * nx * narrow, xy + nx * ny * narrow, yy + ny * ny * narrow
     right, down = (np.where(visibility.wide, np.clip(v, -MOST_INWARDS, MOST_INWARDS), 0.0) for v in (right, down))
     return x - right, y - down, xx, xy, yy
@@ -226,14 +212,13 @@ def cell_visibility(visibility: Visibility) -> Array:
     """Visible fraction (N, L, L) of each cell of the lens, for the N sources with a narrow lens, times the tilt
     according to `lean`.
     """
-    narrow = np.flatnonzero(~visibility.wide)
-    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-    share = np.ones((narrow.size, at.size, at.size))
+    narrow, side = np.flatnonzero(~visibility.wide), len(CELL_MIDDLES)
+    share = np.ones((narrow.size, side, side))
     if narrow.size:
         there = np.flatnonzero(visibility.row >= 0)
         sources = there[np.argsort(visibility.row[there])]
-        cells, across = visibility.select(np.repeat(sources[narrow], at.size)), np.tile(at, narrow.size)
-        for i, down in enumerate(at):  # a row of cells of all sources at a time
+        cells, across = visibility.select(np.repeat(sources[narrow], side)), np.tile(CELL_MIDDLES, narrow.size)
+        for i, down in enumerate(CELL_MIDDLES):  # a row of cells of all sources at a time
             share[:, i] = lens_share(cells, across, np.full_like(across, down)).reshape(narrow.size, -1)
     return share
 
@@ -245,17 +230,13 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
     tap beyond the blur's edge is moved to the edge, or for a pixel's source to BEYOND px outside of it.
     """
     limit = NARROW_MIDDLE if visibility.waves or visibility.bent is not None else np.inf
-    share = (
-        free_share(visibility, dx - visibility.x, dy - visibility.y)
-        if visibility.wide.any()
-        else np.ones_like(visibility.x)
-    )
-    narrow = ~visibility.wide
+    share, narrow = np.ones_like(visibility.x), ~visibility.wide
+    if visibility.wide.any():
+        share = free_share(visibility, dx - visibility.x, dy - visibility.y)
     if narrow.any():
         step = np.abs(visibility.radius[narrow]) * visibility.extent / LENS_CELLS
         point = visibility.point[narrow]
         width = np.where(point, np.maximum(step, LEAST_CELL), 1.0)
-        at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
         away = [(np.clip(d, -limit, limit) - place)[narrow] for place, d in ((visibility.x, dx), (visibility.y, dy))]
         if visibility.waves:
             rim = LENS_CELLS * step + np.where(point, 0.0, BEYOND)
@@ -264,14 +245,13 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
         if visibility.bent is not None:
             share[narrow] = _elliptic_share(visibility, cells, visibility.bent[narrow] * step[:, None], away, width)
             return share
-        across, down = (response(at * step[:, None] - center[:, None], width[:, None]) for center in away)
+        places = CELL_MIDDLES * step[:, None]
+        across, down = (response(places - center[:, None], width[:, None]) for center in away)
         weights = visibility.cells
         if visibility.signed:
-            mirrored = visibility.radius[narrow, None, None] < 0
-            weights = np.where(mirrored, weights[::-1, ::-1], weights)
-            total = np.einsum("mi,mij,mj->m", down, weights, across, optimize=True)
-        else:
-            total = np.einsum("mi,ij,mj->m", down, weights, across, optimize=True)
+            weights = np.where(visibility.radius[narrow, None, None] < 0, weights[::-1, ::-1], weights)
+        subscripts = "mi,mij,mj->m" if visibility.signed else "mi,ij,mj->m"
+        total = np.einsum(subscripts, down, weights, across, optimize=True)
         free = np.einsum("mi,mij,mj->m", down, weights * cells, across, optimize=True)
         share[narrow] = np.where(total > 0, free / np.where(total > 0, total, 1.0), 1.0)
     return share
@@ -283,8 +263,7 @@ def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: lis
     cells: (N, L, L) from `cell_visibility`; bent (N, 3): map from cells to px; away: px from sources to taps, right and
     down, (N,) each; width (N,): of `response`.
     """
-    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-    places = _bent(bent[:, None, None], at, at[:, None])
+    places = _bent(bent[:, None, None], CELL_MIDDLES, CELL_MIDDLES[:, None])
     pairs, widths = zip(places, away, strict=True), width[:, None, None]
     parts = [response(position - d[:, None, None], widths) for position, d in pairs]
     weights = visibility.cells * parts[0] * parts[1]

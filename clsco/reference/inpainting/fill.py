@@ -43,10 +43,7 @@ class FillReport:
 
 
 def find_spans(known: Mask) -> NDArray[np.int64]:
-    """First and last known pixel (H + W, 2) of each row, then of each column; (H + W, -1) for none.
-
-    known: (H, W).
-    """
+    """First and last known pixel (H + W, 2) of each row, then of each column; (H + W, -1) for none."""
 
     def ends(lines: Mask) -> NDArray[np.int64]:
         occupied = lines.any(axis=1)
@@ -60,7 +57,7 @@ def find_spans(known: Mask) -> NDArray[np.int64]:
 def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
     """Mask of missing pixels (H, W): unknown, between the first and last known pixel of their row or column.
 
-    known: (H, W); allowed: (H, W), only these may be missing (domain "surface"), or None (domain "span").
+    allowed: (H, W), only these may be missing (domain "surface"), or None (domain "span").
     """
     (rows, columns), spans = known.shape, find_spans(known)
     i, j = np.arange(rows)[:, None], np.arange(columns)[None, :]
@@ -73,14 +70,13 @@ def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
 def far_bounds(w: Array, known: Mask, pixels: Mask) -> NDArray[np.float32]:
     """Largest inverse depth (H, W) in 1/mm of neighbors that `pixels` may be filled from; infinite elsewhere.
 
-    w: (H, W) 1/mm; known, pixels: (H, W). From each of `pixels`, known ones are searched in both directions of its row,
-    its column and both diagonals. The line that finds both within the fewest steps is used, of equal lines the first:
-    the bound is 1.02 times the smaller inverse depth of its two pixels. Beside an edge that has moved away, this is the
-    inverse depth of the far side; in a gap that a growing surface leaves, at most WIDEST_GAP px to each side, it is
-    that of the surface itself. A wider hole with equally deep sides may lie between two near objects: then the line is
-    used whose inverse depth, interpolated between its ends, is the farthest at the pixel, if the difference exceeds the
-    slack. Compared in float32 on every device. Validated on a card that moves in front of a plane, and on a gap between
-    two cards.
+    w: (H, W) 1/mm. From each of `pixels`, known ones are searched in both directions of its row, its column and both
+    diagonals. The line that finds both within the fewest steps is used, of equal lines the first: the bound is 1.02
+    times the smaller inverse depth of its two pixels. Beside an edge that has moved away, this is the inverse depth of
+    the far side; in a gap that a growing surface leaves, at most WIDEST_GAP px to each side, it is that of the surface
+    itself. A wider hole with equally deep sides may lie between two near objects: then the line is used whose inverse
+    depth, interpolated between its ends, is the farthest at the pixel, if the difference exceeds the slack. Compared in
+    float32 on every device.
     """
     height, width = known.shape
     bound = np.full(known.shape, np.inf, dtype=np.float32)
@@ -112,49 +108,22 @@ def far_bounds(w: Array, known: Mask, pixels: Mask) -> NDArray[np.float32]:
     return bound
 
 
-def settle_sweep(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask]:
-    """Known and missing pixels (H, W) after a sweep that filled some.
-
-    known, missing: (H, W), before the sweep; filled: (H, W).
-    """
-    return known | filled, missing & ~filled
-
-
-def mark_grown(known: Mask, missing: Mask, allowed: Mask | None) -> Mask:
-    """Missing pixels (H, W) after known pixels were added to those that enclosed `missing` (H, W).
-
-    known, allowed: as for `mark_missing`. New missing pixels arise if a pixel was filled because of its row, but is
-    beyond the known pixels of its column, or vice versa.
-    """
-    return missing | mark_missing(known, allowed)
-
-
-def _nearest_known(known: Mask) -> tuple[Pixels, Pixels]:
-    """Column of the nearest known pixel to the left (-1: none) and right (width: none) of every pixel."""
-    width = known.shape[1]
-    column = np.arange(width)
-    left = np.maximum.accumulate(np.where(known, column, -1), axis=1)
-    right = np.minimum.accumulate(np.where(known, column, width)[:, ::-1], axis=1)[:, ::-1]
-    return left, right
-
-
 def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, Pixels]:
     """Linear interpolation along each row between the nearest known pixels on both sides, a mask of pixels that have
     both, and the column of the left one.
 
     far: True to copy the known pixel at the greater depth instead if the depths differ by more than the slack.
     """
-    left, right = _nearest_known(known)
-    enclosed = (left >= 0) & (right < known.shape[1])
+    (row, column), width = np.indices(known.shape), known.shape[1]
+    left = np.maximum.accumulate(np.where(known, column, -1), axis=1)
+    right = np.minimum.accumulate(np.where(known, column, width)[:, ::-1], axis=1)[:, ::-1]
+    enclosed = (left >= 0) & (right < width)
     left, right = np.where(enclosed, left, 0), np.where(enclosed, right, 0)
-    row, column = np.arange(known.shape[0])[:, None], np.arange(known.shape[1])[None, :]
     share = (column - left) / np.maximum(right - left, 1)
     if far:
         at_left, at_right = (values[row, end, -1].astype(np.float32) for end in (left, right))
-        left, right = (
-            np.where(at_left > FAR_SLACK * at_right, right, left),
-            np.where(at_right > FAR_SLACK * at_left, left, right),
-        )
+        nearer_left, nearer_right = at_left > FAR_SLACK * at_right, at_right > FAR_SLACK * at_left
+        left, right = np.where(nearer_left, right, left), np.where(nearer_right, left, right)
     low, high = values[row, left], values[row, right]
     return low + (high - low) * share[..., None], enclosed, left
 
@@ -162,30 +131,22 @@ def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, 
 def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -> tuple[Array, Mask, Pixels]:
     """One sweep of AIT: values (H, W, K) with newly filled pixels, the mask of these (H, W), and their source pixels.
 
-    values: (H, W, K), inverse depth last; known: (H, W), before the sweep; missing: (H, W), not yet filled; bounds: on
-    the inverse depth of neighbors to fill from. Inside: the mean of the first opposite pair of known neighbors
-    (horizontal, vertical, the two diagonals), else a copy of the first known neighbor. On the outermost rows and
-    columns: linear between the nearest known pixels of the row, else of the column; with bounds, a copy of the deeper
-    one if their depths differ by a factor above 1.02. Source pixels: (H, W), number of the first neighbor used, for
-    other pixels their own number. Validated on the thesis' figures 4.14 and 4.15 and on random masks.
+    values: inverse depth last; known: before the sweep; bounds: on the inverse depth of neighbors. Inside: the mean of
+    the first opposite pair of known neighbors (horizontal, vertical, the two diagonals), else a copy of the first known
+    neighbor. On the outermost rows and columns: linear between the nearest known pixels of the row, else of the column;
+    with bounds, a copy of the deeper one if their depths differ by a factor above 1.02. Source pixels: (H, W), number
+    of the first neighbor used, for other pixels their own number.
     """
     inside = missing.copy()
     inside[[0, -1], :] = inside[:, [0, -1]] = False
     row, column = np.nonzero(inside)
     near, near_known = known_neighbors(values, known, row, column, bounds)
     result, filled, source = values.copy(), np.zeros_like(known), np.arange(known.size).reshape(known.shape)
-    value, valued = np.zeros((row.size, values.shape[2])), np.zeros(row.size, dtype=bool)
-    first = np.zeros(row.size, dtype=np.int64)
-    for pair in range(0, 8, 2):
-        use = near_known[pair] & near_known[pair + 1] & ~valued
-        value[use] = 0.5 * (near[pair] + near[pair + 1])[use]
-        first[use] = pair
-        valued |= use
-    for k in range(8):
-        use = near_known[k] & ~valued
-        value[use] = near[k][use]
-        first[use] = k
-        valued |= use
+    paired = near_known[::2] & near_known[1::2]
+    # The first of pairs, else of single neighbors, which then are the mean of themselves.
+    first = np.where(paired.any(axis=0), 2 * paired.argmax(axis=0), near_known.argmax(axis=0))
+    pixel, second = np.arange(row.size), first + paired.any(axis=0)
+    value, valued = 0.5 * (near[first, pixel] + near[second, pixel]), near_known.any(axis=0)
     result[row[valued], column[valued]] = value[valued]
     filled[row[valued], column[valued]] = True
     source[row[valued], column[valued]] = neighbor_numbers(first, row, column, known.shape[1])[valued]
@@ -197,37 +158,24 @@ def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -
         usable = border & (in_row | in_column.T)
         line = np.where(in_row[..., None], along_row, along_column.swapaxes(0, 1))
         result[usable] = line[usable]
-        height, width = known.shape
-        ends = np.where(in_row, np.arange(height)[:, None] * width + left, top.T * width + np.arange(width))
-        source[usable] = ends[usable]
+        (at_row, at_column), width = np.indices(known.shape), known.shape[1]
+        source[usable] = np.where(in_row, at_row * width + left, top.T * width + at_column)[usable]
         filled |= usable
     return result, filled, source
-
-
-def fill(
-    values: Array, known: Mask, allowed: Mask | None, method: Method, guard: int, far: bool = False,
-    brightest: float = 1.0,
-) -> tuple[Array, NDArray[np.uint8], FillReport]:  # fmt: skip
-    """Fill pixels that a forward warp left missing: values (H, W, K), status (H, W) and the report.
-
-    values: (H, W, K), radiance, then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard: px of the
-    padded grid not counted in the report; far, brightest: as for `fill_objects`. Status: 0 known or outside, 1 filled,
-    2 missing but not filled. "mean_median" is scored on the radiance and fills inverse depth by the same rule. Before
-    each sweep, missing pixels are those between known or filled ones. Sweeps that fill nothing do not count.
-    """
-    objects = np.zeros(known.shape, dtype=np.uint8)
-    values, _, status, report = fill_objects(values, objects, known, allowed, method, guard, far, brightest)
-    return values, status, report
 
 
 def fill_objects(
     values: Array, objects: NDArray[np.uint8], known: Mask, allowed: Mask | None, method: Method, guard: int,
     far: bool = True, brightest: float = 1.0,
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint8], FillReport]:  # fmt: skip
-    """As `fill`, with the number of the visible object (H, W), copied from the first source pixel.
+    """Fill pixels that a forward warp left missing: values (H, W, K), objects and status (H, W), and the report.
 
-    far: fill holes from their farther side (`far_bounds`, computed when a pixel becomes missing). If that fills no more
-    pixels, nearer ones are allowed for one sweep. brightest: largest radiance, for scores.
+    values: radiance, then inverse depth; objects: number of the visible object, copied from the first source pixel;
+    allowed: as for `mark_missing`; guard: px of the padded grid not counted in the report; far: fill holes from their
+    farther side (`far_bounds`, computed when a pixel becomes missing), and if that fills no more pixels, allow nearer
+    ones for one sweep; brightest: largest radiance, for scores. Status: 0 known or outside, 1 filled, 2 missing but not
+    filled. "mean_median" is scored on the radiance and fills inverse depth by the same rule. Sweeps that fill nothing
+    do not count.
     """
     holes, valid = mark_missing(known, allowed), known
     frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))
@@ -252,8 +200,9 @@ def fill_objects(
         sweeps += 1
         if sweeps == 1:
             first = int(filled[frame].sum())
-        valid, missing = settle_sweep(valid, holes, filled)
-        holes = mark_grown(valid, missing, allowed)
+        valid, missing = valid | filled, holes & ~filled
+        # A pixel filled because of its row may be beyond the known pixels of its column, or vice versa.
+        holes = missing | mark_missing(valid, allowed)
         if bounds is not None:
             new = holes & ~missing
             bounds = np.where(new, far_bounds(values[..., -1], valid, new), bounds)

@@ -14,43 +14,21 @@ from numpy.typing import NDArray
 from clsco.inpainting.rules import Histogram, MeanMedian, Score, border_histogram, most_sweeps, score_scale
 from clsco.reference.common.geometry import Array
 from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
-from clsco.reference.inpainting.neighbors import NEIGHBORS, Mask
+from clsco.reference.inpainting.neighbors import Mask, count_neighbors
 from clsco.reference.inpainting.score import score_mean_median
-
-
-def fill_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, Mask]:
-    """Stage 1: one sweep; values (H, W, K) with newly filled pixels, and the mask of these (H, W).
-
-    known, missing: (H, W), before the sweep; wins: (9,), True to use the median; minimum: known neighbors that a pixel
-    needs.
-    """
-    swept, filled, _ = fill_mean_median(values, known, missing, wins, minimum)
-    return swept, filled
-
-
-def settle_holes(known: Mask, missing: Mask, filled: Mask) -> tuple[Mask, Mask, NDArray[np.uint8]]:
-    """Known and missing pixels (H, W) after a sweep that filled some, and numbers (H, W) of known neighbors.
-
-    known, missing: (H, W), before the sweep; filled: (H, W).
-    """
-    valid, padded, (rows, columns) = known | filled, np.pad(known | filled, 1), known.shape
-    near = np.zeros(known.shape, np.uint8)
-    for i, j in NEIGHBORS:
-        near += padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
-    return valid, missing & ~filled, near
 
 
 def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: int) -> tuple[Array, int]:
     """Stage 1: sweeps until no pixel is missing; values (H, W, K), and the number of sweeps that filled pixels.
 
-    Arguments as for `fill_holes`; every missing pixel must be connected to a known one. If a sweep fills nothing, the
-    minimum is reduced by one until a sweep fills pixels; after `most_sweeps` it is one.
+    Arguments as for `fill_mean_median`; every missing pixel must be connected to a known one. If a sweep fills nothing,
+    the minimum is reduced by one until a sweep fills pixels; after `most_sweeps` it is one.
     """
     sweeps, least, limit = 0, minimum, most_sweeps(*missing.shape)
-    known, missing, near = settle_holes(known, missing, np.zeros_like(missing))
     while missing.any():
-        values, filled = fill_holes(values, known, missing & (near >= least), wins, least)
-        known, missing, near = settle_holes(known, missing, filled)
+        near = count_neighbors(known)
+        values, filled, _ = fill_mean_median(values, known, missing & (near >= least), wins, least)
+        known, missing = known | filled, missing & ~filled
         sweeps, least = (sweeps + 1, minimum) if filled.any() else (sweeps, least - 1)
         least = least if sweeps < limit else 1
     return values, sweeps
@@ -60,7 +38,6 @@ def blend_border(values: Array, border: Mask) -> tuple[Array, Array]:
     """Stage 3: squared magnitude of Sobel's gradient (N,), the largest over channels, and 3x3 medians (N, K).
 
     values: (H, W, K), border: (H, W), mask of N pixels, row by row. Edge pixels are repeated beyond the image.
-    Validated against scipy.ndimage.
     """
     row, column = np.nonzero(border)
     padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
@@ -112,6 +89,4 @@ def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedi
 
 def border_pixels(missing: Mask) -> Mask:
     """Mask (H, W) of known pixels with a missing one among their 8 neighbors."""
-    padded, (rows, columns) = np.pad(missing, 1), missing.shape
-    near = [padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBORS]
-    return np.logical_or.reduce(near) & ~missing
+    return (count_neighbors(missing) > 0) & ~missing

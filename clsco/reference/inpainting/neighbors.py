@@ -16,16 +16,20 @@ Pixels = NDArray[np.int64]
 NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1))
 
 
+def count_neighbors(mask: Mask) -> NDArray[np.uint8]:
+    """Number (H, W) of the neighbors of each pixel that are True; none are outside of the array."""
+    padded, (rows, columns) = np.pad(mask.astype(np.uint8), 1), mask.shape
+    return np.sum([padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBORS], 0, np.uint8)
+
+
 def known_neighbors(
     values: Array, known: Mask, row: Pixels, column: Pixels, bounds: Bounds = None
 ) -> tuple[Array, Mask]:
     """Values (8, N, K) of the neighbors of N pixels, and a mask (8, N) of known ones within the array and the bounds.
 
-    values: (H, W, K), inverse depth last; known: (H, W); row, column: (N,); bounds: on the neighbors' inverse depth.
+    values: (H, W, K), inverse depth last; bounds: on the neighbors' inverse depth.
     """
-    edge = ((1, 1), (1, 1))
-    padded_values = np.pad(values, (*edge, (0, 0)))
-    padded_known = np.pad(known, edge)
+    padded_values, padded_known = np.pad(values, ((1, 1), (1, 1), (0, 0))), np.pad(known, 1)
     at = [(row + 1 + i, column + 1 + j) for i, j in NEIGHBORS]
     near, near_known = np.stack([padded_values[p] for p in at]), np.stack([padded_known[p] for p in at])
     if bounds is not None:
@@ -34,9 +38,6 @@ def known_neighbors(
 
 
 def neighbor_numbers(k: Pixels, row: Pixels, column: Pixels, width: int) -> Pixels:
-    """Pixel numbers (N,), row by row, of the neighbors k (N,) of N pixels in an array `width` columns wide.
-
-    row, column: (N,).
-    """
-    step = np.array(NEIGHBORS)[k]
-    return np.asarray((row + step[:, 0]) * width + column + step[:, 1])
+    """Pixel numbers (N,), row by row, of the neighbors k (N,) of N pixels in an array `width` columns wide."""
+    down, right = np.array(NEIGHBORS)[k].T
+    return np.asarray((row + down) * width + column + right)

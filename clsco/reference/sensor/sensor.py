@@ -41,20 +41,10 @@ def sensor_outputs(
 def sense(
     sensor_model: SensorModel, light: NDArray[np.floating], camera: int
 ) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Codes of a frame for its irradiance (m, n, C), and a mask of pixels at the full well or the largest code.
+    """Codes (m, n, planes) of a frame for its irradiance (m, n, C), and a mask of pixels at the full well or the
+    largest code.
 
-    Parameters
-    ----------
-    sensor_model : SensorModel
-    light : ndarray (m, n, C)
-        Rounded to float32 at the beginning.
-    camera : int
-        `clsco.optics.sensor.camera_word` of the frame.
-
-    Returns
-    -------
-    code : ndarray of uint16, (m, n, planes)
-    saturated : ndarray of bool, (m, n, planes)
+    light: rounded to float32 at the beginning; camera: `clsco.optics.sensor.camera_word` of the frame.
     """
     sensor = filled("sensor_t", "float", sensor_values(sensor_model))
     rows, columns = light.shape[:2]
@@ -64,9 +54,8 @@ def sense(
     planes = []
     for k in range(len(sensor_model.filters)):
         channel, scale = (sensor[name].reshape(-1, 4)[k][site] for name in ("channel", "scale"))
-        plane_light = np.take_along_axis(light, channel[..., None], axis=2)[..., 0].astype(np.float32)
-        mean, dark, added = photoelectrons(plane_light, scale), sensor["dark"], np.zeros(plane_light.shape, np.float32)
-        pixel = y * columns + x
+        mean = photoelectrons(light[y, x, channel].astype(np.float32), scale)
+        dark, added, pixel = sensor["dark"], np.zeros(mean.shape, np.float32), y * columns + x
         if sensor_model.has_pattern:
             word = philox(pixel, 0, camera & 1, PATTERN_STREAM + STREAMS * k, key)
             mean, dark, added = _patterned(mean, word, sensor)

@@ -8,22 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import MAP_TRIPLANAR
 from clsco.optics.quadrics import PlacedSurface
 from clsco.reference.common.equation import WIDE_LENS
 from clsco.reference.common.geometry import Array
-from clsco.reference.trace.footprint import footprint_of, mean_texture, sharpening
-from clsco.reference.trace.mapping import (
-    Mapped,
-    MappedTexture,
-    along_axis,
-    blend_shares,
-    is_bent,
-    mapped_point,
-    own_normal,
-    texel_at,
-    texel_change,
-)
+from clsco.reference.trace.footprint import blended_images, sharpening
+from clsco.reference.trace.mapping import MappedTexture
 from clsco.scene.model import Camera
 
 REACHING = 2.0  # how fast the exchange between parts begins as the blur grows
@@ -37,29 +26,16 @@ def detailed_texture(
 
     w: (n,), inverse depths; radius: (n,) signed, px; samples: sub-pixel sources per axis; parts: number per axis.
     """
-    point = mapped_point(surface, texture.map, camera, rays, w)
-    three = texture.map.kind == MAP_TRIPLANAR
-    shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))
     values = np.zeros((len(w), parts, parts, texture.levels[0].shape[3]))
     size = texture.spread * np.abs(radius)
     exchanged = sharpening(texture, parts * radius) * np.clip(REACHING * (2 * samples * size - 1.0), 0.0, 1.0)
-    for axis in range(shares.shape[1]):
-        mask = shares[:, axis] > 0.0
-        mapped = Mapped(*(along_axis(p[mask], axis) if three else p[mask] for p in (point.at, point.right, point.down)))
-        bent = is_bent(texture.map, mapped)
-        mapped = Mapped(mapped.at, mapped.right / parts, mapped.down / parts)
-        texel = texel_at(texture.map, mapped.at)
-        changes = texel_change(texture.map, mapped.at, mapped.right), texel_change(texture.map, mapped.at, mapped.down)
-        footprint = footprint_of(texture, changes, bent)
-        places = np.arange(parts + 2) - 0.5 * (parts + 1)
-        mean = np.stack(
-            [np.stack([mean_texture(texture, mapped, texel, footprint, a, b) for a in places], axis=1) for b in places],
-            axis=1,
-        )
+    places = np.arange(parts + 2) - 0.5 * (parts + 1)
+    for mask, blend, _, mean_of in blended_images(texture, surface, camera, rays, w, 1, parts):
+        mean = np.stack([np.stack([mean_of(a, b) for a in places], axis=1) for b in places], axis=1)
         inner, share = mean[:, 1:-1, 1:-1], exchanged[mask, None, None, None]
         value = inner + share * (2.0 * inner - mean[:, 1:-1, :-2] - mean[:, 1:-1, 2:])
         value += share * (2.0 * inner - mean[:, :-2, 1:-1] - mean[:, 2:, 1:-1])
-        values[mask] += shares[mask, axis, None, None, None] * value
+        values[mask] += blend[:, None, None, None] * value
     return values
 
 

@@ -5,7 +5,9 @@ The head of kernels/trace/footprint.clh explains how the mean over a pixel is co
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +33,7 @@ from clsco.constants import (
 )
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.texture_mapping import TextureMap, cut_parts
-from clsco.reference.common.geometry import Array, Filter, mirror_index
+from clsco.reference.common.geometry import Array, Filter, filter_weights, mirror_index
 from clsco.reference.trace.mapping import (
     Indices,
     Mapped,
@@ -53,28 +55,10 @@ GAUSS_PLACE = 0.5 / np.sqrt(3.0)  # distance from the middle of the two Gauss no
 
 def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
     """Indices of stored texels along an axis, -1 for none."""
-    if wrap == WRAP_REPEAT:
-        return np.asarray(i % count)
     if wrap == WRAP_MIRROR:
-        return np.asarray(mirror_index(i, count))
-    if wrap == WRAP_CLAMP:
-        return np.clip(i, 0, count - 1)
-    return np.where((i >= 0) & (i < count), i, -1)
-
-
-def filter_weights(t: Array, texture_filter: Filter) -> Array:
-    """Weights (n, taps) of the texels around positions t (n,) relative to one of them."""
-    if texture_filter == "nearest":
-        return np.ones((*t.shape, 1))
-    if texture_filter == "bilinear":
-        return np.stack([1.0 - t, t], axis=-1)
-    weights = [
-        0.5 * t * (-1.0 + t * (2.0 - t)),
-        1.0 + 0.5 * t * t * (3.0 * t - 5.0),
-        0.5 * t * (1.0 + t * (4.0 - 3.0 * t)),
-        0.5 * t * t * (t - 1.0),
-    ]
-    return np.stack(weights, axis=-1)
+        return mirror_index(i, count)
+    inside = {WRAP_REPEAT: i % count, WRAP_CLAMP: np.clip(i, 0, count - 1)}
+    return inside.get(wrap, np.where((i >= 0) & (i < count), i, -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,16 +152,14 @@ def footprint_of(
     most = np.where(bent, MOST_BENT_TEXELS, MOST_TEXELS) ** 2
     for _ in texture.levels[1:]:
         scale = 4.0**level
-        coarser = ~(narrow < total * (4.0 * APART * LEAST_TEXELS**2 * scale)) | (
-            APART * most * scale < np.maximum(across, along)
-        )
+        coarser = ~(narrow < total * (4.0 * APART * LEAST_TEXELS**2 * scale))
+        coarser |= APART * most * scale < np.maximum(across, along)
         level += coarser & (level + 1 < len(texture.levels))
     cells_x, cells_y = (
         cells_of(square / 4.0**level, column * row / 4.0**level, bent)
         for square, (column, row) in zip((across, along), changes, strict=True)
     )
-    kinds = np.stack([level, cells_x, cells_y, bent.astype(np.intp)], axis=-1)
-    return Footprint(kinds, changes)
+    return Footprint(np.stack([level, cells_x, cells_y, bent.astype(np.intp)], axis=-1), changes)
 
 
 def mean_texture(
@@ -185,34 +167,28 @@ def mean_texture(
 ) -> Array:
     """Means (n, channels) of a texture over parts of pixels, displaced by `aside` parts to the right and `below` parts
     down from the footprints.
-
-    Validated against means over many samples.
     """
-    result = np.empty((len(footprint.kinds), texture.levels[0].shape[3]))
+    result = np.zeros((len(footprint.kinds), texture.levels[0].shape[3]))
     for kind in np.unique(footprint.kinds, axis=0):
-        selected = (footprint.kinds == kind).all(axis=-1)
-        result[selected] = _mean_of_kind(texture, point, texel, footprint, selected, (aside, below))
+        selected = np.flatnonzero((footprint.kinds == kind).all(axis=-1))
+        for part in _cell_means(texture, point, texel, footprint, selected, (aside, below)):
+            result[selected] += part
     return result
 
 
-def _mean_of_kind(
-    texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, selected: NDArray[np.bool_],
+def _cell_means(
+    texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, selected: Indices,
     shift: tuple[float, float],
-) -> Array:  # fmt: skip
-    """`mean_texture` for pixels `selected`, which share one level and number of cells."""
-    level, cells_x, cells_y, bent = (int(n) for n in footprint.kinds[selected][0])
+) -> Iterator[Array]:  # fmt: skip
+    """Parts of `mean_texture` by cell, for pixels `selected`, which share one level and number of cells."""
+    level, cells_x, cells_y, bent = footprint.kinds[selected[0]].tolist()
     texture_map, stored = texture.map, texture.levels[level]
     border = CUBE_BORDER if texture_map.kind == MAP_CUBE else 0
     share_x = (stored.shape[2] - 2 * border) / texture_map.columns
     share_y = (stored.shape[1] - 2 * border) / texture_map.rows
-    right, down = (
-        tuple(c[selected] * s for c, s in zip(change, (share_x, share_y), strict=True)) for change in footprint.changes
-    )
-    center, places = (
-        Texel(texel.column[selected], texel.row[selected], texel.side[selected]),
-        0.5 * (texture.texture_filter != "nearest"),
-    )
-    total = np.zeros((int(selected.sum()), stored.shape[3]))
+    right, down = ((x[selected] * share_x, y[selected] * share_y) for x, y in footprint.changes)
+    center = Texel(texel.column[selected], texel.row[selected], texel.side[selected])
+    places = 0.5 * (texture.texture_filter != "nearest")
     steps = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
     steps = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in steps]
     width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*steps, strict=True))
@@ -228,11 +204,8 @@ def _mean_of_kind(
             if not bent:
                 x = x + a * right[0] + b * down[0]
                 y = y + a * right[1] + b * down[1]
-            rows, columns = (
-                taps_of(*cell, texture.texture_filter) for cell in ((y + border, width_y), (x + border, width_x))
-            )
-            total += add_texels(stored, texture_map, at.side, rows, columns, skew) / (cells_x * cells_y)
-    return total
+            rows, columns = (taps_of(p + border, n, texture.texture_filter) for p, n in ((y, width_y), (x, width_x)))
+            yield add_texels(stored, texture_map, at.side, rows, columns, skew) / (cells_x * cells_y)
 
 
 def sharpening(texture: MappedTexture, radius: Array) -> Array:
@@ -256,19 +229,30 @@ def surface_texture(
     """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and squared
     numbers (n,) of texels along the wider axes of their footprints; sources: per axis of a pixel.
     """
-    point = mapped_point(surface, texture.map, camera, rays, w)
-    point = Mapped(point.at, point.right / sources, point.down / sources)
-    three = texture.map.kind == MAP_TRIPLANAR
-    shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))
-    mean = np.zeros((len(w), texture.levels[0].shape[3]))
-    texels = np.zeros(len(w))
-    for axis in range(shares.shape[1]):
-        mask = shares[:, axis] > 0.0
-        parts = (part[mask] for part in (point.at, point.right, point.down))
-        mapped = Mapped(*(along_axis(part, axis) if three else part for part in parts))
-        texel = texel_at(texture.map, mapped.at)
-        changes = texel_change(texture.map, mapped.at, mapped.right), texel_change(texture.map, mapped.at, mapped.down)
-        texels[mask] = np.maximum(texels[mask], np.max([c * c + r * r for c, r in changes], axis=0))
-        bent, share = is_bent(texture.map, mapped), shares[mask, axis, None]
-        mean[mask] += share * mean_texture(texture, mapped, texel, footprint_of(texture, changes, bent))
+    mean, texels = np.zeros((len(w), texture.levels[0].shape[3])), np.zeros(len(w))
+    for mask, share, footprint, mean_of in blended_images(texture, surface, camera, rays, w, sources, 1):
+        texels[mask] = np.maximum(texels[mask], np.max([c * c + r * r for c, r in footprint.changes], axis=0))
+        mean[mask] += share[:, None] * mean_of()
     return mean, texels
+
+
+def blended_images(
+    texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, sources: int, parts: int
+) -> Iterator[tuple[NDArray[np.bool_], Array, Footprint, Callable[..., Array]]]:
+    """The images that a texture consists of at hits (n,): three for a triplanar mapping, else one.
+
+    For each: mask (n,) of the hits that show it, and for these its share, their footprints, and `mean_texture`, a
+    function of `aside` and `below`. sources: per axis of a pixel; parts: per axis of a source.
+    """
+    point, three = mapped_point(surface, texture.map, camera, rays, w), texture.map.kind == MAP_TRIPLANAR
+    shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))
+    for axis, share in enumerate(shares.T):
+        mask = share > 0.0
+        planes = (plane[mask] for plane in (point.at, point.right / sources, point.down / sources))
+        mapped = Mapped(*(along_axis(plane, axis) if three else plane for plane in planes))
+        bent = is_bent(texture.map, mapped)
+        mapped = Mapped(mapped.at, mapped.right / parts, mapped.down / parts)
+        changes = texel_change(texture.map, mapped.at, mapped.right), texel_change(texture.map, mapped.at, mapped.down)
+        footprint = footprint_of(texture, changes, bent)
+        mean_of = partial(mean_texture, texture, mapped, texel_at(texture.map, mapped.at), footprint)
+        yield mask, share[mask], footprint, mean_of

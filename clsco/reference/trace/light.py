@@ -13,7 +13,7 @@ def shade(light: PlacedLight, surface: PlacedSurface, number: int, rays: Array, 
     """Fraction (...) of a texture's radiance at hits on an object, on the side facing the lens; 1 for objects that the
     light does not affect.
 
-    rays: (..., 3); w: (...) 1/mm, 0 without a hit. Validated against the closed forms of a sphere.
+    w: (...) 1/mm, 0 without a hit.
     """
     if not light.members >> number & 1:
         return np.ones(w.shape)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.exposure import line_times
 from clsco.optics.lens_path import camera_at
-from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
-from clsco.optics.quadrics import cutting_bounds, place
-from clsco.reference.common.geometry import Array, body_point, nearest_surface, pixel_ray, project, turned
-from clsco.reference.trace.trace import everything, padded_grid, view_at
-from clsco.reference.trace.truth import SurfaceTruth, Truth, outside_frame, surface_truth
+from clsco.optics.motion import Eye, poses_at, rest_poses
+from clsco.optics.quadrics import place
+from clsco.reference.common.geometry import Array
+from clsco.reference.trace.trace import padded_grid, view_at
+from clsco.reference.trace.truth import Points, Truth, followed, nearest_at, outside_frame, surface_truth
 from clsco.reference.trace.view import Texture
-from clsco.scene.model import Camera, Scene
+from clsco.scene.model import Scene
 
 NEARER = 1.0 + 1e-5  # ratio of depths from which on the nearer one belongs to another point (clsco.optics.line_truth)
 
@@ -27,67 +25,31 @@ def line_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye
     """
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     times, axis = line_times(scene, frame), int(scene.sequence.by_columns)
-    rows, columns = padded_grid(scene.camera, 0)
-    truths, bodies = list[SurfaceTruth](), list[Array]()
+    grid, truths = list(padded_grid(scene.camera, 0)), []
     for line, time in enumerate(times.tolist()):
-        view, line_index = view_at(scene, textures, time, eye, True), np.array([[line]])
-        truth = surface_truth(view, rest, *((line_index, columns) if axis == 0 else (rows, line_index)))
-        body = np.zeros(truth.rays.shape)
-        for k, surface in enumerate(view.surfaces):
-            on_object = (truth.hit.number == k)[..., None]
-            body = np.where(on_object, body_point(surface, truth.rays, truth.hit.w), body)
-        truths.append(truth)
-        bodies.append(body)
-    arrays = {name: np.concatenate([line.arrays[name] for line in truths], axis) for name in truths[0].arrays}
-    w = np.concatenate([line.hit.w for line in truths], axis)
-    points = _Points(scene, np.where(arrays["mask"], w, 0.0), arrays["object_id"], np.concatenate(bodies, axis))
-    flow, flow_occluded = points.follow(frame + 1, eye)
-    disparity, occluded = None, None
-    if scene.stereo is not None:
-        shift, occluded = points.follow(frame, "left" if eye == "right" else "right")
-        disparity = (1.0 if eye == "right" else -1.0) * shift[..., 0]
-    backward, _ = points.follow(frame - 1, eye)
-    return Truth(
-        **arrays, flow=flow, flow_backward=backward, flow_occluded=flow_occluded, disparity=disparity,
-        occluded=occluded, row_time=times,
-    )  # fmt: skip
+        grid[axis] = np.array([[line]])
+        truths.append(surface_truth(view_at(scene, textures, time, eye, True), rest, *grid))
+    arrays = {name: np.concatenate([line[name] for line, _ in truths], axis) for name in truths[0][0]}
+    planes = (np.concatenate([getattr(points, name) for _, points in truths], axis) for name in ("number", "w", "body"))
+    return followed(arrays, LinePoints(scene, *planes).follow, scene, frame, eye, times)
 
 
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Surface points in pixels (m, n), each at the time of its line: inverse depth, object, and `body_point`."""
-
-    scene: Scene
-    w: Array
-    number: NDArray[np.int32]
-    body: Array
-
-    def _places(self, camera: Camera, poses: tuple[Pose, ...]) -> Array:
-        """Row, column and ratio of depths, new to present (3, m, n), of all points in other poses relative to a camera.
-
-        All are 0 for points behind the lens.
-        """
-        places = np.zeros((3, *self.w.shape))
-        for k, (item, pose) in enumerate(zip(self.scene.objects, poses, strict=True)):
-            position = (rest_center(item) + pose.shift) * self.w[..., None] + turned(pose.rotation, self.body)
-            before = (position[..., 2] > 0.0) & (self.number == k)
-            row, column = project(camera, np.where(before[..., None], position, 1.0))
-            places = np.where(before, np.stack([row, column, position[..., 2]]), places)
-        return places
+class LinePoints(Points):
+    """Surface points in pixels (m, n), each at the time of its line."""
 
     def follow(self, frame: int, eye: Eye) -> tuple[Array, NDArray[np.bool_]]:
-        """Flow to the lines of a frame, and a mask of points that are not visible there, by a search through all lines.
+        """`Follow` to the lines of a frame, inf if no single line shows a point, by a search through all lines.
 
         A point lies between the first line that is at or beyond it when exposed, and the previous line.
         """
         scene, axis, surface = self.scene, int(self.scene.sequence.by_columns), self.number >= 0
         views = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in line_times(scene, frame).tolist()]
         last = len(views) - 1
-        start = end = self._places(*views[0])
+        start = end = self.places(*views[0])
         low, waiting = np.zeros(self.w.shape, np.intp), np.ones(self.w.shape, np.bool_)
         before = start
         for line in range(1, last + 1):
-            now = self._places(*views[line])
+            now = self.places(*views[line])
             reached = waiting & ((now[axis] <= line) | (line == last))
             start, end = np.where(reached, before, start), np.where(reached, now, end)
             low, waiting, before = np.where(reached, line - 1, low), waiting & ~reached, now
@@ -103,8 +65,6 @@ class _Points:
         nearest = np.rint(low + share).astype(np.intp)
         for line, (camera, poses) in enumerate(views):
             i, j = np.nonzero(valid & (nearest == line))
-            surfaces = tuple(place(item, pose) for item, pose in zip(scene.objects, poses, strict=True))
-            rays = pixel_ray(camera, *place_at[:2, i, j])
-            nearest_w, _, _ = nearest_surface(surfaces, [*map(cutting_bounds, scene.objects)], everything(scene), rays)
+            nearest_w = nearest_at(scene, camera, poses, *place_at[:2, i, j])
             hidden[i, j] |= nearest_w * place_at[2, i, j] > self.w[i, j] * NEARER
         return np.where(surface[..., None], flow, 0.0), hidden & surface

@@ -20,20 +20,12 @@ from clsco.constants import (
     WRAP_MIRROR,
     WRAP_REPEAT,
 )
-from clsco.inputs.mipmaps import SIDES, mipmap
-from clsco.inputs.mipmaps import cube_side as side_of
+from clsco.inputs.mipmaps import SIDES, cube_side, mipmap
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.rays import ray_changes
 from clsco.optics.texture_mapping import TextureMap, detail_least, texture_spread
-from clsco.reference.common.geometry import (
-    Array,
-    Filter,
-    canonical_gradient,
-    surface_normal,
-    turned,
-    turned_back,
-)
+from clsco.reference.common.geometry import Array, Filter, canonical_gradient, surface_normal, turned
 from clsco.scene.model import Camera
 
 BENT = 256.0  # squared distance from a pole, in pixels, within which coordinates are far from linear
@@ -87,7 +79,7 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
     """Points on rays (n, 3) at inverse depths w (n,) in 1/mm, in the frame of a texture."""
     d = turned(surface.turn, rays)
     gradient = canonical_gradient(surface, d, w)
-    n, facing = turned_back(surface.turn, gradient), (gradient * d).sum(axis=-1)
+    n, facing = turned(surface.turn.T, gradient), (gradient * d).sum(axis=-1)
     scale = np.where(facing != 0.0, -1.0 / np.where(facing != 0.0, facing, 1.0), 0.0)
     changes = [np.eye(3)[axis] + rays * (n[..., axis] * scale)[..., None] for axis in range(2)]
     along, aside, upwards = ray_changes(camera, rays[..., 0], rays[..., 1])
@@ -99,22 +91,9 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
     return Mapped(turned(texture_map.frame, own_points), *steps)
 
 
-def square_from_axis(q: Array) -> Array:
-    """Squared distance (n,) from the axis, never exactly 0."""
-    least = np.maximum(TINY * (q * q).sum(axis=-1), 1e-30)
-    return np.asarray(np.maximum(q[..., 0] ** 2 + q[..., 2] ** 2, least))
-
-
-def cube_side(q: Array) -> tuple[Indices, Array]:
-    """Side of a cube that directions (n, 3) meet, and the directions in its axes: right, up and out."""
-    side, _, _ = side_of(q)
-    return side, on_side(q, side)
-
-
 def on_side(q: Array, side: Indices) -> Array:
-    """Vectors (n, 3) in the axes of sides (n,)."""
-    axes = np.array([[axis for axis, _ in (right, up, out)] for out, right, up in SIDES])
-    signs = np.array([[sign for _, sign in (right, up, out)] for out, right, up in SIDES])
+    """Vectors (n, 3) in the axes of sides (n,) of a cube: right, up and out."""
+    axes, signs = np.moveaxis(np.array(SIDES)[:, [1, 2, 0]], -1, 0)  # SIDES: out, right, up
     return np.asarray(np.take_along_axis(q, axes[side], -1) * signs[side])
 
 
@@ -129,8 +108,7 @@ def wrapped_position(position: Array, count: int, wrap: int) -> Array:
     if wrap in (WRAP_REPEAT, WRAP_MIRROR):
         period = 2.0 * count if wrap == WRAP_MIRROR else float(count)
         position = position - period * np.floor(position / period)
-    position = np.where(position < FARTHEST_TEXEL, position, FARTHEST_TEXEL)
-    return np.asarray(np.maximum(position, -FARTHEST_TEXEL))
+    return np.maximum(np.fmin(position, FARTHEST_TEXEL), -FARTHEST_TEXEL)
 
 
 def texel_at(texture_map: TextureMap, q: Array) -> Texel:
@@ -145,8 +123,9 @@ def texel_at(texture_map: TextureMap, q: Array) -> Texel:
         length = np.sqrt((q * q).sum(axis=-1))
         x, y = length * np.sin(texture_map.slant * angle), length * np.cos(texture_map.slant * angle)
     elif texture_map.kind == MAP_CUBE:
-        side, on = cube_side(q)
-        x, y = on[..., 0] / on[..., 2], on[..., 1] / on[..., 2]
+        side = cube_side(q)[0]
+        right, up, out = np.moveaxis(on_side(q, side), -1, 0)
+        x, y = right / out, up / out
     column, row = texels_of(texture_map, x, y)
     return Texel(column + texture_map.shift[0], row + texture_map.shift[1], side)
 
@@ -155,7 +134,8 @@ def texel_change(texture_map: TextureMap, q: Array, dq: Array) -> tuple[Array, A
     """Change of column and row for a change dq of q, (n, 3)."""
     x, y = dq[..., 0], dq[..., 1]
     if texture_map.kind in (MAP_CYLINDER, MAP_LONGITUDE, MAP_CONE):
-        square = square_from_axis(q)
+        least = np.maximum(TINY * (q * q).sum(axis=-1), 1e-30)
+        square = np.maximum(q[..., 0] ** 2 + q[..., 2] ** 2, least)  # from the axis
         x = (q[..., 2] * dq[..., 0] - q[..., 0] * dq[..., 2]) / square
         if texture_map.kind == MAP_LONGITUDE:
             radius = np.sqrt(square)
@@ -169,8 +149,7 @@ def texel_change(texture_map: TextureMap, q: Array, dq: Array) -> tuple[Array, A
             x = out * np.sin(angle) + around * np.cos(angle)
             y = out * np.cos(angle) - around * np.sin(angle)
     if texture_map.kind == MAP_CUBE:
-        side, on = cube_side(q)
-        d = on_side(dq, side)
+        on, d = (on_side(vectors, cube_side(q)[0]) for vectors in (q, dq))
         x, y = ((d[..., k] * on[..., 2] - on[..., k] * d[..., 2]) / on[..., 2] ** 2 for k in (0, 1))
     return texels_of(texture_map, x, y)
 

@@ -6,24 +6,14 @@ cells, S x S, surrounded by one row or column of cells of each neighbor.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.lens import Lens, ray_step
-from clsco.optics.quadrics import PlacedSurface
-from clsco.reference.common.geometry import (
-    Array,
-    Bounds,
-    blur_radius,
-    both_roots,
-    pixel_ray,
-    quarter_discriminant,
-    turned,
-)
-from clsco.scene.model import Camera
+from clsco.optics.lens import ray_step
+from clsco.reference.common.geometry import Array, blur_radius, both_roots, pixel_ray, quarter_discriminant, turned
+from clsco.reference.trace.view import View
 
 UNMARKED = 255  # the label of cells without sources of their own
 SHARP_OUTLINE = 1.5  # px, blur radius below which squares between pixels are cut at outlines
@@ -50,16 +40,12 @@ class Coverage:
     step_y: Array
 
 
-def root_margins(
-    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, rays: Array
-) -> tuple[Array, Array]:
+def root_margins(view: View, label: int, rays: Array) -> tuple[Array, Array]:
     """Inverse depth (n,) of a root along rays (n, 3), and the conditions of its visibility (conditions, n), negative
     where violated. If a ray misses the surface, the values at the closest approach.
-
-    label: of the root and its object, from 1.
     """
     number = (label - 1) // 2
-    surface, box = surfaces[number], bounds[number]
+    surface, box = view.surfaces[number], view.bounds[number]
     shape, d, own_rays = surface.canonical, turned(surface.turn, rays), turned(surface.own_turn, rays)
     a, b = (shape.q * d * d).sum(axis=-1), ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
     discriminant = quarter_discriminant(surface, d)
@@ -72,57 +58,44 @@ def root_margins(
         margins += [position - low * w] if low > -np.inf else []
         margins += [high * w - position] if high < np.inf else []
     if shape.radius < np.inf:
-        margins.append(shape.radius * w - np.hypot(*(surface.offset[k] * w + d[..., k] for k in range(2))))
+        margins.append(shape.radius * w - np.hypot(*(surface.offset[:2] * w[:, None] + d[:, :2]).T))
     return w, np.stack(margins)
 
 
-def is_curved(surface: PlacedSurface) -> bool:
-    """True for a surface that is not a plane."""
-    return bool(surface.canonical.q.any())
+def is_curved(view: View, label: int) -> bool:
+    """True for a label of a surface that is not a plane."""
+    return 0 < label < UNMARKED and bool(view.surfaces[(label - 1) // 2].canonical.q.any())
 
 
-def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, rays: Array, samples: int) -> Array:
+def is_at_limb(view: View, label: int, rays: Array, samples: int) -> Array:
     """True (n,) for rays (n, 3) that hit the front of a curved surface less than half a cell from where it turns away
-    from the lens, by the discriminant and its slopes.
-
-    label: of the root and its object; samples: cells per pixel along each axis.
+    from the lens, by the discriminant and its slopes; samples: cells per pixel along each axis.
     """
-    surface = surfaces[(label - 1) // 2]
-    if not is_curved(surface) or (label % 2 == 1) != (surface.constant > 0.0):
+    surface = view.surfaces[(label - 1) // 2]
+    if not is_curved(view, label) or (label % 2 == 1) != (surface.constant > 0.0):
         return np.zeros(len(rays), dtype=bool)
     discriminant = quarter_discriminant(surface, turned(surface.turn, rays))
-    steps = ray_step(camera) / samples * np.eye(3)[:2]
+    steps = ray_step(view.camera) / samples * np.eye(3)[:2]
     slopes = [quarter_discriminant(surface, turned(surface.turn, rays + step)) - discriminant for step in steps]
     return np.asarray(4.0 * discriminant**2 < slopes[0] ** 2 + slopes[1] ** 2)
 
 
-def end_of_root(
-    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, start: Array, stop: Array
-) -> Array:
-    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends.
-
-    It is 1 if the root does not end before. label: of the root and its object.
-    """
-    at_start, at_stop = (root_margins(surfaces, bounds, label, rays)[1] for rays in (start, stop))
+def end_of_root(view: View, label: int, start: Array, stop: Array) -> Array:
+    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends, or 1."""
+    at_start, at_stop = (root_margins(view, label, rays)[1] for rays in (start, stop))
     inside, fails = np.maximum(at_start, 0.0), at_stop < 0.0
     return np.asarray(np.where(fails, inside / np.where(fails, inside - at_stop, 1.0), 1.0).min(axis=0))
 
 
-def outline_place(
-    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], first: int, second: int,
-    start: Array, stop: Array,
-) -> Array:  # fmt: skip
+def outline_place(view: View, first: int, second: int, start: Array, stop: Array) -> Array:
     """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which label `first` changes to `second`."""
-    end, begin = np.ones(len(start)), np.ones(len(start))
-    if first:
-        end = end_of_root(surfaces, bounds, first, start, stop)
-    if second:
-        begin = end_of_root(surfaces, bounds, second, stop, start)
+    end = end_of_root(view, first, start, stop) if first else np.ones(len(start))
+    begin = end_of_root(view, second, stop, start) if second else np.ones(len(start))
     through = np.full(len(start), 0.5)
     if first and second:
         # The two surfaces pass through one another.
         at_start, at_stop = (
-            sign * (root_margins(surfaces, bounds, first, rays)[0] - root_margins(surfaces, bounds, second, rays)[0])
+            sign * (root_margins(view, first, rays)[0] - root_margins(view, second, rays)[0])
             for sign, rays in ((1.0, start), (-1.0, stop))
         )
         usable = (at_start >= 0.0) & (at_stop >= 0.0) & (at_start + at_stop > 0.0)
@@ -131,10 +104,7 @@ def outline_place(
 
 
 def labels_around(row: Index, column: Index, label: Labels, shape: tuple[int, int]) -> Labels:
-    """Labels (M, S + 2, S + 2) of the cells (M, S, S) of pixels and of the surrounding cells.
-
-    row, column: (M,); shape: of the grid of pixels.
-    """
+    """Labels (M, S + 2, S + 2) of the cells (M, S, S) of pixels and of the surrounding cells, on a grid of `shape`."""
     samples = label.shape[1]
     slot = np.full((shape[0] + 2, shape[1] + 2), -1)
     slot[row + 1, column + 1] = np.arange(len(row))
@@ -147,13 +117,10 @@ def labels_around(row: Index, column: Index, label: Labels, shape: tuple[int, in
     return around
 
 
-def crossing_between(
-    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index, column: Index,
-    label: Labels, first: Index, second: Index,
-) -> Array:  # fmt: skip
+def crossing_between(view: View, row: Index, column: Index, label: Labels, first: Index, second: Index) -> Array:
     """Fractions (M, sides) of the way from `first` to `second` cells at which there is an outline, -1 for none.
 
-    row, column: (M,) of the pixels; label: (M, S + 2, S + 2); first, second: (sides,), indices of cells.
+    row, column: (M,) of the pixels; first, second: (sides,), indices of cells.
     """
     side = label.shape[1]
     flat = label.reshape(len(label), side * side)
@@ -161,26 +128,13 @@ def crossing_between(
     crossed = (pairs[..., 0] != pairs[..., 1]) & (pairs != UNMARKED).all(axis=-1)
     fractions = np.full(crossed.shape, -1.0)
     for first_label, second_label in {*map(tuple, pairs[crossed].tolist())}:
-        indices = np.nonzero(crossed & (pairs == (first_label, second_label)).all(axis=-1))
-        start, stop = (
-            pixel_ray(
-                camera,
-                row[indices[0]] + (cell[indices[1]] // side - 0.5) / (side - 2) - 0.5,
-                column[indices[0]] + (cell[indices[1]] % side - 0.5) / (side - 2) - 0.5,
-            )
-            for cell in (first, second)
-        )
-        fractions[indices] = outline_place(surfaces, bounds, first_label, second_label, start, stop)
+        pixel, edge = np.nonzero(crossed & (pairs == (first_label, second_label)).all(axis=-1))
+        rays = []
+        for cell in (first[edge], second[edge]):
+            down, right = ((n - 0.5) / (side - 2) - 0.5 for n in np.divmod(cell, side))
+            rays.append(pixel_ray(view.camera, row[pixel] + down, column[pixel] + right))
+        fractions[pixel, edge] = outline_place(view, first_label, second_label, *rays)
     return fractions
-
-
-def place_of_source(curved: NDArray[np.bool_], offset: Array, inwards: int) -> Array:
-    """Positions (n,) at which the sources of cells are evaluated, in cells from their middles.
-
-    curved: (n,), True if the cell's surface is curved; offset: (n,), position of the outline relative to halfway to the
-    next cell; inwards: -1 for the cell in front of it, 1 for the one behind.
-    """
-    return np.where(curved, 0.75 * offset - inwards * 0.25, 0.5 * offset)
 
 
 def mean_above(first: Array, last: Array) -> Array:
@@ -191,9 +145,8 @@ def mean_above(first: Array, last: Array) -> Array:
 
 
 def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-    """Area (n,) of a quarter of a unit square, in row and column 0 or 1 (n,), left of a straight line.
-
-    The line runs from x = top on the upper side to x = bottom on the lower side of the square (n,).
+    """Area (n,) of a quarter of a unit square, in row and column 0 or 1 (n,), left of a straight line from x = top (n,)
+    on the upper side to x = bottom (n,) on the lower side.
     """
     step = 0.5 * (bottom - top)
     first = top + row * step - 0.5 * column
@@ -237,9 +190,7 @@ def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, 
         coverage.step_y[empty, y, x] = np.where(is_beside, 0.0, down)[empty]
 
 
-def cut_label(
-    lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], corners: Labels, rays: Array
-) -> Labels:
+def cut_label(view: View, corners: Labels, rays: Array) -> Labels:
     """Labels (n,) of surfaces near the focus whose squares are cut, 0 without one or if there is another surface.
 
     corners: (n, 2, 2), labels of the cells; rays: (n, 3), through the centers of the squares.
@@ -248,8 +199,8 @@ def cut_label(
     alone = ((corners == 0) | (corners == labels[:, None, None])).all(axis=(1, 2))
     for label in {*labels.tolist()} - {0, UNMARKED}:
         mask = labels == label
-        w, _ = root_margins(surfaces, bounds, label, rays[mask])
-        alone[mask] &= np.abs(blur_radius(lens, rays[mask], w)) < SHARP_OUTLINE
+        w, _ = root_margins(view, label, rays[mask])
+        alone[mask] &= np.abs(blur_radius(view.lens, rays[mask], w)) < SHARP_OUTLINE
     return np.asarray(labels * alone)
 
 
@@ -258,22 +209,18 @@ def share_square(
 ) -> None:
     """Add to a surface's cells what it covers of squares (n,) between four cells, minus their own quarters.
 
-    curved: (n, S + 2, S + 2), True if a cell's surface is curved; i, j: the upper left cell; place: (4, n), where an
-    outline crosses two of the sides top, bottom, left and right; cut: (n,), squares that `cut_square` handles.
+    curved: (n, S + 2, S + 2), True if a cell's surface is curved; place: as for `cut_square`, -1 for sides without an
+    outline, which crosses two; cut: (n,), squares that `cut_square` handles.
     """
     top, bottom, left, right = place
-    sides = {
-        ((i, j), (i, j + 1)): top,
-        ((i + 1, j), (i + 1, j + 1)): bottom,
-        ((i, j), (i + 1, j)): left,
-        ((i, j + 1), (i + 1, j + 1)): right,
-    }
+    corners = ((i, j), (i, j + 1)), ((i + 1, j), (i + 1, j + 1)), ((i, j), (i + 1, j)), ((i, j + 1), (i + 1, j + 1))
     straight = (top < 0.0) == (bottom < 0.0)
-    for (first, second), place in sides.items():
-        moved = coverage.right if first[0] == second[0] else coverage.down
-        for cell, sign in ((first, 1.0), (second, -1.0)):
-            crossed, offset = place >= 0.0, place - 0.5
-            shift = place_of_source(curved[:, *cell], offset, -int(sign))
+    for number, (cells, crossing) in enumerate(zip(corners, place, strict=True)):
+        moved = coverage.right if number < 2 else coverage.down
+        crossed, offset = crossing >= 0.0, crossing - 0.5
+        for cell, sign in zip(cells, (1.0, -1.0), strict=True):
+            # Where the cell's source is evaluated, in cells from its middle.
+            shift = np.where(curved[:, *cell], 0.75 * offset + sign * 0.25, 0.5 * offset)
             moved[:, *cell] += np.where(crossed, np.where(straight, 0.5, 0.25) * shift, 0.0)
             coverage.covered[:, *cell] += np.where(crossed & straight & ~cut, sign * 0.5 * offset, 0.0)
     # One corner against three.
@@ -287,24 +234,19 @@ def share_square(
             coverage.covered[:, i + 1 - row, j + column] -= 0.5 * offset
 
 
-def cell_coverage(
-    camera: Camera, lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index,
-    column: Index, label: Labels,
-) -> Coverage:  # fmt: skip
+def cell_coverage(view: View, row: Index, column: Index, label: Labels) -> Coverage:
     """Coverage of the cells of pixels (M,), with labels from `labels_around`."""
     side = label.shape[1]
     cell = np.arange(side * side).reshape(side, side)
     across, along = (
-        crossing_between(camera, surfaces, bounds, row, column, label, first.ravel(), second.ravel())
+        crossing_between(view, row, column, label, first.ravel(), second.ravel())
         for first, second in ((cell[:, :-1], cell[:, 1:]), (cell[:-1], cell[1:]))
     )
     across, along = across.reshape(-1, side, side - 1), along.reshape(-1, side - 1, side)
-    none = np.zeros(label.shape)
-    coverage = Coverage(
-        np.ones(label.shape), none.copy(), none.copy(), label.copy(), none.copy(), none.copy(), none.copy()
-    )
-    curved_labels = [False, *(is_curved(surface) for surface in surfaces for _ in range(2))]
-    curved = np.array(curved_labels + [False] * (UNMARKED + 1 - len(curved_labels)))[label]
+    right, down, part, step_x, step_y = np.zeros((5, *label.shape))
+    coverage = Coverage(np.ones(label.shape), right, down, label.copy(), part, step_x, step_y)
+    curved = np.array([is_curved(view, n) for n in range(2 * len(view.surfaces) + 1)] + [False])
+    curved = curved[np.where(label == UNMARKED, len(curved) - 1, label)]
     for i in range(side - 1):
         for j in range(side - 1):
             edges = np.stack([across[:, i, j], across[:, i + 1, j], along[:, i, j], along[:, i, j + 1]])
@@ -314,15 +256,11 @@ def cell_coverage(
             if usable.any():
                 places, cut = np.where(usable, edges, -1.0), np.zeros(len(label), np.uint8)
                 if i % (side - 2) == 0 or j % (side - 2) == 0:
-                    rays = pixel_ray(camera, row + i / (side - 2) - 0.5, column + j / (side - 2) - 0.5)
-                    cut = usable * cut_label(lens, surfaces, bounds, label[:, i : i + 2, j : j + 2], rays)
+                    rays = pixel_ray(view.camera, row + i / (side - 2) - 0.5, column + j / (side - 2) - 0.5)
+                    cut = usable * cut_label(view, label[:, i : i + 2, j : j + 2], rays)
                     cut_square(coverage, label, i, j, places, cut)
                 share_square(coverage, curved, i, j, places, cut > 0)
     covered = coverage.part > 0.0
-    for plane, values in (
-        (coverage.covered, coverage.part),
-        (coverage.right, coverage.step_x),
-        (coverage.down, coverage.step_y),
-    ):
-        plane[covered] = values[covered]
+    for name, new in (("covered", "part"), ("right", "step_x"), ("down", "step_y")):
+        getattr(coverage, name)[covered] = getattr(coverage, new)[covered]
     return coverage

@@ -6,30 +6,28 @@ x^2, x y, y^2 relative to the middles of pixels, px right and down.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import NARROW_IMAGE
 from clsco.optics.lens import ray_step
-from clsco.optics.quadrics import PlacedSurface, cutting_bounds
+from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import (
     Array,
     Bounds,
     blur_gradient,
     blur_radius,
-    nearest_surface,
     pixel_ray,
     quarter_discriminant,
-    solve_root,
+    solve_quadric,
     turned,
 )
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.view import Cast, View
-from clsco.scene.model import Camera
 
 LINES, END_LINES = 8, 2  # lines in a pixel; and at each end, if sides of a card end there
 CLEARLY, SMALL_REACH = 1.001, 2.0  # factor above rounding errors; px from an occluder's image
@@ -37,63 +35,48 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 
-def conditions(surface: PlacedSurface, bounds: Bounds | None) -> list[Callable[[Array], Array]]:
-    """Functions of rays (..., 3) that are >= 0 where rays hit a surface, for conditions of second degree."""
-    shape = surface.canonical
+def conditions(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> list[Array]:
+    """Values (...) along rays (..., 3) that are >= 0 where rays hit a surface, for conditions of second degree."""
+    shape, d = surface.canonical, turned(surface.turn, rays)
     if shape.q.any():
-        return [lambda rays: quarter_discriminant(surface, turned(surface.turn, rays))]
-
-    def depth(rays: Array) -> Array:
-        return np.asarray(-2.0 * (turned(surface.turn, rays) @ shape.l) / surface.constant)
-
-    def within(axis: int, low: float, high: float) -> Callable[[Array], Array]:
-        def product(rays: Array) -> Array:
-            w = depth(rays)
-            place = surface.own_offset[axis] * w + rays @ surface.own_turn[axis]
-            return (place - low * w if low > -np.inf else w) * (high * w - place if high < np.inf else w)
-
-        return product
-
-    def on_disc(rays: Array) -> Array:
-        w = depth(rays)
-        at = surface.offset * w[..., None] + turned(surface.turn, rays)
-        return np.asarray(shape.radius**2 * w * w - at[..., 0] ** 2 - at[..., 1] ** 2)
-
-    forms = [within(axis, *ends) for axis, ends in enumerate(bounds or ()) if np.isfinite(ends).any()]
-    return forms + ([on_disc] if shape.radius < np.inf else [])
+        return [quarter_discriminant(surface, d)]
+    w, forms = -2.0 * (d @ shape.l) / surface.constant, []
+    for axis, (low, high) in enumerate(bounds or ()):
+        place = surface.own_offset[axis] * w + rays @ surface.own_turn[axis]
+        if np.isfinite((low, high)).any():
+            forms.append((place - low * w if low > -np.inf else w) * (high * w - place if high < np.inf else w))
+    if shape.radius < np.inf:
+        at = surface.offset * w[..., None] + d
+        forms.append(shape.radius**2 * w * w - at[..., 0] ** 2 - at[..., 1] ** 2)
+    return forms
 
 
-def conics_of(camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: Index, column: Index) -> Array:
-    """Conics (conditions, 6, ...) of a surface relative to pixels, rows and columns (...)."""
-    conics = []
-    for form in conditions(surface, bounds):
-        places = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0), (1, 1))
-        middle, left, right, above, below, corner = (
-            form(pixel_ray(camera, row + down, column + aside)) for down, aside in places
-        )
-        first = middle, 0.5 * (right - left), 0.5 * (below - above)
-        second = 0.5 * (right + left) - middle, corner - right - below + middle, 0.5 * (below + above) - middle
-        conics.append(np.stack([*first, *second]))
-    return np.stack(conics)
+def conics_of(view: View, k: int, row: Index, column: Index) -> Array:
+    """Conics (conditions, 6, ...) of object k relative to pixels, rows and columns (...)."""
+    places = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0), (1, 1))
+    middle, left, right, above, below, corner = (
+        np.stack(conditions(view.surfaces[k], view.bounds[k], pixel_ray(view.camera, row + down, column + aside)))
+        for down, aside in places
+    )
+    first = middle, 0.5 * (right - left), 0.5 * (below - above)
+    second = 0.5 * (right + left) - middle, corner - right - below + middle, 0.5 * (below + above) - middle
+    return np.stack([*first, *second], axis=1)
 
 
-def is_small(
-    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: NDArray[np.int64], column: NDArray[np.int64],
-    reach: float = 0.5,
-) -> Mask:  # fmt: skip
-    """True for pixels whose middles may be within `reach` px of a surface's image that is narrow there.
+def is_small(view: View, k: int, row: Index, column: Index, reach: float = 0.5) -> Mask:
+    """True for pixels whose middles may be within `reach` px of the image of object k, if it is narrow there.
 
     Rows and columns broadcast, px.
     """
-    row, column = np.broadcast_arrays(row, column)
-    if not surface.width < NARROW_IMAGE * ray_step(camera):
+    (row, column), surface, size = np.broadcast_arrays(row, column), view.surfaces[k], ray_step(view.camera)
+    if not surface.width < NARROW_IMAGE * size:
         return np.zeros(row.shape, dtype=bool)
-    rays, step = pixel_ray(camera, row, column), (reach + 0.5) * ray_step(camera)
+    rays, step = pixel_ray(view.camera, row, column), (reach + 0.5) * size
     ends = (surface.extent.x, surface.extent.y)
-    near = [(rays[..., k] + step >= low) & (rays[..., k] - step <= high) for k, (low, high) in enumerate(ends)]
+    near = [(rays[..., i] + step >= low) & (rays[..., i] - step <= high) for i, (low, high) in enumerate(ends)]
     near_image = near[0] & near[1]
     inside = np.ones(int(near_image.sum()), dtype=bool)
-    for value, x, y, xx, xy, yy in conics_of(camera, surface, bounds, row[near_image], column[near_image]):
+    for value, x, y, xx, xy, yy in conics_of(view, k, row[near_image], column[near_image]):
         beyond = reach * reach * (np.maximum(xx, 0.0) + np.maximum(yy, 0.0) + np.abs(xy))
         inside &= value + reach * (np.abs(x) + np.abs(y)) + beyond >= 0.0
         if surface.width < 0.0:
@@ -103,32 +86,26 @@ def is_small(
     return np.asarray(near_image)
 
 
-def small_members(
-    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
-    row: NDArray[np.int64], column: NDArray[np.int64],
-) -> NDArray[np.bool_]:  # fmt: skip
+def small_members(view: View, group: OcclusionGroup, row: Index, column: Index) -> Mask:
     """Mask (objects, ...) of the members of an occlusion group whose images are small at pixels; rows and columns
     broadcast.
     """
-    none = np.zeros(np.broadcast(row, column).shape, dtype=bool)
-    pairs = zip(surfaces, bounds, strict=True)
-    return np.stack(
-        [is_small(camera, *pair, row, column) if group.members >> k & 1 else none for k, pair in enumerate(pairs)]
-    )
+    mask = np.zeros((len(view.surfaces), *np.broadcast(row, column).shape), dtype=bool)
+    for k in range(len(mask)):
+        if group.members >> k & 1:
+            mask[k] = is_small(view, k, row, column)
+    return mask
 
 
-def hidden_by_small(
-    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
-    row: NDArray[np.int64], column: NDArray[np.int64], inverse_depth: Array,
-) -> NDArray[np.bool_]:  # fmt: skip
+def hidden_by_small(view: View, group: OcclusionGroup, row: Index, column: Index, inverse_depth: Array) -> Mask:
     """Mask (...) of pixels that contain a small occluder of their sources, or are so near one that whole pixels would
     see its edge; inverse_depth (...): of the sources, 0 without one, 1/mm.
     """
-    rays, mask = pixel_ray(camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
-    for k, (surface, ends) in enumerate(zip(surfaces, bounds, strict=True)):
+    rays, mask = pixel_ray(view.camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
+    for k, surface in enumerate(view.surfaces):
         if group.occluders >> k & 1:
             nearest = outline_plane(surface, rays)[0] if surface.canonical.q.any() else surface.extent.w[1]
-            mask |= (nearest > inverse_depth) & is_small(camera, surface, ends, row, column, SMALL_REACH)
+            mask |= (nearest > inverse_depth) & is_small(view, k, row, column, SMALL_REACH)
     return mask
 
 
@@ -141,16 +118,14 @@ def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array
     return np.where(bent, begin, low), np.where(bent, end, high)
 
 
-def small_cover(
-    view: View, bounds: Sequence[Bounds | None], group: OcclusionGroup, k: int, place: tuple[Index, Index], samples: int
-) -> Array:  # fmt: skip
+def small_cover(view: View, group: OcclusionGroup, k: int, place: tuple[Index, Index], samples: int) -> Array:
     """Area of the cells of pixels (M,) that the image of member k covers, and moments of it: (M, S, S, 4).
 
     place: rows and columns (M,). For each cell: the area in cells, the area times the position right and down of the
     pixel's middle in px, and the area times the shaded fraction of the texture.
     """
-    camera, (row, column) = view.scene.camera, place
-    conics = conics_of(camera, view.surfaces[k], bounds[k], row, column)
+    row, column = place
+    conics = conics_of(view, k, row, column)
     bend = -(conics[:, 3] + conics[:, 5])
     size = conics[:, 0] * bend + 0.25 * (conics[:, 1] ** 2 + conics[:, 2] ** 2)
     ratio = np.where(bend > 0.0, bend * bend / np.where(bend > 0.0, np.maximum(size, 1e-6 * bend * bend), 1.0), 0.0)
@@ -190,24 +165,24 @@ def small_cover(
         share = length * np.where(closed, 6.0 * node * (1.0 - node) * weights[i], 1.0 / lines)
         line, (begin, end) = limits[part, pixel] + length * u, ends
         for p, px, py, pxx, pxy, pyy in conics:
-            begin, end = narrow(
-                p + line * (py + pyy * line), 0.5 * (px + pxy * line), pxx, begin, np.maximum(end, begin)
-            )
-        points = 16 if len(bounds) > 1 else 4
+            value, half = p + line * (py + pyy * line), 0.5 * (px + pxy * line)
+            begin, end = narrow(value, half, pxx, begin, np.maximum(end, begin))
+        points = 16 if len(view.surfaces) > 1 else 4
         for j in range(points):
             at = begin + (end - begin) * (j + (5 * i % LINES + 0.5) / LINES) / points
             right, down = np.where(over, line, at), np.where(over, at, line)
-            rays = pixel_ray(camera, row + down, column + right)
-            w, _, number = nearest_surface(view.surfaces, bounds, group, rays)
+            rays = pixel_ray(view.camera, row + down, column + right)
+            w, _, number = view.nearest(group, rays)
             light = np.ones(w.shape) if view.light is None else shade(view.light, view.surfaces[k], k, rays, w)
             part_of = np.where((low < high) & (begin < end) & (number == k), share * (end - begin), 0.0)
             part_of = part_of * samples**2 / points
             value = part_of[:, None] * np.stack([np.ones_like(right), right, down, light], axis=-1)
             # Divided between cells, so that their sources keep the mean position of the light.
             y, x = (np.clip((n + 0.5) * samples - 0.5, 0.0, samples - 1.001) for n in (down, right))
-            for i_cell, below in ((y.astype(np.intp), 1.0 - y % 1.0), (y.astype(np.intp) + 1, y % 1.0)):
-                for j_cell, aside in ((x.astype(np.intp), 1.0 - x % 1.0), (x.astype(np.intp) + 1, x % 1.0)):
-                    np.add.at(cover, (pixel, i_cell, j_cell), (below * aside)[:, None] * value)
+            for next_row, below in enumerate((1.0 - y % 1.0, y % 1.0)):
+                for next_column, aside in enumerate((1.0 - x % 1.0, x % 1.0)):
+                    cell = pixel, y.astype(np.intp) + next_row, x.astype(np.intp) + next_column
+                    np.add.at(cover, cell, (below * aside)[:, None] * value)
     return cover
 
 
@@ -219,27 +194,18 @@ def outline_plane(surface: PlacedSurface, rays: Array) -> tuple[Array, Array]:
     return rays @ normal, np.broadcast_to(normal[:2], (*rays.shape[:-1], 2))
 
 
-def small_depth(surface: PlacedSurface, bounds: Bounds | None, group: OcclusionGroup, rays: Array) -> Array:
-    """Inverse depth (...) as from `outline_plane`, or that of the surface itself if bounds cut a curved surface."""
-    plane, _ = outline_plane(surface, rays)
-    if bounds is None or not surface.canonical.q.any():
-        return plane
-    w, root = solve_root(surface, bounds, rays, group.root)
-    return np.where(root > 0, w, plane)
-
-
 def cast_behind(
     cast: Callable[..., Cast], view: View, group: OcclusionGroup, small: Mask, row: Array, column: Array,
     texel: tuple[Index, Index], samples: int,
 ) -> Cast:  # fmt: skip
     """`cast` at cells (M, S, S) without the objects that are small in their pixels; small: (objects, M)."""
     hits = cast(view, group, row, column, texel, samples)
-    for number in {*map(tuple, small.T.tolist())} - {(False,) * len(small)}:
-        behind = replace(group, members=group.members & ~sum(1 << k for k, absent in enumerate(number) if absent))
-        pixels = np.nonzero((np.array(number) == small.T).all(axis=1))[0]
+    for absent in np.unique(small[:, small.any(axis=0)], axis=1).T:
+        behind = replace(group, members=group.members & ~sum(1 << k for k in np.flatnonzero(absent).tolist()))
+        pixels = np.flatnonzero((absent == small.T).all(axis=1))
         part = cast(view, behind, row[pixels], column[pixels], tuple(n[pixels] for n in texel), samples)
-        for field in fields(hits):
-            getattr(hits, field.name)[pixels] = getattr(part, field.name)
+        for name, values in vars(hits).items():
+            values[pixels] = getattr(part, name)
     return hits
 
 
@@ -251,25 +217,25 @@ def with_small(
 
     small: (objects, M); place: rows and columns (M,).
     """
-    camera, samples = view.scene.camera, hit.label.shape[1]
-    bounds = [cutting_bounds(item) for item in view.scene.objects]
-    pixels, free, hits = [np.arange(small.shape[1])], np.ones(hit.label.shape), []
+    pixels, free, hits, samples = [np.arange(small.shape[1])], np.ones(hit.label.shape), [], hit.label.shape[1]
     for k in np.flatnonzero(small.any(axis=1)).tolist():
         at, surface = np.flatnonzero(small[k]), view.surfaces[k]
-        cover = small_cover(view, bounds, group, k, (place[0][at], place[1][at]), samples)
+        cover = small_cover(view, group, k, (place[0][at], place[1][at]), samples)
         covered = cover[..., 0]
         free[at] -= covered
         right, down, light = np.moveaxis(cover[..., 1:] / np.where(covered > 0.0, covered, 1.0)[..., None], -1, 0)
-        row, column = place[0][at, None, None] + down, place[1][at, None, None] + right
-        rays = pixel_ray(camera, row, column)
-        w, slope = small_depth(surface, bounds[k], group, rays), outline_plane(surface, rays)[1]
         texel = (place[0][at, None, None], place[1][at, None, None])
+        row, column = texel[0] + down, texel[1] + right
+        rays = pixel_ray(view.camera, row, column)
+        w, slope = outline_plane(surface, rays)
+        if view.bounds[k] is not None and surface.canonical.q.any():  # the surface itself, if bounds cut it
+            depth, root = solve_quadric(surface, view.bounds[k], rays, group.root)
+            w = np.where(root > 0, depth, w)
         alone = cast(replace(view, light=None), replace(group, members=1 << k), row, column, texel, samples)
         size, label = blur_radius(view.lens, rays, w), np.where(covered > 0.0, 2 * k + 1, 0).astype(np.uint8)
-        gradient = blur_gradient(camera, view.lens, slope, rays, w)
+        gradient = blur_gradient(view.camera, view.lens, slope, rays, w)
         radiance = alone.radiance * (light * covered)[..., None]
         hits.append(replace(alone, w=w, label=label, radius=size, gradient=gradient, radiance=radiance))
         pixels.append(at)
     hits = [replace(hit, radiance=hit.radiance * free[..., None]), *hits]
-    joined = {field.name: np.concatenate([getattr(part, field.name) for part in hits]) for field in fields(hit)}
-    return Cast(**joined), np.concatenate(pixels)
+    return Cast(*map(np.concatenate, zip(*(vars(part).values() for part in hits), strict=True))), np.concatenate(pixels)

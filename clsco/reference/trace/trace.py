@@ -19,22 +19,21 @@ from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at, refer
 from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
-from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
+from clsco.optics.quadrics import place
 from clsco.optics.rays import ray_changes
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import (
-    SMALLEST_RADIUS,
     Array,
     blur_gradient,
     blur_radius,
     mirror_index,
-    nearest_surface,
     pixel_ray,
     pixel_reach,
     pixel_tilt,
     rest_pixel,
     sample_texture,
+    signed_size,
     surface_slope,
     tilt_slope,
 )
@@ -43,7 +42,7 @@ from clsco.reference.common.visibility_test import bend_visibility
 from clsco.reference.trace.detail import detailed_texture, is_shared
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
-from clsco.reference.trace.mapping import MappedTexture
+from clsco.reference.trace.mapping import Indices, MappedTexture
 from clsco.reference.trace.outline import UNMARKED, cell_coverage, is_at_limb, labels_around
 from clsco.reference.trace.small import cast_behind, small_members, with_small
 from clsco.reference.trace.view import Cast, Texture, View
@@ -129,38 +128,36 @@ def everything(scene: Scene) -> OcclusionGroup:
 
 
 def cast(
-    view: View,
-    group: OcclusionGroup,
-    row: NDArray[Any],
-    column: NDArray[Any],
-    texel: tuple[NDArray[Any], NDArray[Any]],
-    sources: int = 1,
-) -> Cast:
+    view: View, group: OcclusionGroup, row: NDArray[Any], column: NDArray[Any],
+    texel: tuple[NDArray[Any], NDArray[Any]], sources: int = 1,
+) -> Cast:  # fmt: skip
     """The nearest surface of an occlusion group along rays through (row, column) px, 0 without a hit.
 
     texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel.
     """
-    scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
-    w, label, number = nearest_surface(view.surfaces, [cutting_bounds(item) for item in scene.objects], group, rays)
+    scene, rays = view.scene, pixel_ray(view.camera, row, column)
+    w, label, number = view.nearest(group, rays)
     gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
     parts, share = np.zeros(w.shape, np.intp), np.zeros(w.shape)
     for k, surface in enumerate(view.surfaces):
         if not group.members >> k & 1:
             continue
         on_object = (number == k)[..., None]
-        gradient = np.where(on_object, gradient_of(view, surface, rays, w), gradient)
-        texels, texture = (np.asarray(n, dtype=np.int64) for n in texel), view.textures[k]
+        slope, texture = surface_slope(surface, rays, w), view.textures[k]
+        gradient = np.where(on_object, blur_gradient(view.camera, view.lens, slope, rays, w), gradient)
         if isinstance(texture, MappedTexture):
-            object_w = np.where(on_object[..., 0], w, 0.0)
-            light, fineness = _mapped_radiance(scene, surface, texture, rays, object_w, sources)
-            size = blur_radius(view.lens, rays, w)
-            cut = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
-            parts = np.where(on_object[..., 0], cut, parts)
-            share = np.where(on_object[..., 0], sharpening(texture, size), share)
+            light, hit = np.zeros(radiance.shape), on_object[..., 0] & (w > 0.0)
+            light[hit], fineness = surface_texture(texture, surface, view.camera, rays[hit], w[hit], sources)
+            size = blur_radius(view.lens, rays[hit], w[hit])
+            parts[hit] = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
+            share[hit] = sharpening(texture, size)
         elif view.moved:
-            light = _moved_radiance(view, surface, texture, rays, w)
+            # The texture at the points' projections in the reference pose; 0 where they were behind the lens.
+            at_row, at_column, valid = rest_pixel(surface, view.reference, rays, w)
+            light = sample_texture(texture, at_row, at_column, scene.motion.texture_filter) * valid[..., None]
         else:
-            light = np.broadcast_to(_texels(texture, *texels), radiance.shape)
+            pixel = (mirror_index(np.asarray(n, np.int64), size) for n, size in zip(texel, texture.shape, strict=False))
+            light = np.broadcast_to(texture[*pixel], radiance.shape)
         if view.light is not None:
             light = light * shade(view.light, surface, k, rays, w)[..., None]
         radiance = np.where(on_object, light, radiance)
@@ -168,54 +165,23 @@ def cast(
     return Cast(w, label, number, radius, gradient, radiance, parts, share)
 
 
-def gradient_of(view: View, surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Gradient (..., 2) of the blur radius of a surface that rays (..., 3) hit at w (...), px per px."""
-    return blur_gradient(view.scene.camera, view.lens, surface_slope(surface, rays, w), rays, w)
-
-
-def _mapped_radiance(
-    scene: Scene, surface: PlacedSurface, texture: MappedTexture, rays: Array, w: Array, sources: int
-) -> tuple[Array, Array]:
-    """Radiance (..., channels) of a texture on a surface, and squared numbers (...) of texels per pixel.
-
-    Both are 0 where w is 0. sources: as for `cast`.
-    """
-    radiance, texels, hit = np.zeros((*w.shape, texture.levels[0].shape[-1])), np.zeros(w.shape), w > 0.0
-    radiance[hit], texels[hit] = surface_texture(texture, surface, scene.camera, rays[hit], w[hit], sources)
-    return radiance, texels
-
-
-def _moved_radiance(view: View, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
-    """Texture at the surface points' projections in the reference pose; 0 where they were behind the lens."""
-    row, column, valid = rest_pixel(surface, view.reference, rays, w)
-    radiance = sample_texture(texture, row, column, view.scene.motion.texture_filter)
-    return np.where(valid[..., None], radiance, 0.0)
-
-
-def _texels(texture: Array, row: NDArray[np.int64], column: NDArray[np.int64]) -> Array:
-    """The texture's own texels at frame pixels, mirrored outside of the frame."""
-    return np.asarray(texture[mirror_index(row, texture.shape[0]), mirror_index(column, texture.shape[1])])
-
-
 def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     """Sources on the padded grid, from one ray through each pixel's center to the objects of an occlusion group.
 
-    guard: px. In the reference pose the radiance is the texel itself, otherwise the texture is interpolated at the
-    point's projection in the reference pose. Validated against the thesis' depth formulas and the texture itself.
+    In the reference pose the radiance is the texel itself, otherwise the texture is interpolated at the point's
+    projection in the reference pose.
     """
-    scene = view.scene
-    row, column = padded_grid(scene.camera, guard)
+    row, column = padded_grid(view.camera, guard)
     hit = cast(view, group, row, column, (row, column), 1)
     label, lit, visibility = hit.label.copy(), hit.label > 0, None
     shape, widening = _ellipses(view, row, column)
-    bounds = [cutting_bounds(item) for item in scene.objects]
     if group.occluders or view.psf.rims:
-        rays, hit_widening = pixel_ray(scene.camera, row, column)[lit], None if widening is None else widening[lit]
+        rays, hit_widening = pixel_ray(view.camera, row, column)[lit], None if widening is None else widening[lit]
         zeros, radius = np.zeros(len(rays)), hit.radius[lit]
         gradient = _tilted(view, radius, hit.gradient[lit], hit_widening)
-        points = Points(rays, hit.w[lit], radius, zeros, zeros, 1.0, gradient)
-        points = replace(points, place=np.stack([np.broadcast_to(at, lit.shape)[lit] for at in (row, column)]))
-        state, edge, partial = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
+        place_of = np.stack([np.broadcast_to(at, lit.shape)[lit] for at in (row, column)])
+        points = Points(rays, hit.w[lit], radius, zeros, zeros, 1.0, gradient, place=place_of)
+        state, edge, partial = check_visibility(view.lens, view.surfaces, view.bounds, group, view.psf, points)
         label[lit] |= edge.astype(np.uint8) << 7
         number = np.full(lit.size, -1)
         number[np.flatnonzero(lit)] = partial.row
@@ -223,19 +189,10 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
         if shape is not None:
             visibility = bend_visibility(visibility, shape[lit][partial.row >= 0])
         lit[lit] = state != HIDDEN
+    parts, share = np.where(lit, hit.parts, 0), np.where(lit, hit.share, 0.0)
     return Sources(
-        hit.radiance,
-        hit.w,
-        label,
-        hit.radius,
-        hit.gradient,
-        lit,
-        visibility,
-        np.where(lit, hit.parts, 0),
-        np.where(lit, hit.share, 0.0),
-        shape,
-        widening,
-    )
+        hit.radiance, hit.w, label, hit.radius, hit.gradient, lit, visibility, parts, share, shape, widening
+    )  # fmt: skip
 
 
 def _tilted(view: View, radius: Array, gradient: Array, widening: Array | None) -> Array:
@@ -251,17 +208,15 @@ def _ellipses(view: View, row: NDArray[Any], column: NDArray[Any]) -> tuple[Arra
     distortion = view.lens.distortion
     if not view.psf.stretched or distortion is None:
         return None, None
-    rays = pixel_ray(view.scene.camera, row, column)
-    x, y = rays[..., 0], rays[..., 1]
+    x, y, _ = np.moveaxis(pixel_ray(view.camera, row, column), -1, 0)
     shape, (right, up) = shape_of(distortion, x, y), distortion.solved(x, y, *distortion.stretch_slope(x, y))
-    return shape, ray_step(view.scene.camera) * np.stack([right, -up], axis=-1)
+    return shape, ray_step(view.camera) * np.stack([right, -up], axis=-1)
 
 
 def spread_sources(sources: Sources) -> Sources:
     """Sources with the radius and gradient that `scatter` uses: those of whole pixels, see `pixel_tilt`."""
     tilt, radius = pixel_tilt(sources.gradient, sources.radius)
-    size = np.maximum(np.abs(radius), SMALLEST_RADIUS) * np.where(radius < 0.0, -1.0, 1.0)
-    return replace(sources, radius=radius, gradient=size[..., None] * tilt)
+    return replace(sources, radius=radius, gradient=signed_size(radius)[..., None] * tilt)
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -283,14 +238,11 @@ def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
     share = np.where(marked, 0.0, sources.share)
     radiance = sources.radiance.copy()
     for axis in (0, 1):
-        first, second = ([slice(None)] * 2 for _ in range(2))
-        first[axis], second[axis] = slice(None, -1), slice(1, None)
-        low, high = tuple(first), tuple(second)
-        shared = (share[low] > 0.0) & (share[high] > 0.0)
-        flow = np.where(shared, 0.5 * (share[low] + share[high]), 0.0)[..., None]
-        flow = flow * (sources.radiance[low] - sources.radiance[high])
-        radiance[low] += flow
-        radiance[high] -= flow
+        s, light, new = (np.moveaxis(plane, axis, 0) for plane in (share, sources.radiance, radiance))
+        shared = (s[:-1] > 0.0) & (s[1:] > 0.0)
+        flow = np.where(shared, 0.5 * (s[:-1] + s[1:]), 0.0)[..., None] * (light[:-1] - light[1:])
+        new[:-1] += flow
+        new[1:] -= flow
     return replace(sources, radiance=radiance)
 
 
@@ -301,34 +253,28 @@ def trace_subpixels(
 
     Their number per axis is psf.silhouette_samples; at outlines each represents the area that its surface covers. In
     the reference pose, those of marked pixels share their pixel's texel, otherwise each interpolates the texture at its
-    own position. Other arguments as for `trace`.
+    own position.
     """
-    scene = view.scene
-    samples = scene.psf.silhouette_samples
+    psf, samples = view.scene.psf, view.scene.psf.silhouette_samples
     parts = np.zeros(marked.shape, np.intp)
     if sources is not None and sources.parts is not None:
         parts = np.where(marked, 0, sources.parts)
     row, column = np.nonzero(marked | (parts > 0))
-    offsets = subpixel_offsets(samples)
-    at_row = (row - guard)[:, None, None] + offsets[:, None]
-    at_column = (column - guard)[:, None, None] + offsets[None, :]
-    texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
-    bounds = [cutting_bounds(item) for item in scene.objects]
-    small = small_members(scene.camera, view.surfaces, bounds, group, row - guard, column - guard)
-    small &= marked[row, column]
+    offsets, place = subpixel_offsets(samples), (row - guard, column - guard)
+    texel = (place[0][:, None, None], place[1][:, None, None])
+    at_row, at_column = texel[0] + offsets[:, None], texel[1] + offsets
+    small = small_members(view, group, *place) & marked[row, column]
     hit = cast_behind(cast, view, group, small, at_row, at_column, texel, samples)
-    lens_radius = hit.radius  # for visibility tests
-    empty = hit.label == 0
+    lens_radius, empty = hit.radius, hit.label == 0  # the radius for visibility tests
     hit, limb = _cover(view, group, hit, marked, (row, column), guard)
-    lens_radius = np.where(
-        empty & (hit.label > 0), blur_radius(view.lens, pixel_ray(scene.camera, at_row, at_column), hit.w), lens_radius
-    )
+    middle_radius = blur_radius(view.lens, pixel_ray(view.camera, at_row, at_column), hit.w)
+    lens_radius = np.where(empty & (hit.label > 0), middle_radius, lens_radius)
     if small.any():
-        hit, pixel = with_small(cast, view, group, hit, small, (row - guard, column - guard))
+        hit, pixel = with_small(cast, view, group, hit, small, place)
         row, column, at_row, at_column = row[pixel], column[pixel], at_row[pixel], at_column[pixel]
         count = len(limb)
-        limb = np.concatenate([limb, np.zeros((len(pixel) - count, samples, samples), dtype=bool)])
-        added = pixel_ray(scene.camera, at_row[count:], at_column[count:])
+        limb = np.pad(limb, ((0, len(pixel) - count), (0, 0), (0, 0)))
+        added = pixel_ray(view.camera, at_row[count:], at_column[count:])
         lens_radius = np.concatenate([lens_radius, blur_radius(view.lens, added, hit.w[count:])])
     cut = parts[row, column]
     if sources is not None and cut.any():
@@ -340,25 +286,20 @@ def trace_subpixels(
     if widening is not None and cell_widening is not None:
         widening = np.where((cut > 0)[:, None, None, None], widening[:, None, None], cell_widening)
     if group.occluders or view.psf.rims:
-        rays = pixel_ray(scene.camera, at_row, at_column)[lit]
-        x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
+        rays = pixel_ray(view.camera, at_row, at_column)[lit]
+        pixel, i, j = np.nonzero(lit)
         # As on devices, from the gradient divided by the radius of the covered area.
-        size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
         tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted)
-        if widening is not None:
-            tilted = tilted + widening
-        tilted = tilted * size[..., None]
+        tilted = (tilted if widening is None else tilted + widening) * signed_size(lens_radius)[..., None] * psf.tilt
         points = Points(
-            rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt, limb[lit]
-        )
-        pixels = (np.broadcast_to(at[:, None, None], lit.shape)[lit] - guard for at in (row, column))
-        points = replace(points, place=np.stack(list(pixels)))
+            rays, hit.w[lit], lens_radius[lit], offsets[j], offsets[i], 1.0 / samples, tilted[lit], limb[lit],
+            place=np.stack([row[pixel], column[pixel]]) - guard,
+        )  # fmt: skip
         if sources is not None and cut.any() and view.psf.shares_lens:
-            points = _from_middles(view, points, sources, (row, column), cut, lit, guard)
-        state, _, visibility = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
-        visible = state != HIDDEN
-        lit[lit] = visible
-        visibility = visibility.select(visible)
+            points = _from_middles(view, points, sources, (row, column), cut, pixel, guard)
+        state, _, visibility = check_visibility(view.lens, view.surfaces, view.bounds, group, view.psf, points)
+        lit[lit] = state != HIDDEN
+        visibility = visibility.select(state != HIDDEN)
         if shape is not None:
             visibility = bend_visibility(visibility, shape[np.nonzero(lit)[0][visibility.row >= 0]])
     return SubpixelSources(
@@ -367,12 +308,12 @@ def trace_subpixels(
 
 
 def _from_middles(
-    view: View, points: Points, sources: Sources, pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
-    cut: NDArray[np.intp], lit: NDArray[np.bool_], guard: int,
+    view: View, points: Points, sources: Sources, pixel: tuple[Indices, Indices], cut: Indices, slot: Indices,
+    guard: int,
 ) -> Points:  # fmt: skip
     """Points for visibility tests; in pixels cut into parts, replaced by the pixel's middle if `is_shared`.
 
-    pixel: rows and columns (M,); cut: parts (M,) per axis; lit: (M, S, S), mask of the `points`.
+    pixel: rows and columns (M,); cut: parts (M,) per axis; slot: number of the pixel of each of the `points`.
     """
     radius, gradient = sources.radius[pixel], sources.gradient[pixel]
     shared = (cut > 0) & is_shared(radius, view.psf.extent, gradient)
@@ -380,10 +321,9 @@ def _from_middles(
     partly = sources.visibility.row.reshape(sources.lit.shape)[pixel]
     nearest = np.append(sources.visibility.nearest, np.inf)[partly]
     shared &= nearest >= SHARED_PLACE
-    slot = np.nonzero(lit)[0]
     replaced, middle = shared[slot], slot[shared[slot]]
     rays, w, tilted = points.rays.copy(), points.w.copy(), points.gradient.copy()
-    rays[replaced] = pixel_ray(view.scene.camera, pixel[0] - guard, pixel[1] - guard)[middle]
+    rays[replaced] = pixel_ray(view.camera, pixel[0] - guard, pixel[1] - guard)[middle]
     widening = None if sources.widening is None else sources.widening[pixel]
     w[replaced] = sources.inverse_depth[pixel][middle]
     tilted[replaced] = _tilted(view, radius, gradient, widening)[middle]
@@ -392,68 +332,64 @@ def _from_middles(
 
 
 def _cover(
-    view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_],
-    pixel: tuple[NDArray[np.intp], NDArray[np.intp]], guard: int,
-) -> tuple[Cast, NDArray[np.bool_]]:  # fmt: skip
+    view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_], pixel: tuple[Indices, Indices], guard: int
+) -> tuple[Cast, NDArray[np.bool_]]:
     """Replace radius, gradient and radiance of ray hits (M, S, S) at outlines by those of the areas that they cover.
 
     Returns hits, and a mask of those at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns (M,); pixels that
     are not marked keep their hits.
     """
-    samples, bounds = view.scene.psf.silhouette_samples, [cutting_bounds(item) for item in view.scene.objects]
+    samples = view.scene.psf.silhouette_samples
     label = np.where(marked[pixel][:, None, None], hit.label, UNMARKED).astype(np.uint8)
     place = (pixel[0] - guard, pixel[1] - guard)
-    around = labels_around(*pixel, label, marked.shape)
-    coverage = cell_coverage(view.scene.camera, view.lens, view.surfaces, bounds, *place, around)
+    coverage = cell_coverage(view, *place, labels_around(*pixel, label, marked.shape))
     covered, right, down = (n[:, 1:-1, 1:-1] for n in (coverage.covered, coverage.right, coverage.down))
     added = (hit.label == 0) & (coverage.part[:, 1:-1, 1:-1] > 0.0)
     hit = replace(hit, label=np.where(added, coverage.label[:, 1:-1, 1:-1], hit.label))
     beside = (hit.label > 0) & ((covered != 1.0) | (right != 0.0) | (down != 0.0))
-    slot, i, j = np.nonzero(beside)
-    offsets, texel = subpixel_offsets(samples), (place[0][slot], place[1][slot])
-    neighbor_hits = cast(
-        view, group, texel[0] + offsets[i] + down[beside] / samples, texel[1] + offsets[j] + right[beside] / samples,
-        texel, samples,
-    )  # fmt: skip
-    same = neighbor_hits.label == hit.label[beside]  # may be False at a corner
+    slot, i, j = at = np.nonzero(beside)
+    texel, offsets = (place[0][slot], place[1][slot]), subpixel_offsets(samples)
+    row, column, below, aside = texel[0] + offsets[i], texel[1] + offsets[j], down[at] / samples, right[at] / samples
+    neighbor_hits = cast(view, group, row + below, column + aside, texel, samples)
+    same = neighbor_hits.label == hit.label[at]  # may be False at a corner
+    inside = tuple(n[same] for n in at)
     planes = {name: getattr(hit, name).copy() for name in ("radius", "gradient", "radiance", "w")}
     for name, plane in planes.items():
-        plane[slot[same], i[same], j[same]] = getattr(neighbor_hits, name)[same]
+        plane[inside] = getattr(neighbor_hits, name)[same]
     planes["w"] = np.where(added, planes["w"], hit.w)
-    hit.label[slot[~same], i[~same], j[~same]] *= ~added[beside][~same]
     planes["radiance"] *= np.where(beside, covered, 1.0)[..., None]
+    hit.label[at] = np.where(same | ~added[at], hit.label[at], 0)
     limb = np.zeros(hit.label.shape, dtype=bool)
-    moved = [np.where(same, n[beside] / samples, 0.0) for n in (down, right)]
-    rays = pixel_ray(view.scene.camera, texel[0] + offsets[i] + moved[0], texel[1] + offsets[j] + moved[1])
-    for object_label in np.unique(hit.label[beside]).tolist():
-        mask = hit.label[beside] == object_label
-        near = is_at_limb(view.scene.camera, view.surfaces, object_label, rays[mask], samples)
-        limb[slot[mask], i[mask], j[mask]] = near
+    rays = pixel_ray(view.camera, row + np.where(same, below, 0.0), column + np.where(same, aside, 0.0))
+    for object_label in np.unique(hit.label[at]).tolist():
+        mask = hit.label[at] == object_label
+        limb[tuple(n[mask] for n in at)] = is_at_limb(view, object_label, rays[mask], samples)
     return replace(hit, **planes), limb
 
 
 def _with_parts(
-    view: View, hit: Cast, sources: Sources, pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
-    cut: NDArray[np.intp], guard: int,
-) -> Cast:  # fmt: skip
+    view: View, hit: Cast, sources: Sources, pixel: tuple[Indices, Indices], cut: Indices, guard: int
+) -> Cast:
     """Replace ray hits (M, S, S) in pixels cut into parts: all values except the texture are linear within the pixel.
 
     pixel: rows and columns (M,); cut: parts (M,) per axis, 0 to keep `hit`.
     """
-    camera, samples = view.scene.camera, view.scene.psf.silhouette_samples
+    camera, samples = view.camera, view.scene.psf.silhouette_samples
     below, right = np.meshgrid(*2 * (subpixel_offsets(samples),), indexing="ij")
-    for name in ("w", "label", "radius", "gradient", "radiance"):
-        hit = replace(hit, **{name: getattr(hit, name).copy()})
+    hit = Cast(*(values.copy() for values in vars(hit).values()))
     objects = ((sources.label[pixel] & 127).astype(np.intp) - 1) // 2
     for number, parts in {*zip(objects[cut > 0].tolist(), cut[cut > 0].tolist(), strict=True)}:
         selected = (objects == number) & (cut == parts)
         row, column = (n[selected] for n in pixel)
-        surface, texture = view.surfaces[number], view.textures[number]
+        surface, texture, rays = (
+            view.surfaces[number],
+            view.textures[number],
+            pixel_ray(camera, row - guard, column - guard),
+        )
         assert isinstance(texture, MappedTexture)
-        rays, w, radius = pixel_ray(camera, row - guard, column - guard), *(
-            plane[row, column] for plane in (sources.inverse_depth, sources.radius)
-        )  # fmt: skip
-        slope, gradient = surface_slope(surface, rays, w), sources.gradient[row, column]
+        planes = sources.inverse_depth, sources.radius, sources.gradient
+        w, radius, gradient = (plane[row, column] for plane in planes)
+        slope = surface_slope(surface, rays, w)
         values = detailed_texture(texture, surface, camera, rays, w, radius, samples, parts)
         if view.light is not None:
             values = values * shade(view.light, surface, number, rays, w)[:, None, None, None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 from clsco.optics.lens import Lens
 from clsco.optics.light import PlacedLight
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.quadrics import PlacedSurface
-from clsco.reference.common.geometry import Array
+from clsco.optics.quadrics import PlacedSurface, cutting_bounds
+from clsco.optics.visibility import OcclusionGroup
+from clsco.reference.common.geometry import Array, Bounds, nearest_surface
 from clsco.reference.trace.mapping import MappedTexture
 from clsco.scene.model import Camera, Scene
 
@@ -39,8 +41,20 @@ class View:
     lenses: tuple[Lens, ...]
 
     @property
+    def camera(self) -> Camera:
+        return self.scene.camera
+
+    @cached_property
+    def bounds(self) -> list[Bounds | None]:
+        """Boxes that cut the objects, None for none."""
+        return [cutting_bounds(item) for item in self.scene.objects]
+
+    def nearest(self, group: OcclusionGroup, rays: Array) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
+        """`nearest_surface` of a group along rays (..., 3)."""
+        return nearest_surface(self.surfaces, self.bounds, group, rays)
+
+    @property
     def channels(self) -> int:
-        """Number of channels of the textures."""
         first = self.textures[0]
         return int((first.levels[0] if isinstance(first, MappedTexture) else first).shape[-1])
 

@@ -56,14 +56,12 @@ def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array,
     surfaces: of every object at t = 0, None for a depth map; maps: its inverse depth (rows, columns) in 1/mm, None for
     other objects. The nearest object is used, of equal ones the first. Both are 0 without a surface.
     """
-    rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
-    nearest, whose = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], dtype=np.uint8)
-    for k, (item, surface, depth) in enumerate(zip(scene.objects, surfaces, maps, strict=True)):
+    rays, depths = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0)), []
+    for item, surface, depth in zip(scene.objects, surfaces, maps, strict=True):
         w = depth if surface is None else solve_quadric(surface, cutting_bounds(item), rays)[0]
         assert w is not None  # every object is a surface or a depth map
-        nearer = w > nearest
-        nearest, whose = np.where(nearer, w, nearest), np.where(nearer, np.uint8(k), whose)
-    return nearest, whose
+        depths.append(w)
+    return np.max(depths, axis=0), np.argmax(depths, axis=0).astype(np.uint8)
 
 
 def reproject_targets(
@@ -71,9 +69,8 @@ def reproject_targets(
 ) -> tuple[NDArray[np.int64], Array]:
     """Target (sources,) on the padded grid and inverse depth (sources,) in 1/mm after the objects' move to `poses`.
 
-    Each object first rotates about its center, then is shifted. w, whose: (rows, columns) from `reproject_rest`; guard:
-    px; camera: by default the scene's. Targets are pixel numbers, row by row; -1, and inverse depth 0, for sources
-    without a target: no surface, behind the lens, or outside.
+    w, whose: from `reproject_rest`; camera: by default the scene's. Targets are pixel numbers, row by row; -1, and
+    inverse depth 0, for sources without a target: no surface, behind the lens, or outside.
     """
     rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
     point = rays / np.where(w > 0.0, w, 1.0)[..., None]
@@ -96,8 +93,7 @@ def reproject_depth(target: NDArray[np.int64], key: NDArray[np.float32], pixels:
     target: (sources,) pixel number, -1 for none; key: (sources,) inverse depth > 0, rounded to float32, in which every
     device compares it.
     """
-    depth = np.zeros(pixels, dtype=np.float32)
-    used = target >= 0
+    depth, used = np.zeros(pixels, dtype=np.float32), target >= 0
     np.maximum.at(depth, target[used], key[used])
     return depth
 
@@ -107,7 +103,7 @@ def reproject_winner(
 ) -> NDArray[np.int64]:
     """Lowest number (pixels,) of the sources with the largest inverse depth at each target, or NO_WINNER.
 
-    target, key: as for `reproject_depth`; depth: its result.
+    depth: from `reproject_depth`.
     """
     winner = np.full(depth.shape, NO_WINNER, np.int64)
     source = np.flatnonzero(target >= 0)
@@ -119,11 +115,9 @@ def reproject_winner(
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels with a winner, except those visible only through a gap of a surface that has grown.
 
-    winner, depth: (H, W), winner and inverse depth of each pixel; columns: number of columns of the frame.
+    depth: (H, W), of each winner; columns: number of columns of the frame.
     """
-    height, width = winner.shape
-    known = winner != NO_WINNER
-    bound = SAME_DEPTH * depth
+    (height, width), bound = winner.shape, SAME_DEPTH * depth
 
     def nearer(down: int, right: int) -> NDArray[np.int64]:
         """Number of the first nearer pixel in the direction (down, right), -1 for none."""
@@ -142,14 +136,11 @@ def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], column
         close = np.maximum(first, second) <= SAME_DEPTH * np.minimum(first, second)
         neighbors = (abs(a // columns - b // columns) <= 1) & (abs(a % columns - b % columns) <= 1)
         hidden |= (before >= 0) & (after >= 0) & close & neighbors
-    return np.asarray(known & ~hidden)
+    return np.asarray((winner != NO_WINNER) & ~hidden)
 
 
 def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Mark targets (pixels,) with a winner, and gather its values (pixels, channels), 0 where there is none.
-
-    values: (sources, channels).
-    """
+    """Mark targets (pixels,) with a winner, and gather its `values` (sources, channels), 0 where there is none."""
     known = winner != NO_WINNER
     return known, np.where(known[:, None], values[np.where(known, winner, 0)], 0.0)
 
@@ -160,11 +151,9 @@ def reproject(
 ) -> Reprojected:  # fmt: skip
     """Forward warp: move the pixels of the reference pose to `poses` on the padded grid.
 
-    textures: (rows, columns, C) of the frame's size, one per object; surfaces, maps: as for `reproject_rest`; guard,
-    camera: as for `reproject_targets`. Sources are the pixels of the frame itself, with its pinhole image; the nearest
-    wins, of equal ones the first, row by row. With several objects, or a depth map, pixels visible only through gaps of
-    a surface that has grown are unknown. Validated: a shift by half a pixel leaves no holes; 19680 and 36993 missing
-    pixels (thesis, figures 4.14 and 4.15); a depth map made from a surface moves as the surface does.
+    textures: (rows, columns, C) of the frame's size, one per object. Sources are the pixels of the frame itself, with
+    its pinhole image; the nearest wins, of equal ones the first, row by row. With several objects, or a depth map,
+    pixels visible only through gaps of a surface that has grown are unknown.
     """
     rows, columns, channels = textures[0].shape
     height, width = rows + 2 * guard, columns + 2 * guard
@@ -191,9 +180,9 @@ def reproject(
 def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int) -> NDArray[np.bool_]:
     """Mask (H, W) of the frame's pixels that show surfaces from outside of it in the reference pose.
 
-    winner, known: (H, W). In each row, these are the pixels beyond the outermost known pixel of the frame, if the
-    source of that pixel was within EDGE_PX of the frame's edge on that side. Then columns are treated in the same way;
-    there, pixels marked in rows count as known, with the source of that outermost pixel.
+    In each row, these are the pixels beyond the outermost known pixel of the frame, if the source of that pixel was
+    within EDGE_PX of the frame's edge on that side. Then columns are treated in the same way; there, pixels marked in
+    rows count as known, with the source of that outermost pixel.
     """
     rows, columns = (n - 2 * guard for n in known.shape)
     inside = (slice(guard, guard + rows), slice(guard, guard + columns))
@@ -227,9 +216,8 @@ def fill_entered(
     """Values (H, W, K), objects (H, W) and validity (H, W) with the image mirrored into pixels that have entered the
     frame.
 
-    values, objects, valid: (H, W, K), (H, W) and (H, W), with missing pixels filled; entered: (H, W), from
-    `mark_entered`. Each pixel takes the mirror image about the outermost valid pixel of its row in the frame, else of
-    its column; without one it stays unchanged.
+    entered: (H, W), from `mark_entered`. Each pixel takes the mirror image about the outermost valid pixel of its row
+    in the frame, else of its column; without one it stays unchanged.
     """
     values, objects, valid = values.copy(), objects.copy(), valid.copy()
     rows, columns = (n - 2 * guard for n in valid.shape)
@@ -252,8 +240,7 @@ def fill_entered(
 def extend_border(values: Array, valid: NDArray[np.bool_], guard: int) -> tuple[Array, NDArray[np.bool_]]:
     """Values (H, W, K) and validity (H, W) of the padded grid with the frame mirrored into its guard band.
 
-    values, valid: (H, W, K) and (H, W). A depth map has no data there; its image continues as its mirror image, as
-    textures do. Only invalid pixels change.
+    A depth map has no data there; its image continues as its mirror image, as textures do. Only invalid pixels change.
     """
     row, column = (mirror_index(np.arange(-guard, n - guard), n - 2 * guard) + guard for n in valid.shape)
     take = ~valid & valid[np.ix_(row, column)]
