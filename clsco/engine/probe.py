@@ -38,18 +38,10 @@ class _FramePart:
 
 @dataclass(frozen=True)
 class FrameTime:
-    """Predicted seconds that a frame takes, without compiling kernels and writing files.
+    """Predicted seconds that a frame takes, without compiling kernels and writing files."""
 
-    Attributes
-    ----------
-    views : tuple of dict
-        For each view, the seconds of its passes by kind.
-    share : float
-        Fraction of the frame's work that was measured, 0 to 1.
-    """
-
-    views: tuple[dict[Kind, float], ...]
-    share: float
+    views: tuple[dict[Kind, float], ...]  # for each view, the seconds of its passes by kind
+    share: float  # fraction of the frame's work that was measured
 
     @property
     def seconds(self) -> float:
@@ -68,25 +60,7 @@ class FrameTime:
 def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
     """Render a part of a frame on the device that will render it, and scale the time by rows and time samples.
 
-    Parameters
-    ----------
-    session : Session
-    prepared : Prepared
-        The scene, with plans for the session's device.
-    seconds : float
-        Seconds after which no further step of a view is run, without compiling; ground truth is always computed whole.
-
-    Returns
-    -------
-    FrameTime
-
-    Raises
-    ------
-    DeviceError, KernelError
-        As rendering the frame.
-
-    Notes
-    -----
+    seconds: after which no further step of a view is run, without compiling; ground truth is always computed whole.
     Validated against whole frames by benchmarks/speed/prediction.py.
     """
     with session.reporting():
@@ -127,11 +101,7 @@ class _Clock:
     """Measures the time between passes; on a processor as its CPU time divided by the number of cores, which other
     processes do not affect.
 
-    Parameters
-    ----------
-    session : Session
-    most : int
-        Number of cores that can work on a frame at the same time.
+    most: number of cores that can work on a frame at the same time.
     """
 
     def __init__(self, session: Session, most: int) -> None:

@@ -43,21 +43,8 @@ from clsco.records import Real, Struct
 class Renderer:
     """Renders the frames of one plan on one device.
 
-    Parameters
-    ----------
-    session : Session
-    plan : Plan
-        A plan that fits the limit.
-    prepared : Prepared
-        The scene, its files and its plan.
-    limit : Limit
-        Memory limit for a larger plan, if this plan is too small.
-    hits : Hits, optional
-        Ray hits shared with the renderers of other lenses, whose plans have the same guard band.
-
-    Raises
-    ------
-    DeviceError, KernelError
+    plan: fits the limit, which is for a larger plan if this one is too small; hits: ray hits shared with the renderers
+    of other lenses, whose plans have the same guard band. Raises DeviceError and KernelError.
     """
 
     def __init__(

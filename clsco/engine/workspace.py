@@ -65,16 +65,10 @@ def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[st
 
 
 class Workspace:
-    """Buffers of a plan, and a method for each kind of pass; base class of all workspaces.
+    """Buffers of `SHARED` that a plan has, and a method for each kind of pass; base class of all workspaces.
 
     A pass is run by the method with the name of its kind, which takes a job, the pass and the pass's inputs, and
     returns its outputs.
-
-    Parameters
-    ----------
-    session : Session
-    buffers : mapping
-        Buffers of `SHARED` that the plan has.
     """
 
     def __init__(self, session: Session, buffers: Mapping[str, cl.Buffer]) -> None:
@@ -105,25 +99,9 @@ class Workspace:
 class BlurWorkspace(Workspace):
     """Runs the passes from an image or sources to the blurred plane.
 
-    Parameters
-    ----------
-    session : Session
-    buffers : mapping
-        Buffers of `SHARED` that the plan has; they include "source" if images become sources.
-    spec : BlurSpec
-    tallest : Grid
-        Grid of the frame, or the tallest of its strips.
-    grid : numpy.void
-        grid_t of the first strip.
-    real : {"double", "float"}
-    maps : Maps
-        Kind of map that has the blur radii of images.
-    behind_rims : callable, optional
-        Returns the lens for a job; needed for images if aperture rims cut their light.
-
-    Raises
-    ------
-    DeviceError, KernelError
+    buffers: include "source" if images become sources; tallest: grid of the frame, or the tallest of its strips; grid:
+    grid_t of the first strip; maps: kind of map that has the blur radii of images; behind_rims: returns the lens for a
+    job, needed for images if aperture rims cut their light.
     """
 
     _target: Target
@@ -195,15 +173,7 @@ class BlurWorkspace(Workspace):
 
 @dataclass(frozen=True)
 class ColorChannel:
-    """Textures and pixels of all colors together, or of one color.
-
-    Attributes
-    ----------
-    scene : PlacedScene
-        The scene with textures that have only these colors.
-    pixels : ForwardWarp or StaticMap, optional
-        Origin of pixels in the reference pose; None if rays are cast.
-    """
+    """Textures and pixels of all colors together, or of one color; scene: with textures that have only these colors."""
 
     scene: PlacedScene
     pixels: Pixels
@@ -212,17 +182,8 @@ class ColorChannel:
 class PlaneWorkspace(BlurWorkspace):
     """Runs the passes up to the blurred plane of a time sample, for all colors together or for one color.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan for these colors.
-    channel : ColorChannel
-    buffers : dict
-        Buffers of `SHARED` that the plan has, shared by all colors.
-    hits : Hits, optional
-        Ray hits shared with other lenses.
-    grid : numpy.void
-        grid_t of the first strip.
+    buffers: those of `SHARED`, shared by all colors; hits: ray hits shared with other lenses; grid: grid_t of the first
+    strip.
     """
 
     def __init__(
@@ -289,19 +250,8 @@ class PlaneWorkspace(BlurWorkspace):
 class SceneWorkspace(Workspace):
     """Runs all passes of a scene.
 
-    Parameters
-    ----------
-    plan : Plan
-    channels : sequence of ColorChannel
-        Textures and pixels of all colors, or of each color in `Plan.color_plans`.
-    hits : Hits, optional
-        Ray hits shared with other lenses.
-    grid : numpy.void
-        grid_t of the first strip.
-
-    Raises
-    ------
-    DeviceError, KernelError
+    channels: of all colors, or one for each color in `Plan.color_plans`; hits: ray hits shared with other lenses; grid:
+    grid_t of the first strip.
     """
 
     _joined: JoinedColors

@@ -62,18 +62,10 @@ TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # fractions of the longest path, as some
 
 @dataclass(frozen=True)
 class ApproximationReport:
-    """Samples used for a frame with a tolerance.
+    """Samples used for a frame with a tolerance; silhouette samples along an axis of a pixel, 1 for none.
 
-    Attributes
-    ----------
-    tolerance : float
-        Requested RMS error, 1 = white.
-    rms_error : float
-        Estimated RMS error relative to all samples of the scene; 0 if all are used.
-    samples, scene_samples : int
-        Number of time samples: used, and of the scene.
-    silhouette_samples, scene_silhouette_samples : int
-        Number of sub-pixel sources along an axis of a pixel: used, and of the scene; 1 for none.
+    tolerance: requested RMS error, 1 = white; rms_error: estimated RMS error relative to all samples of the scene, 0 if
+    all are used.
     """
 
     tolerance: float
@@ -115,31 +107,11 @@ def checked_tolerance(tolerance: float) -> float:
 def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
-    """Choose the cheapest numbers of samples whose estimated error is within a tolerance.
+    """Choose the cheapest numbers of samples whose estimated error is within a tolerance, the RMS error with 1 = white.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan with all samples.
-    tolerance : float
-        RMS error, 1 = white.
-    textures : callable
-        Returns the textures of all objects; called only if something may be saved.
-    maps : sequence
-        As for `clsco.plan.plan.make_plan`.
-    least : tuple of int
-        Lower bounds of time samples and silhouette samples.
-
-    Returns
-    -------
-    Scene
-        Scene with fewer samples, or that of the plan.
-    ApproximationReport
-
-    Raises
-    ------
-    SceneError
-        The tolerance is not a positive number.
+    plan: with all samples; textures: returns those of all objects, called only if something may be saved; least: lower
+    bounds of time samples and silhouette samples. The scene is that of the plan if all samples are needed. Raises
+    SceneError if the tolerance is not a positive number.
     """
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))

@@ -155,16 +155,7 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
 def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     """Buffers of a blur (`clsco.passes.frame_blur.make_blur`).
 
-    Parameters
-    ----------
-    spec : BlurSpec
-    grid : Grid
-    device : DeviceFacts
-
-    Returns
-    -------
-    dict
-        "total" is the plane of a time sample, with rows as long as in `margin`; other buffers depend on the method.
+    "total" is the plane of a time sample, with rows as long as in `margin`; other buffers depend on the method.
     """
     reach, channels, rows, columns = spec.reach, grid.channels, grid.rows, grid.columns
     _, pitch = margin(columns, grid.guard, reach)
@@ -263,19 +254,8 @@ def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
 
 
 def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`) besides those of the frame's blur.
-
-    Parameters
-    ----------
-    spec : BlurSpec
-        Blur of the frame.
-    grid : Grid
-    device : DeviceFacts
-
-    Returns
-    -------
-    dict
-        Buffers of sources and of coverage; buffers of a layer's blur have names that begin with "blur ".
+    """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`) besides those of the frame's blur `spec`: of
+    sources, of coverage, and of a layer's blur, whose names begin with "blur ".
     """
     sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
     sizes |= {"open": sizes["covered"]} if spec.occluders else {}
@@ -287,19 +267,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
 
 
 def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of `clsco.passes.warp.ForwardWarp` besides those of its filling.
-
-    Parameters
-    ----------
-    scene : Scene
-    grid : Grid
-        Grid of the whole frame.
-    device : DeviceFacts
-
-    Returns
-    -------
-    dict
-    """
+    """Buffers of `clsco.passes.warp.ForwardWarp` besides those of its filling; grid: of the whole frame."""
     pixels, objects = grid.rows * grid.columns, len(scene.objects)
     maps = sum(not item.is_analytic for item in scene.objects)
     surfaces = objects * structs("double")["surface_t"].itemsize
@@ -316,22 +284,8 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
 
 
 def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
-    """Buffers of `clsco.passes.fill.Filler`.
-
-    Parameters
-    ----------
-    grid : Grid
-        Grid of the whole frame.
-    several : bool
-        True for several objects.
-    far : bool
-        True if holes are filled from the far side.
-    smooths : bool
-        True for mean/median filling.
-
-    Returns
-    -------
-    dict
+    """Buffers of `clsco.passes.fill.Filler`; grid: of the whole frame; several: True for several objects; far: True if
+    holes are filled from the far side; smooths: True for mean/median filling.
     """
     pixels, lines = grid.sources, grid.width + grid.height
     sizes = {

@@ -16,16 +16,7 @@ JOINED: Parameters = (("colors", "each blurred by itself"),)
 def color_passes(passes: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
     """The passes that blur each color separately and copy it to its channel of the joined plane.
 
-    Parameters
-    ----------
-    passes : sequence of iterable of Pass
-        Passes of red, green and blue light, each up to the blurred plane.
-    grid : Grid
-        Grid with the channels of the joined plane.
-
-    Yields
-    ------
-    Pass
+    passes: those of red, green and blue, each up to the blurred plane; grid: has the channels of the joined plane.
     """
     sizes = {"colors": 4 * grid.channels * grid.rows * grid.columns}
     for color, (name, steps) in enumerate(zip(COLORS, passes, strict=True)):

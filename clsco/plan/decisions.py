@@ -47,41 +47,7 @@ POSSIBLE: tuple[tuple[Group, Callable[[Scene], bool], str], ...] = (
 
 @dataclass(frozen=True)
 class Choices:
-    """Decisions of a plan, in the order in which reports list the parts that are left out.
-
-    Attributes
-    ----------
-    image : Choice of bool
-        Make the image, not only ground truth.
-    motion : Choice of int
-        Number of time samples for moving objects.
-    trace : Choice of bool
-        Cast rays.
-    texture_sampling : Choice of bool
-        Interpolate textures between their texels.
-    reproject : Choice of bool
-        Move pixels of the reference pose.
-    fill : Choice of bool
-        Fill pixels that the forward warp leaves missing.
-    silhouettes : Choice of int
-        Number of sub-pixel sources per axis.
-    tilt : Choice of bool
-        Make weights depend on the gradient of R.
-    blur : Choice of Blur
-        Method of the blur.
-    renormalize : Choice of bool
-        Return light that crosses the border to the frame.
-    guard_band : Choice of bool
-        Include light from surfaces beyond the frame.
-    color : Choice of bool
-        Use three channels.
-    occlusion : Choice of Occlusion
-        Method of occlusion.
-    ground_truth : Choice of tuple of str
-        Outputs besides color and alpha.
-    other_outputs : Choice of bool
-        False if some outputs are requested, but not all that the scene can have; the reason names these.
-    """
+    """Decisions of a plan, in the order in which reports list the parts that are left out."""
 
     image: Choice[bool]
     motion: Choice[int]

@@ -10,7 +10,11 @@ UNKNOWN = 2**62  # bytes, in place of a limit that is not known
 
 
 class DeviceFacts(Protocol):
-    """Interface of a device's limits that a plan depends on; `clsco.opencl.device.Device` implements it."""
+    """Limits of a device that a plan depends on; `clsco.opencl.device.Device` implements it.
+
+    kind: "gpu", "cpu" or "accelerator"; compute_units: number of cores; global_mem: bytes; max_alloc: bytes of the
+    largest buffer; unified_memory: True if the device uses host memory.
+    """
 
     @property
     def kind(self) -> str:

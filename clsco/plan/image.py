@@ -62,16 +62,8 @@ def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Par
 class ImagePlan:
     """Plan for blurring an image by its map of radii, as in `clsco.defocus`.
 
-    Attributes
-    ----------
-    spec : BlurSpec
-    device : DeviceFacts
-    rows, columns, channels : int
-        Size of the image, px.
-    guard_px : int
-        Width of the guard band around the image that contributes light.
-    strip_rows : int
-        Rows of the tallest strip, 0 for all rows.
+    guard_px: width of the guard band around the image that contributes light; strip_rows: rows of the tallest strip, 0
+    for all rows.
     """
 
     spec: BlurSpec

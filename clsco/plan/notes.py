@@ -58,19 +58,8 @@ class _Sight:
 
 def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
     """Lines on objects that no frame shows or whose image is narrower than a pixel, on a light that shines only on
-    hidden sides, and on black frames; empty for scenes with depth maps.
+    hidden sides, and on black frames; empty for scenes with depth maps. plans: those of the views of a scene.
 
-    Parameters
-    ----------
-    plans : tuple of Plan
-        Plans of the views of a scene.
-
-    Returns
-    -------
-    list of str
-
-    Notes
-    -----
     FEW_FRAMES frames are examined at the beginning, middle and end of their exposures, from the middle of the lens. If
     these do not show an object, up to MOST_FRAMES are, and with visibility tests also from near the edge of the lens.
     """

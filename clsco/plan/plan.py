@@ -60,63 +60,27 @@ SILHOUETTE_SLOTS = 12  # initial slots for pixels near silhouettes, per row and 
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of rendering a scene: passes, buffers and costs.
-
-    Attributes
-    ----------
-    scene : Scene
-        Scene with a resolution.
-    psf : PointSpread
-        Point spread function (PSF) of the scene's lens.
-    device : DeviceFacts
-        Device to run on.
-    eye : {"left", "right"}
-        View of a stereo pair.
-    channels, rows, columns : int
-        Size of the frame: 1 or 3 channels, and one more with `alpha`; rows and columns in px.
-    guard_px : int
-        Width of the guard band around the frame, px.
-    smallest_blur, largest_blur : float
-        Predicted range of |R| in px over the whole sequence, with a margin.
-    choices : Choices
-        Decisions on the parts of the pipeline, with their reasons.
-    groups : tuple of OcclusionGroup
-        Occlusion groups, which are blurred one after the other.
-    taps : float
-        Predicted number of weights that the blur of a frame computes.
-    spreads : tuple of PointSpread
-        PSFs of red, green and blue, if each color is blurred separately (`color_plans`).
-    only : int, optional
-        Color that this plan is for, 0 to 2; None for all colors.
-    alpha : bool
-        True if the last channel is coverage.
-    strip_rows : int
-        Rows of the tallest strip, 0 for all rows of the frame.
-    extents : tuple of Extent
-        Predicted extents of objects within which `groups` are valid; empty if they always are.
-    small : bool
-        True if an object may be so narrow in the image that it needs its own slots of sub-pixel sources.
-    """
+    """Plan of rendering a view of a scene, which has a resolution: passes, buffers and costs."""
 
     scene: Scene
     psf: PointSpread
     device: DeviceFacts
     eye: Eye
-    channels: int
+    channels: int  # 1 or 3, and one more with `alpha`
     rows: int
     columns: int
-    guard_px: int
-    smallest_blur: float
+    guard_px: int  # width of the guard band around the frame
+    smallest_blur: float  # predicted range of |R| in px over the whole sequence, with a margin
     largest_blur: float
     choices: Choices
-    groups: tuple[OcclusionGroup, ...]
-    taps: float
-    spreads: tuple[PointSpread, ...] = ()
-    only: int | None = None
-    alpha: bool = False
-    strip_rows: int = 0
-    extents: tuple[Extent, ...] = ()
-    small: bool = False
+    groups: tuple[OcclusionGroup, ...]  # are blurred one after the other
+    taps: float  # predicted number of weights that the blur of a frame computes
+    spreads: tuple[PointSpread, ...] = ()  # of red, green and blue, if each color is blurred separately
+    only: int | None = None  # color that this plan is for, 0 to 2; None for all
+    alpha: bool = False  # True if the last channel is coverage
+    strip_rows: int = 0  # rows of the tallest strip, 0 for all rows of the frame
+    extents: tuple[Extent, ...] = ()  # of objects within which `groups` are valid; empty if they always are
+    small: bool = False  # True if an object may be so narrow that it needs its own slots of sub-pixel sources
 
     @cached_property
     def color_plans(self) -> tuple[Plan, ...]:
@@ -135,7 +99,6 @@ class Plan:
 
     @cached_property
     def moves(self) -> bool:
-        """True if anything moves."""
         return not self.choices.motion.left_out
 
     @property
@@ -159,7 +122,6 @@ class Plan:
 
     @property
     def forward(self) -> bool:
-        """True for a forward warp, which moves pixels of the reference pose."""
         return self.choices.reproject.value
 
     @property
@@ -169,32 +131,26 @@ class Plan:
 
     @property
     def silhouettes(self) -> int:
-        """Sub-pixel sources per axis, 0 for none."""
         return self.choices.silhouettes.value
 
     @property
     def tilt(self) -> bool:
-        """True if weights depend on the gradient of R."""
         return self.choices.tilt.value
 
     @property
     def blur(self) -> Blur:
-        """Method of the blur."""
         return self.choices.blur.value
 
     @property
     def occlusion(self) -> Occlusion:
-        """Method of occlusion."""
         return self.choices.occlusion.value
 
     @property
     def truth(self) -> tuple[str, ...]:
-        """Outputs besides color and alpha."""
         return self.choices.ground_truth.value
 
     @property
     def colors(self) -> int:
-        """Number of color channels."""
         return self.channels - self.alpha
 
     @property
@@ -335,34 +291,13 @@ def make_plan(
     device: DeviceFacts | None = None,
     psf: PointSpread | None = None,
 ) -> Plan:
-    """Plan the rendering of a scene.
+    """Plan the rendering of a scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
-    channels : int
-        Number of color channels of its textures, 1 or 3.
-    request : Request, optional
-        Requested outputs and method of the blur; by default only color.
-    eye : {"left", "right"}
-        View of a stereo pair.
-    maps : sequence of ndarray of float64 (rows, columns) or None, optional
-        Inverse depth in 1/mm of every object that is a depth map, 0 without a surface; None for other objects
-        (`clsco.inputs.depth_maps.load_scene_depths`).
-    device : DeviceFacts, optional
-        Device to run on; by default this machine's processor.
-    psf : PointSpread, optional
-        PSF of the lens; by default computed from the scene.
-
-    Returns
-    -------
-    Plan
-
-    Raises
-    ------
-    SceneError
-        The scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the method does not support the scene.
+    channels: color channels of its textures, 1 or 3; request: by default only color; maps: inverse depth (rows,
+    columns) in 1/mm of every object that is a depth map, 0 without a surface, None for other objects
+    (`clsco.inputs.depth_maps.load_scene_depths`); device: by default this machine's processor; psf: by default computed
+    from the scene. Raises SceneError if the scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the
+    method does not support the scene.
     """
     columns, rows = scene.camera.frame_size
     request, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)

@@ -25,6 +25,7 @@ from clsco.scene.model import Camera, Disc, Lens, Object, ObjectMotion, Plane, R
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
+"""Inverse depth (rows, columns) in 1/mm of each object that is a depth map, 0 without a surface; None for others."""
 Slopes = tuple[Array, Array]
 Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
@@ -219,43 +220,20 @@ def constant_blur(scene: Scene) -> bool:
 class ResolvedScene:
     """A view of a scene, resolved once for all decisions of a plan: poses at sampled times, and the hits of rays on a
     coarse grid.
-
-    Attributes
-    ----------
-    scene : Scene
-    psf : PointSpread
-    eye : {"left", "right"}
-        View of a stereo pair.
-    maps : sequence of ndarray or None
-        Inverse depth of every object that is a depth map, as for `clsco.plan.plan.make_plan`.
-    times : list of float
-        Sampled times, s.
-    poses : list of tuple of Pose
-        Poses of the objects at each time.
-    w : ndarray of float64, (objects, times, GRID, GRID)
-        Inverse depths in 1/mm at rays over frame and guard band, 0 for a miss.
-    slopes : tuple of ndarray of float64, (GRID, GRID)
-        Slopes of the rays, right and up, at the middle time.
-    smallest, largest : float
-        Range of |R| with a margin, px.
-    guard : int
-        Width of the guard band for |R| up to `largest`, px.
-    lowest, highest : float
-        Range of R with its sign, with a margin, px.
     """
 
     scene: Scene
     psf: PointSpread
     eye: Eye
     maps: Maps
-    times: list[float]
-    poses: list[tuple[Pose, ...]]
-    w: Array
-    slopes: Slopes
-    smallest: float
+    times: list[float]  # s
+    poses: list[tuple[Pose, ...]]  # of the objects at each time
+    w: Array  # inverse depths (objects, times, GRID, GRID) in 1/mm over frame and guard band, 0 for a miss
+    slopes: Slopes  # (GRID, GRID) of the rays, right and up, at the middle time
+    smallest: float  # range of |R| with a margin, px
     largest: float
-    guard: int
-    lowest: float
+    guard: int  # width of the guard band for |R| up to `largest`, px
+    lowest: float  # range of R with its sign, with a margin, px
     highest: float
 
     @property
