@@ -40,6 +40,7 @@ from clsco.passes.trace import Hits, Tracer
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import SHARED, hit_buffers, sensor_buffers, sum_buffers
 from clsco.plan.image import ImagePlan
+from clsco.plan.memory import buffer_bytes
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Kind, Pass, run_passes
 from clsco.plan.plan import Plan
@@ -60,7 +61,7 @@ Outputs = tuple[Any, ...]
 
 def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> dict[str, cl.Buffer]:
     """Allocate the buffers of `SHARED` that a plan needs, except the `absent` ones. Raises DeviceError."""
-    sizes = {name: size for step in plan.passes for name, size in step.buffers.items()}
+    sizes = buffer_bytes(plan)
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
 
 

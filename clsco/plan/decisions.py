@@ -11,7 +11,7 @@ from clsco.optics.exposure import subframes_of
 from clsco.optics.lens_path import widest_camera
 from clsco.optics.quadrics import Extent
 from clsco.optics.texture_mapping import needs_detail
-from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
+from clsco.optics.visibility import OcclusionGroup, extent, occlusion_groups
 from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
 from clsco.plan.methods import Blur, Occlusion, can_convolve, choose_blur, has_few_taps
@@ -19,6 +19,7 @@ from clsco.plan.predict import (
     ResolvedScene,
     constant_blur,
     fills_view,
+    hides_nothing,
     is_forward,
     is_static_map,
     shifts_view,
@@ -29,6 +30,7 @@ from clsco.scene.model import Aperture, Fill, Scene
 UNEVEN = 0.25  # fraction of the range of sampled poses by which an object may leave this range
 MOST_NAMED = 3  # largest number of objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
+NO_COLOR = "nobody asked for the color: neither its rays nor its blur"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
@@ -104,7 +106,7 @@ def choose(
     renormalize, guard_band = choose_border(scene)
     truth, other_outputs = choose_truth(scene, request.truth, request.color)
     choices = Choices(
-        image=choose_image(request.color),
+        image=Choice(True) if request.color else Choice(False, NO_COLOR),
         motion=choose_samples(view, rays.value),
         trace=rays,
         texture_sampling=choose_texture_sampling(view, warp.value),
@@ -123,15 +125,10 @@ def choose(
     return choices, groups, extents
 
 
-def choose_image(color: bool) -> Choice[bool]:
-    """Decide whether to make the image; color: True if it is requested."""
-    return Choice(True) if color else Choice(False, "nobody asked for the color: neither its rays nor its blur")
-
-
 def choose_samples(view: ResolvedScene, rays: bool) -> Choice[int]:
     """Choose the number of time samples while a line of the frame is exposed; 0 if nothing moves.
 
-    rays: True if rays are cast; guard: width of the guard band, px. Raises SceneError for too many time samples.
+    rays: True if rays are cast. Raises SceneError for too many time samples.
     """
     scene = view.scene
     if not scene.moves:
@@ -232,13 +229,6 @@ def choose_occlusion(
     if any(group.occluders for group in groups):
         return Choice("visibility"), groups, extents
     return Choice("none", "no object hides another within its blur", key), groups, extents
-
-
-def hides_nothing(scene: Scene) -> bool:
-    """True if the whole lens sees the same points as the pinhole: for a single surface that is not a depth map and has
-    no visible inside.
-    """
-    return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
 
 def choose_tilt(scene: Scene, one_radius: bool, blur: Blur) -> Choice[bool]:

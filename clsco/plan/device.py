@@ -17,32 +17,25 @@ class DeviceFacts(Protocol):
     """
 
     @property
-    def kind(self) -> str:
-        """ "gpu", "cpu" or "accelerator"."""
+    def kind(self) -> str: ...
 
     @property
-    def has_fp64(self) -> bool:
-        """True if the device computes in double precision."""
+    def has_fp64(self) -> bool: ...
 
     @property
-    def has_int64_atomics(self) -> bool:
-        """True if the device has atomic addition of 64-bit integers."""
+    def has_int64_atomics(self) -> bool: ...
 
     @property
-    def compute_units(self) -> int:
-        """Number of cores."""
+    def compute_units(self) -> int: ...
 
     @property
-    def global_mem(self) -> int:
-        """Size of the device's memory in bytes."""
+    def global_mem(self) -> int: ...
 
     @property
-    def max_alloc(self) -> int:
-        """Size in bytes of the largest buffer that the device can allocate."""
+    def max_alloc(self) -> int: ...
 
     @property
-    def unified_memory(self) -> bool:
-        """True if the device uses host memory."""
+    def unified_memory(self) -> bool: ...
 
 
 @dataclass(frozen=True)

@@ -118,17 +118,12 @@ def motion_needs(
     points behind it appear gradually.
     """
     gradual = gradual and scene.sequence.sampling == "midpoint" and not scene.lens_moves
-    maps = None if maps is None or all(depth is None for depth in maps) else maps
-    return list(_cached_needs(scene, psf, guard, gradual) if maps is None else _needs(scene, psf, maps, guard, gradual))
+    if maps is not None and any(depth is not None for depth in maps):
+        return _needs(scene, psf, maps, guard, gradual)
+    return list(_cached_needs(scene, psf, (None,) * len(scene.objects), guard, gradual))
 
 
-@lru_cache(maxsize=32)
-def _cached_needs(scene: Scene, psf: PointSpread, guard: int, gradual: bool) -> tuple[Need, ...]:
-    """`motion_needs` of a scene without depth maps, cached because frames are often requested one by one."""
-    return _needs(scene, psf, (None,) * len(scene.objects), guard, gradual)
-
-
-def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool) -> tuple[Need, ...]:
+def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool) -> list[Need]:
     line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # fraction of a frame
     needs = dict[int, Need]()
     for frame in sampled_frames(scene):
@@ -140,7 +135,10 @@ def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool
                 samples = min(samples, sqrt(_chord(psf) * line * path.variation / (24.0 * radius * EDGE_ERROR)))
             if samples > (needs[number].samples if number in needs else 0.0):
                 needs[number] = Need(number, speed, radius, samples)
-    return tuple(sorted(needs.values(), key=lambda need: -need.samples))
+    return sorted(needs.values(), key=lambda need: -need.samples)
+
+
+_cached_needs = lru_cache(maxsize=32)(_needs)  # without depth maps: frames are often requested one by one
 
 
 @lru_cache(maxsize=16)

@@ -39,19 +39,32 @@ from clsco.plan.buffers import (
     truth_buffers,
     warp_buffers,
 )
-from clsco.plan.colors import color_passes
 from clsco.plan.decisions import Choices, choose
 from clsco.plan.descriptions import describe_blur, describe_frame, describe_pixels, describe_rays, shapes_of
 from clsco.plan.device import DeviceFacts, ThisMachine
-from clsco.plan.ellipses import elliptic_spread
 from clsco.plan.features import curvature_of, shape_features
-from clsco.plan.image import blur_passes, light_of, prefix_names, strips_of
+from clsco.plan.image import (
+    blur_passes,
+    color_passes,
+    light_of,
+    prefix_names,
+    sensor_pass,
+    strips_of,
+    vignetting_pass,
+)
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, check_shape, occluder_room
 from clsco.plan.passes import Kind, Pass
-from clsco.plan.predict import Maps, ResolvedScene, has_small_images, is_static_map, resolve, shifts_view, slopes_where
+from clsco.plan.predict import (
+    Maps,
+    ResolvedScene,
+    elliptic_spread,
+    has_small_images,
+    is_static_map,
+    resolve,
+    shifts_view,
+    slopes_where,
+)
 from clsco.plan.request import Request
-from clsco.plan.sensor import sensor_pass
-from clsco.plan.vignetting import vignetting_pass
 from clsco.scene.model import Scene
 
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
@@ -302,7 +315,8 @@ def make_plan(
     columns, rows = scene.camera.frame_size
     request, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
     maps = maps or (None,) * len(scene.objects)
-    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _splits_colors(scene, channels) else ()
+    splits = scene.separates_colors or (channels > 1 and scene.psf.is_colored)  # by the lens, or by waves
+    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if splits else ()
     psf = max(spreads, key=lambda spread: spread.pupil.margin, default=psf)
     check_shape(psf, request.method)
     view = resolve(scene, psf, eye, maps)
@@ -325,11 +339,6 @@ def make_plan(
         small=choices.silhouettes.value > 0 and has_small_images(view),
     )  # fmt: skip
     return replace(plan, taps=_predicted_taps(plan, view)) if blur != "none" and plan.color else plan
-
-
-def _splits_colors(scene: Scene, channels: int) -> bool:
-    """True if colors are blurred separately: by different lenses, or by waves in a color image."""
-    return scene.separates_colors or (channels > 1 and scene.psf.is_colored)
 
 
 def _predicted_taps(plan: Plan, view: ResolvedScene) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -136,13 +137,8 @@ def prepare_sweep(
 
 def lens_groups(scenes: Sequence[Scene]) -> list[list[int]]:
     """Groups of consecutive scenes that differ only in the lens or the sensor, as lists of scene numbers."""
-    groups: list[list[int]] = []
-    for k, scene in enumerate(scenes):
-        if k and without_lens(scenes[k - 1]) == without_lens(scene):
-            groups[-1].append(k)
-        else:
-            groups.append([k])
-    return groups
+    groups = groupby(range(len(scenes)), key=lambda k: without_lens(scenes[k]))
+    return [list(group) for _, group in groups]
 
 
 def prepare_files(
