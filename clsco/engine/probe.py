@@ -73,7 +73,10 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
     limit = limit_of(prepared.request.memory, session.device)
     strip_plan, index = fit_strips(plan, limit), plan.scene.sequence.frames // 2
     clock = _Clock(session, ceil(strip_plan.grid.rows / BAND))
-    renderer = Renderer(session, _in_bands(strip_plan) if clock.per_core else strip_plan, prepared, limit)
+    # On a processor in the shortest strips, each rendered by one core, if the frame can be rendered in such strips.
+    indivisible = plan.forward or plan.spec.layered or plan.rows <= BAND or not clock.per_core
+    plan = strip_plan if indivisible else replace(strip_plan, strip_rows=BAND)
+    renderer = Renderer(session, plan, prepared, limit)
     while True:
         film, spent, steps = _run_steps(renderer, index, seconds, clock)
         if not renderer.enlarge():
@@ -89,12 +92,6 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
                 break
     renderer.scene.release()
     return seconds_by_kind, sum(step.part.rows for step in steps) / sum(step.part.rows for step in all_steps)
-
-
-def _in_bands(plan: Plan) -> Plan:
-    """The plan in the shortest strips, each rendered by one core; unchanged if it cannot be rendered in such strips."""
-    indivisible = plan.forward or plan.spec.layered or plan.rows <= BAND
-    return plan if indivisible else replace(plan, strip_rows=BAND)
 
 
 class _Clock:

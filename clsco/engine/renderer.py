@@ -193,48 +193,32 @@ class Renderer:
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
     def _metadata(self, film: Film) -> dict[str, Any]:
-        device, report, plan = self.session.device, self.prepared.approximation, self.plan
-        return (
-            {
-                "frame": film.index,
-                "intermediate": [*film.reports.values()],
-                "samples": len(film.reports),
-                "guard_px": self.plan.guard_px,
-                "strips": len(self.plan.strips),
-                "blur_method": self.plan.blur,
-                "approximation": None if report is None else asdict(report),
-                "bits": self.scene.bits,
-                "f_number": camera_at(plan.scene, middle_time(plan.scene.sequence, film.index)).opening,
-                "device": str(device),
-                "precision": "double" if self.scene.real == "double" else "single",
-                "version": __version__,
-                "seconds": film.seconds(),
-            }
-            | self._exposure()
-            | self._light_cut()
-            | {name: list(numbers) for name, numbers in self.prepared.color.exr_attributes().items()}
-            | self._line_times(film.index)
-        )
+        report, plan, spec, scene = self.prepared.approximation, self.plan, self.plan.spec, self.plan.scene
+        metadata = {
+            "frame": film.index,
+            "intermediate": [*film.reports.values()],
+            "samples": len(film.reports),
+            "guard_px": plan.guard_px,
+            "strips": len(plan.strips),
+            "blur_method": plan.blur,
+            "approximation": None if report is None else asdict(report),
+            "bits": self.scene.bits,
+            "f_number": camera_at(scene, middle_time(scene.sequence, film.index)).opening,
+            "device": str(self.session.device),
+            "precision": "double" if self.scene.real == "double" else "single",
+            "version": __version__,
+            "seconds": film.seconds(),
+        }
+        if scene.aperture.exposure != "normalized":  # irradiance relative to that of an open circular aperture
+            metadata["exposure"] = exposure_factor(scene.aperture, plan.psf)
+        if spec.psf.diffracted:  # share of a point's light that the truncated PSF loses, as `clsco plan` reports it
+            from clsco.optics.waves import light_cut
 
-    def _exposure(self) -> dict[str, Any]:
-        """Metadata: irradiance relative to that of an open circular aperture, if it depends on the aperture's area."""
-        aperture = self.plan.scene.aperture
-        factor = exposure_factor(aperture, self.plan.psf)
-        return {} if aperture.exposure == "normalized" else {"exposure": factor}
-
-    def _light_cut(self) -> dict[str, Any]:
-        """Metadata: share of a point's light that the truncated wave-optics PSF loses, as `clsco plan` reports it."""
-        spec = self.plan.spec
-        if not spec.psf.diffracted:
-            return {}
-        from clsco.optics.waves import light_cut
-
-        return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)}
-
-    def _line_times(self, index: int) -> dict[str, Any]:
-        """Metadata: times of the ground truth in the first and the last line; empty without a rolling shutter."""
-        times = line_times(self.plan.scene, index).tolist() if self.plan.scene.rolls else []
-        return {"row_time": [times[0], times[-1]]} if times else {}
+            metadata["light_cut"] = light_cut(spec.psf, spec.smallest, spec.largest)
+        metadata |= {name: list(numbers) for name, numbers in self.prepared.color.exr_attributes().items()}
+        if scene.rolls:  # times of the ground truth in the first and the last line
+            metadata["row_time"] = line_times(scene, film.index)[[0, -1]].tolist()
+        return metadata
 
 
 def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:

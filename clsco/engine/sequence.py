@@ -21,7 +21,7 @@ from clsco.plan.memory import Limit, device_bytes, fit_strips, lens_bytes, limit
 from clsco.plan.methods import MANY_RADII, check_method
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared, lens_groups, prepare_sweep
-from clsco.plan.request import Request
+from clsco.plan.request import Request, check_tolerance
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
@@ -208,9 +208,7 @@ def checked_request(
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
     if tolerance is not None:
-        from clsco.plan.approximation import checked_tolerance
-
-        checked_tolerance(tolerance)
+        check_tolerance(tolerance)
     if memory is not None:
         parse_size(memory)
     names = truth_names(truth)

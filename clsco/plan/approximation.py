@@ -25,13 +25,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, isfinite, sqrt
+from math import ceil, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
 from clsco.optics.lens_path import camera_at, lenses_at, reference_camera
@@ -42,6 +41,7 @@ from clsco.optics.texture_mapping import needs_detail, texture_map
 from clsco.plan.image_motion import ImagePath, image_paths, sampled_frames
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps, grid_slopes, middle_of, predict_depths
+from clsco.plan.request import check_tolerance
 from clsco.plan.texture_sources import STEEP, footprints, power_in_frame, spectrum_of, squared_errors
 from clsco.scene.model import Scene
 
@@ -92,18 +92,6 @@ class ApproximationReport:
         return f"{counts}: estimated RMS error {self.rms_error:.2g} of white"
 
 
-def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
-    """True if a frame was rendered with this tolerance; report: its `ApproximationReport` as a mapping, or None."""
-    return (None if report is None else report.get("tolerance")) == tolerance
-
-
-def checked_tolerance(tolerance: float) -> float:
-    """Return the tolerance; raises SceneError unless it is a positive number."""
-    if not (isfinite(tolerance) and tolerance > 0.0):
-        raise SceneError(f"tolerance: must be a number above 0, RMS of white; got {tolerance}")
-    return tolerance
-
-
 def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
@@ -113,7 +101,7 @@ def fewer_samples(
     bounds of time samples and silhouette samples. The scene is that of the plan if all samples are needed. Raises
     SceneError if the tolerance is not a positive number.
     """
-    checked_tolerance(tolerance)
+    check_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square = *exact, 0.0
     fine = needs_detail(scene, plan.psf, plan.largest_blur)

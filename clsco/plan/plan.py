@@ -214,9 +214,10 @@ class Plan:
     def spec(self) -> BlurSpec:
         """Specification of the blur."""
         room = occluder_room(max(len(self.psf.rims), *(group.occluders.bit_count() for group in self.groups)))
+        limited = room > 0 and shape_features(self.scene.objects)["NAPPE"] > 0
         return BlurSpec(
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
-            occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
+            occluders=room, limited=limited, border=self.scene.psf.border,
             layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
             shared=room > 0 and self.mapped > 0 and self.silhouettes > 0 and self.psf.shares_lens,
             small=self.small,
@@ -273,7 +274,7 @@ class Plan:
         scene, spec = self.scene, self.spec
         aimed = self.only is not None and scene.shifts_colors
         moved = (scene.is_displaced or self.eye_moved or aimed) and not self.forward
-        return self._shapes | {
+        return shape_features(scene.objects) | {
             "CHANNELS": self.channels,
             "OCCLUDED": int(spec.occluders > 0),
             "LIMITED": int(spec.limited),
@@ -289,10 +290,6 @@ class Plan:
             "SHARED": int(spec.shared),
             **psf_features(self.psf),
         }
-
-    @cached_property
-    def _shapes(self) -> dict[str, int]:
-        return shape_features(self.scene.objects)
 
 
 def make_plan(
