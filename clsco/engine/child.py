@@ -44,12 +44,10 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Id of the process."""
         return self._process.pid or 0
 
     @property
     def is_alive(self) -> bool:
-        """True until the process has ended."""
         return self._process.is_alive()
 
     def send(self, message: Any) -> None:

@@ -45,7 +45,6 @@ class FrameTime:
 
     @property
     def seconds(self) -> float:
-        """Seconds of the whole frame."""
         return sum(sum(passes.values()) for passes in self.views)
 
     @property

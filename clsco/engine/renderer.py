@@ -63,7 +63,7 @@ class Renderer:
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
         self.pixels, self.grids = self._pixels(plan, self.scene), dict[Strip, Struct]()
         self.channels = self._channels()
-        self.space = self._workspace()
+        self.space = SceneWorkspace(plan, self.channels, hits, self._grid(plan.strips[0]))
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
     def _pixels(self, plan: Plan, scene: PlacedScene) -> Pixels:
@@ -87,9 +87,6 @@ class Renderer:
             )
             color_channels.append(ColorChannel(scene, self._pixels(color_plan, scene)))
         return tuple(color_channels) or (ColorChannel(self.scene, self.pixels),)
-
-    def _workspace(self) -> SceneWorkspace:
-        return SceneWorkspace(self.plan, self.channels, self.hits, self._grid(self.plan.strips[0]))
 
     def begin(self, index: int) -> Film:
         """Begin frame `index`: reset its statistics and, if it has several strips, determine its depth layers."""
@@ -189,7 +186,7 @@ class Renderer:
             self.pixels = self._pixels(plan, self.scene)
             self.channels = self._channels()
         self.grids = {}
-        self.space = self._workspace()
+        self.space = SceneWorkspace(plan, self.channels, self.hits, self._grid(plan.strips[0]))
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
     def _metadata(self, film: Film) -> dict[str, Any]:

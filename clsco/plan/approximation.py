@@ -216,7 +216,6 @@ class _Outlines:
 
     @staticmethod
     def of(psf: PointSpread, parts: tuple[_Part, ...]) -> _Outlines:
-        """Outlines of all objects."""
         slope = 2.0 / SIDE * (2.0 * np.pi * FREQUENCIES * np.sinc(FREQUENCIES)) ** 2
         pairs = [(sum(part.outline), _squared_transfer(psf, part.radius)) for part in parts]
         edges = (length * float(transfer[: SIDE // 2].mean()) for length, transfer in pairs)

@@ -52,20 +52,20 @@ class Choices:
     """Decisions of a plan, in the order in which reports list the parts that are left out."""
 
     image: Choice[bool]
-    motion: Choice[int]
+    motion: Choice[int]  # time samples while a line is exposed
     trace: Choice[bool]
-    texture_sampling: Choice[bool]
-    reproject: Choice[bool]
+    texture_sampling: Choice[bool]  # interpolate textures between their texels
+    reproject: Choice[bool]  # move pixels of the reference pose
     fill: Choice[bool]
-    silhouettes: Choice[int]
-    tilt: Choice[bool]
+    silhouettes: Choice[int]  # sub-pixel sources per axis
+    tilt: Choice[bool]  # weights depend on the gradient of R
     blur: Choice[Blur]
-    renormalize: Choice[bool]
-    guard_band: Choice[bool]
+    renormalize: Choice[bool]  # return light that crosses the border to the frame
+    guard_band: Choice[bool]  # include light from surfaces beyond the frame
     color: Choice[bool]
     occlusion: Choice[Occlusion]
-    ground_truth: Choice[tuple[str, ...]]
-    other_outputs: Choice[bool]
+    ground_truth: Choice[tuple[str, ...]]  # outputs besides color and alpha
+    other_outputs: Choice[bool]  # False if only some are requested; the reason names the others
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:

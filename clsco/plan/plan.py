@@ -135,7 +135,7 @@ class Plan:
 
     @property
     def forward(self) -> bool:
-        return self.choices.reproject.value
+        return self.choices.reproject.value  # a forward warp moves pixels of the reference pose
 
     @property
     def static_map(self) -> bool:
@@ -144,11 +144,11 @@ class Plan:
 
     @property
     def silhouettes(self) -> int:
-        return self.choices.silhouettes.value
+        return self.choices.silhouettes.value  # sub-pixel sources per axis, 0 for none
 
     @property
     def tilt(self) -> bool:
-        return self.choices.tilt.value
+        return self.choices.tilt.value  # True if weights depend on the gradient of R
 
     @property
     def blur(self) -> Blur:
@@ -160,11 +160,11 @@ class Plan:
 
     @property
     def truth(self) -> tuple[str, ...]:
-        return self.choices.ground_truth.value
+        return self.choices.ground_truth.value  # outputs besides color and alpha
 
     @property
     def colors(self) -> int:
-        return self.channels - self.alpha
+        return self.channels - self.alpha  # without coverage
 
     @property
     def width(self) -> int:
@@ -212,7 +212,6 @@ class Plan:
 
     @cached_property
     def spec(self) -> BlurSpec:
-        """Specification of the blur."""
         room = occluder_room(max(len(self.psf.rims), *(group.occluders.bit_count() for group in self.groups)))
         limited = room > 0 and shape_features(self.scene.objects)["NAPPE"] > 0
         return BlurSpec(
@@ -350,7 +349,6 @@ def _predicted_taps(plan: Plan, view: ResolvedScene) -> float:
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
-    """Value of `Plan.passes`."""
     passes: list[Pass] = []
     if plan.color_plans:
         passes += color_passes([(*_moving_passes(p), *_image_passes(p)) for p in plan.color_plans], plan.grid)
