@@ -6,7 +6,6 @@ import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from typing import SupportsIndex, TypedDict, Unpack
 
 from clsco.engine.renderer import Renderer, expose
@@ -334,7 +333,8 @@ def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[lis
     """Plans of lenses that share their rays, for each eye, widened to one guard band; empty if they cannot share rays
     or do not fit. plans: for each lens, the plans of its views.
     """
-    if len(plans) == 1 or not all(_shares_rays(first, second) for first, second in pairwise(plans)):
+    keys = {tuple((plan.blur, plan.groups, plan.silhouettes, plan.samples) for plan in views) for views in plans}
+    if len(plans) == 1 or len(keys) > 1 or not all(casts_for_lenses(plan) for views in plans for plan in views):
         return []
     plans_by_eye = []
     for lens_plans in zip(*plans, strict=True):
@@ -346,16 +346,6 @@ def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[lis
             return []
         plans_by_eye.append(widened)
     return plans_by_eye
-
-
-def _shares_rays(first: tuple[Plan, ...], second: tuple[Plan, ...]) -> bool:
-    """True if two lenses can share ray hits; first, second: plans of their views."""
-    return all(
-        casts_for_lenses(a)
-        and casts_for_lenses(b)
-        and (a.blur, a.groups, a.silhouettes, a.samples) == (b.blur, b.groups, b.silhouettes, b.samples)
-        for a, b in zip(first, second, strict=True)
-    )
 
 
 def casts_for_lenses(plan: Plan) -> bool:
