@@ -70,13 +70,13 @@ def scene_file(path: Path, text: str) -> Path:
     return path
 
 
-def rendered(wanted: Scene, **options: Any) -> list[Frame]:
-    """All frames of a scene."""
+def rendered(wanted: Scene, **options: Any) -> list[Any]:
+    """All frames of a scene; of any type, as types do not say which arrays a frame has."""
     return list(clsco.render(wanted, **options))
 
 
 @lru_cache(maxsize=64)
-def reference_frames(wanted: Scene) -> list[Frame]:
+def reference_frames(wanted: Scene) -> list[Any]:
     """All frames of a scene by the reference, which renders it once for all tests of a process."""
     return list(reference.render(wanted))
 
@@ -90,6 +90,14 @@ def outputs_of(scene: Scene) -> set[str]:
     found |= {*ROLLING_NAMES} if scene.rolls else set()
     found |= {*LENS_NAMES} if scene.darkens or scene.aperture.rim else set()
     return found | ({*SENSOR_NAMES} if scene.sensor is not None else set())
+
+
+def assert_same(one: Frame, other: Frame) -> None:
+    """Two frames have the same outputs, to the bit."""
+    found, expected = one.arrays(), other.arrays()
+    assert found.keys() == expected.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name].view(np.uint8), array.view(np.uint8), name, strict=True)
 
 
 def assert_agree(frames: list[Frame], exact: list[Frame], least: float = 0.02) -> None:

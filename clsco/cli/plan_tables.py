@@ -11,9 +11,9 @@ from clsco.cli.tables import table
 from clsco.optics.point_spread import exposure_factor
 from clsco.plan.buffers import Sizes
 from clsco.plan.memory import device_bytes
+from clsco.plan.notes import unused_keys
 from clsco.plan.passes import ONCE_A_FRAME, Kind, Pass
 from clsco.plan.plan import Plan
-from clsco.plan.unused_keys import unused_keys
 
 if TYPE_CHECKING:  # what needs OpenCL
     from clsco.engine.probe import FrameTime

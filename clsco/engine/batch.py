@@ -118,17 +118,13 @@ def prepare(
 
     def is_complete(index: int) -> bool:
         content = read_complete(folder, index)
-        if content is None:
-            return False
-        if any(content.get(key) != entries[key] for key in ("version", "scene_sha256")):
+        if content is None or any(content.get(key) != entries[key] for key in ("version", "scene_sha256")):
             return False
         has_files = frame_files(index, scene.stereo is not None, files, subframes, names) <= set(content["files"])
-        has_files = has_files and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
-        from clsco.plan.approximation import same_tolerance
-
-        same = all(same_tolerance(view.get("approximation"), tolerance) for view in views)
-        return has_files and same and all(request.precision in (None, view.get("precision")) for view in views)
+        same = all((view.get("approximation") or {}).get("tolerance") == tolerance for view in views)
+        same = same and all(request.precision in (None, view.get("precision")) for view in views)
+        return has_files and same and holds_truth(content, files)
 
     pending = tuple(index for index in frames if not (resume and is_complete(index)))
     before = {index: _write_time(folder, index) for index in pending}

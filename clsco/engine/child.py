@@ -22,20 +22,8 @@ class Child:
 
     Ctrl-C reaches only this process, which decides about its children. A child ends with its parent, even if the parent
     is killed: the child then sends itself SIGTERM, and after ORPHAN_S seconds it exits by force.
-
-    Parameters
-    ----------
-    work : callable
-        Module-level function; called with the child's end of the pipe and `arguments`.
-    *arguments : object
-        Arguments that can be pickled.
-    environ : mapping, optional
-        Additional environment variables.
-
-    Attributes
-    ----------
-    pipe : Connection
-        Receives messages from the child; receiving raises EOFError after the child has ended.
+    work: module-level function, called with the child's end of the pipe and `arguments`, which can be pickled; environ:
+    additional environment variables; pipe: receives messages from the child, and raises EOFError after it has ended.
     """
 
     def __init__(self, work: Callable[..., None], *arguments: Any, environ: Mapping[str, str] | None = None) -> None:
@@ -56,12 +44,10 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Id of the process."""
         return self._process.pid or 0
 
     @property
     def is_alive(self) -> bool:
-        """True until the process has ended."""
         return self._process.is_alive()
 
     def send(self, message: Any) -> None:

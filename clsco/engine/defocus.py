@@ -205,15 +205,9 @@ def defocus(
 
 @dataclass(frozen=True)
 class DefocusReport:
-    """Report on how an image was blurred.
+    """Report on how an image was blurred."""
 
-    Attributes
-    ----------
-    soft_edges : int
-        Number of pixels at the edge between two surfaces whose radius was assigned to one of them.
-    """
-
-    soft_edges: int
+    soft_edges: int  # pixels at the edge between two surfaces whose radius was assigned to one of them
 
 
 @dataclass(frozen=True)

@@ -24,59 +24,34 @@ NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0
 
 
 class Film:
-    """The arrays of one frame, and records of how they were computed.
-
-    Parameters
-    ----------
-    plan : Plan
-    index : int
-        Number of the frame.
-
-    Attributes
-    ----------
-    times : list of float
-        Times of the time samples, s.
-    weights : ndarray of float64, (samples, lines)
-        Weight of each time sample's blurred plane in each row of the frame, or in each column if columns are exposed in
-        turn; the frame is the weighted sum of the planes.
-    color : ndarray of float32 (rows, columns[, channels])
-    code, saturated : ndarray of uint16, of bool (rows, columns, planes)
-        Codes of a sensor, and True where it is saturated; 0 planes without a sensor.
-    subframes : ndarray of float32 (samples or 0, rows, columns[, channels])
-        Blurred planes of the time samples, if they are requested.
-    missing : ndarray of bool (rows, columns)
-        Pixels that were missing at any time sample, filled or not.
-    bounds : dict
-        Bounds of the depth layers by number of the time sample, if they were computed from all strips.
-    strip_parts : dict
-        For each strip, the part of it that each time sample renders, by the number of the time sample; those that do
-        not affect the strip are absent.
-    events : list
-        Events of kernel launches.
-    reports : dict
-        Reports on time samples, by their number.
-    """
+    """The arrays of frame number `index`, and records of how they were computed."""
 
     def __init__(self, plan: Plan, index: int) -> None:
         exposure = frame_exposure(plan.scene, index, plan.samples)
         shape = (plan.rows, plan.columns)
         image = shape if plan.channels == 1 else (*shape, plan.channels)
         lines = plan.columns if exposure.by_columns else plan.rows
-        self.index, self.times, self.weights = index, exposure.times.tolist(), exposure.line_weights(lines)
+        self.index, self.times = index, exposure.times.tolist()  # s
+        # Weight (samples, lines) of each time sample's blurred plane in each row of the frame, or in each column if
+        # columns are exposed in turn; the frame is the weighted sum of the planes.
+        self.weights = exposure.line_weights(lines)
         self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
+        # For each strip, the part of it that each time sample renders, by the number of the time sample; those that do
+        # not affect the strip are absent.
         self.strip_parts: dict[Strip, dict[int, Strip]] = {}
         for strip in plan.strips:
             parts = ((number, plan.part(strip, weights)) for number, weights in enumerate(self.weights))
             self.strip_parts[strip] = {number: part for number, part in parts if part is not None}
-        self.color = np.empty(image, np.float32)
+        self.color = np.empty(image, np.float32)  # (rows, columns[, channels])
         planes = 0 if plan.sensor_model is None else len(plan.sensor_model.filters)
         self.code = np.empty((*shape, planes), np.uint16)
         self.saturated = np.empty((*shape, planes), np.bool_)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
-        self.missing = np.zeros(shape, np.bool_)
+        self.missing = np.zeros(shape, np.bool_)  # at any time sample, filled or not
+        # Bounds of the depth layers by number of the time sample, if they were computed from all strips.
         self.bounds: dict[int, tuple[LayerBounds, ...] | None] = {}
         self.events: Events = []
-        self.reports: dict[int, dict[str, Any]] = {}
+        self.reports: dict[int, dict[str, Any]] = {}  # by number of the time sample
         self.began = perf_counter()
         self._planes: list[tuple[Plane, NDArray[np.float32]]] = []
         self._codes: list[tuple[Codes, slice]] = []

@@ -38,22 +38,13 @@ class _FramePart:
 
 @dataclass(frozen=True)
 class FrameTime:
-    """Predicted seconds that a frame takes, without compiling kernels and writing files.
+    """Predicted seconds that a frame takes, without compiling kernels and writing files."""
 
-    Attributes
-    ----------
-    views : tuple of dict
-        For each view, the seconds of its passes by kind.
-    share : float
-        Fraction of the frame's work that was measured, 0 to 1.
-    """
-
-    views: tuple[dict[Kind, float], ...]
-    share: float
+    views: tuple[dict[Kind, float], ...]  # for each view, the seconds of its passes by kind
+    share: float  # fraction of the frame's work that was measured
 
     @property
     def seconds(self) -> float:
-        """Seconds of the whole frame."""
         return sum(sum(passes.values()) for passes in self.views)
 
     @property
@@ -68,25 +59,7 @@ class FrameTime:
 def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
     """Render a part of a frame on the device that will render it, and scale the time by rows and time samples.
 
-    Parameters
-    ----------
-    session : Session
-    prepared : Prepared
-        The scene, with plans for the session's device.
-    seconds : float
-        Seconds after which no further step of a view is run, without compiling; ground truth is always computed whole.
-
-    Returns
-    -------
-    FrameTime
-
-    Raises
-    ------
-    DeviceError, KernelError
-        As rendering the frame.
-
-    Notes
-    -----
+    seconds: after which no further step of a view is run, without compiling; ground truth is always computed whole.
     Validated against whole frames by benchmarks/speed/prediction.py.
     """
     with session.reporting():
@@ -99,7 +72,10 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
     limit = limit_of(prepared.request.memory, session.device)
     strip_plan, index = fit_strips(plan, limit), plan.scene.sequence.frames // 2
     clock = _Clock(session, ceil(strip_plan.grid.rows / BAND))
-    renderer = Renderer(session, _in_bands(strip_plan) if clock.per_core else strip_plan, prepared, limit)
+    # On a processor in the shortest strips, each rendered by one core, if the frame can be rendered in such strips.
+    indivisible = plan.forward or plan.spec.layered or plan.rows <= BAND or not clock.per_core
+    plan = strip_plan if indivisible else replace(strip_plan, strip_rows=BAND)
+    renderer = Renderer(session, plan, prepared, limit)
     while True:
         film, spent, steps = _run_steps(renderer, index, seconds, clock)
         if not renderer.enlarge():
@@ -117,21 +93,11 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
     return seconds_by_kind, sum(step.part.rows for step in steps) / sum(step.part.rows for step in all_steps)
 
 
-def _in_bands(plan: Plan) -> Plan:
-    """The plan in the shortest strips, each rendered by one core; unchanged if it cannot be rendered in such strips."""
-    indivisible = plan.forward or plan.spec.layered or plan.rows <= BAND
-    return plan if indivisible else replace(plan, strip_rows=BAND)
-
-
 class _Clock:
     """Measures the time between passes; on a processor as its CPU time divided by the number of cores, which other
     processes do not affect.
 
-    Parameters
-    ----------
-    session : Session
-    most : int
-        Number of cores that can work on a frame at the same time.
+    most: number of cores that can work on a frame at the same time.
     """
 
     def __init__(self, session: Session, most: int) -> None:

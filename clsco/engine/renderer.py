@@ -43,21 +43,8 @@ from clsco.records import Real, Struct
 class Renderer:
     """Renders the frames of one plan on one device.
 
-    Parameters
-    ----------
-    session : Session
-    plan : Plan
-        A plan that fits the limit.
-    prepared : Prepared
-        The scene, its files and its plan.
-    limit : Limit
-        Memory limit for a larger plan, if this plan is too small.
-    hits : Hits, optional
-        Ray hits shared with the renderers of other lenses, whose plans have the same guard band.
-
-    Raises
-    ------
-    DeviceError, KernelError
+    plan: fits the limit, which is for a larger plan if this one is too small; hits: ray hits shared with the renderers
+    of other lenses, whose plans have the same guard band. Raises DeviceError and KernelError.
     """
 
     def __init__(
@@ -76,7 +63,7 @@ class Renderer:
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
         self.pixels, self.grids = self._pixels(plan, self.scene), dict[Strip, Struct]()
         self.channels = self._channels()
-        self.space = self._workspace()
+        self.space = SceneWorkspace(plan, self.channels, hits, self._grid(plan.strips[0]))
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
     def _pixels(self, plan: Plan, scene: PlacedScene) -> Pixels:
@@ -100,9 +87,6 @@ class Renderer:
             )
             color_channels.append(ColorChannel(scene, self._pixels(color_plan, scene)))
         return tuple(color_channels) or (ColorChannel(self.scene, self.pixels),)
-
-    def _workspace(self) -> SceneWorkspace:
-        return SceneWorkspace(self.plan, self.channels, self.hits, self._grid(self.plan.strips[0]))
 
     def begin(self, index: int) -> Film:
         """Begin frame `index`: reset its statistics and, if it has several strips, determine its depth layers."""
@@ -202,52 +186,36 @@ class Renderer:
             self.pixels = self._pixels(plan, self.scene)
             self.channels = self._channels()
         self.grids = {}
-        self.space = self._workspace()
+        self.space = SceneWorkspace(plan, self.channels, self.hits, self._grid(plan.strips[0]))
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
     def _metadata(self, film: Film) -> dict[str, Any]:
-        device, report, plan = self.session.device, self.prepared.approximation, self.plan
-        return (
-            {
-                "frame": film.index,
-                "intermediate": [*film.reports.values()],
-                "samples": len(film.reports),
-                "guard_px": self.plan.guard_px,
-                "strips": len(self.plan.strips),
-                "blur_method": self.plan.blur,
-                "approximation": None if report is None else asdict(report),
-                "bits": self.scene.bits,
-                "f_number": camera_at(plan.scene, middle_time(plan.scene.sequence, film.index)).opening,
-                "device": str(device),
-                "precision": "double" if self.scene.real == "double" else "single",
-                "version": __version__,
-                "seconds": film.seconds(),
-            }
-            | self._exposure()
-            | self._light_cut()
-            | {name: list(numbers) for name, numbers in self.prepared.color.exr_attributes().items()}
-            | self._line_times(film.index)
-        )
+        report, plan, spec, scene = self.prepared.approximation, self.plan, self.plan.spec, self.plan.scene
+        metadata = {
+            "frame": film.index,
+            "intermediate": [*film.reports.values()],
+            "samples": len(film.reports),
+            "guard_px": plan.guard_px,
+            "strips": len(plan.strips),
+            "blur_method": plan.blur,
+            "approximation": None if report is None else asdict(report),
+            "bits": self.scene.bits,
+            "f_number": camera_at(scene, middle_time(scene.sequence, film.index)).opening,
+            "device": str(self.session.device),
+            "precision": "double" if self.scene.real == "double" else "single",
+            "version": __version__,
+            "seconds": film.seconds(),
+        }
+        if scene.aperture.exposure != "normalized":  # irradiance relative to that of an open circular aperture
+            metadata["exposure"] = exposure_factor(scene.aperture, plan.psf)
+        if spec.psf.diffracted:  # share of a point's light that the truncated PSF loses, as `clsco plan` reports it
+            from clsco.optics.waves import light_cut
 
-    def _exposure(self) -> dict[str, Any]:
-        """Metadata: irradiance relative to that of an open circular aperture, if it depends on the aperture's area."""
-        aperture = self.plan.scene.aperture
-        factor = exposure_factor(aperture, self.plan.psf)
-        return {} if aperture.exposure == "normalized" else {"exposure": factor}
-
-    def _light_cut(self) -> dict[str, Any]:
-        """Metadata: share of a point's light that the truncated wave-optics PSF loses, as `clsco plan` reports it."""
-        spec = self.plan.spec
-        if not spec.psf.diffracted:
-            return {}
-        from clsco.optics.waves import light_cut
-
-        return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)}
-
-    def _line_times(self, index: int) -> dict[str, Any]:
-        """Metadata: times of the ground truth in the first and the last line; empty without a rolling shutter."""
-        times = line_times(self.plan.scene, index).tolist() if self.plan.scene.rolls else []
-        return {"row_time": [times[0], times[-1]]} if times else {}
+            metadata["light_cut"] = light_cut(spec.psf, spec.smallest, spec.largest)
+        metadata |= {name: list(numbers) for name, numbers in self.prepared.color.exr_attributes().items()}
+        if scene.rolls:  # times of the ground truth in the first and the last line
+            metadata["row_time"] = line_times(scene, film.index)[[0, -1]].tolist()
+        return metadata
 
 
 def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:

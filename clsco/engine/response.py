@@ -37,21 +37,11 @@ FILTER_REACH = 2  # texels of a bicubic filter
 
 @dataclass(frozen=True, eq=False)
 class IsolatedSource:
-    """A scene in which one source is lit.
+    """A scene in which one source is lit."""
 
-    Attributes
-    ----------
-    scene : Scene
-        The scene; its frame includes a margin.
-    margin : int
-        Width of the margin on each side of the frame, px.
-    share : ndarray of float32, (rows, columns), optional
-        Vignetting by which the frame without its margin is multiplied; by default none.
-    """
-
-    scene: Scene
-    margin: int
-    share: NDArray[np.float32] | None = None
+    scene: Scene  # its frame includes the margin
+    margin: int  # width on each side of the frame, px
+    share: NDArray[np.float32] | None = None  # vignetting by which the frame without its margin is multiplied
 
     def inside(self, frame: Frame) -> NDArray[np.float32]:
         """Response (rows, columns) from a frame of the scene, without its margin; green light of a color frame."""

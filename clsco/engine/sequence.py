@@ -6,7 +6,6 @@ import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from typing import SupportsIndex, TypedDict, Unpack
 
 from clsco.engine.renderer import Renderer, expose
@@ -21,7 +20,7 @@ from clsco.plan.memory import Limit, device_bytes, fit_strips, lens_bytes, limit
 from clsco.plan.methods import MANY_RADII, check_method
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared, lens_groups, prepare_sweep
-from clsco.plan.request import Request
+from clsco.plan.request import Request, check_tolerance
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
@@ -208,9 +207,7 @@ def checked_request(
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
     if tolerance is not None:
-        from clsco.plan.approximation import checked_tolerance
-
-        checked_tolerance(tolerance)
+        check_tolerance(tolerance)
     if memory is not None:
         parse_size(memory)
     names = truth_names(truth)
@@ -336,7 +333,8 @@ def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[lis
     """Plans of lenses that share their rays, for each eye, widened to one guard band; empty if they cannot share rays
     or do not fit. plans: for each lens, the plans of its views.
     """
-    if len(plans) == 1 or not all(_shares_rays(first, second) for first, second in pairwise(plans)):
+    keys = {tuple((plan.blur, plan.groups, plan.silhouettes, plan.samples) for plan in views) for views in plans}
+    if len(plans) == 1 or len(keys) > 1 or not all(casts_for_lenses(plan) for views in plans for plan in views):
         return []
     plans_by_eye = []
     for lens_plans in zip(*plans, strict=True):
@@ -348,16 +346,6 @@ def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[lis
             return []
         plans_by_eye.append(widened)
     return plans_by_eye
-
-
-def _shares_rays(first: tuple[Plan, ...], second: tuple[Plan, ...]) -> bool:
-    """True if two lenses can share ray hits; first, second: plans of their views."""
-    return all(
-        casts_for_lenses(a)
-        and casts_for_lenses(b)
-        and (a.blur, a.groups, a.silhouettes, a.samples) == (b.blur, b.groups, b.silhouettes, b.samples)
-        for a, b in zip(first, second, strict=True)
-    )
 
 
 def casts_for_lenses(plan: Plan) -> bool:

@@ -17,14 +17,7 @@ T = TypeVar("T")
 class Shrinking(Generic[F]):
     """Runs work that fits a memory limit; if the device runs short of memory, retries with half of the memory.
 
-    Parameters
-    ----------
-    session : Session
-    limit : Limit
-    fit : callable
-        Returns the description of the work that fits a limit, such as a plan.
-    size : callable
-        Returns the size in bytes of its buffers on the device.
+    fit: returns the description of the work that fits a limit, such as a plan; size: returns the bytes of its buffers.
     """
 
     def __init__(

@@ -39,12 +39,8 @@ def warm(session: Session, scene: Scene, files: InputFiles) -> None:
 
 
 def run_plausible_plans(session: Session, prepared: Prepared) -> int:
-    """Run the kernels of a scene and of similar ones on small frames, so that they are compiled.
-
-    Returns
-    -------
-    int
-        Number of plans that were run.
+    """Run the kernels of a scene and of similar ones on small frames, so that they are compiled; returns the number of
+    plans.
     """
     small, count = _small(prepared), 0
     columns, rows = small.scene.camera.resolution or (SIDE, SIDE)

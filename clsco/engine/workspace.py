@@ -40,6 +40,7 @@ from clsco.passes.trace import Hits, Tracer
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import SHARED, hit_buffers, sensor_buffers, sum_buffers
 from clsco.plan.image import ImagePlan
+from clsco.plan.memory import buffer_bytes
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Kind, Pass, run_passes
 from clsco.plan.plan import Plan
@@ -60,21 +61,15 @@ Outputs = tuple[Any, ...]
 
 def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> dict[str, cl.Buffer]:
     """Allocate the buffers of `SHARED` that a plan needs, except the `absent` ones. Raises DeviceError."""
-    sizes = {name: size for step in plan.passes for name, size in step.buffers.items()}
+    sizes = buffer_bytes(plan)
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
 
 
 class Workspace:
-    """Buffers of a plan, and a method for each kind of pass; base class of all workspaces.
+    """Buffers of `SHARED` that a plan has, and a method for each kind of pass; base class of all workspaces.
 
     A pass is run by the method with the name of its kind, which takes a job, the pass and the pass's inputs, and
     returns its outputs.
-
-    Parameters
-    ----------
-    session : Session
-    buffers : mapping
-        Buffers of `SHARED` that the plan has.
     """
 
     def __init__(self, session: Session, buffers: Mapping[str, cl.Buffer]) -> None:
@@ -105,25 +100,9 @@ class Workspace:
 class BlurWorkspace(Workspace):
     """Runs the passes from an image or sources to the blurred plane.
 
-    Parameters
-    ----------
-    session : Session
-    buffers : mapping
-        Buffers of `SHARED` that the plan has; they include "source" if images become sources.
-    spec : BlurSpec
-    tallest : Grid
-        Grid of the frame, or the tallest of its strips.
-    grid : numpy.void
-        grid_t of the first strip.
-    real : {"double", "float"}
-    maps : Maps
-        Kind of map that has the blur radii of images.
-    behind_rims : callable, optional
-        Returns the lens for a job; needed for images if aperture rims cut their light.
-
-    Raises
-    ------
-    DeviceError, KernelError
+    buffers: include "source" if images become sources; tallest: grid of the frame, or the tallest of its strips; grid:
+    grid_t of the first strip; maps: kind of map that has the blur radii of images; behind_rims: returns the lens for a
+    job, needed for images if aperture rims cut their light.
     """
 
     _target: Target
@@ -195,15 +174,7 @@ class BlurWorkspace(Workspace):
 
 @dataclass(frozen=True)
 class ColorChannel:
-    """Textures and pixels of all colors together, or of one color.
-
-    Attributes
-    ----------
-    scene : PlacedScene
-        The scene with textures that have only these colors.
-    pixels : ForwardWarp or StaticMap, optional
-        Origin of pixels in the reference pose; None if rays are cast.
-    """
+    """Textures and pixels of all colors together, or of one color; scene: with textures that have only these colors."""
 
     scene: PlacedScene
     pixels: Pixels
@@ -212,17 +183,8 @@ class ColorChannel:
 class PlaneWorkspace(BlurWorkspace):
     """Runs the passes up to the blurred plane of a time sample, for all colors together or for one color.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan for these colors.
-    channel : ColorChannel
-    buffers : dict
-        Buffers of `SHARED` that the plan has, shared by all colors.
-    hits : Hits, optional
-        Ray hits shared with other lenses.
-    grid : numpy.void
-        grid_t of the first strip.
+    buffers: those of `SHARED`, shared by all colors; hits: ray hits shared with other lenses; grid: grid_t of the first
+    strip.
     """
 
     def __init__(
@@ -289,19 +251,8 @@ class PlaneWorkspace(BlurWorkspace):
 class SceneWorkspace(Workspace):
     """Runs all passes of a scene.
 
-    Parameters
-    ----------
-    plan : Plan
-    channels : sequence of ColorChannel
-        Textures and pixels of all colors, or of each color in `Plan.color_plans`.
-    hits : Hits, optional
-        Ray hits shared with other lenses.
-    grid : numpy.void
-        grid_t of the first strip.
-
-    Raises
-    ------
-    DeviceError, KernelError
+    channels: of all colors, or one for each color in `Plan.color_plans`; hits: ray hits shared with other lenses; grid:
+    grid_t of the first strip.
     """
 
     _joined: JoinedColors

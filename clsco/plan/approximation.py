@@ -25,13 +25,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, isfinite, sqrt
+from math import ceil, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
 from clsco.optics.lens_path import camera_at, lenses_at, reference_camera
@@ -42,6 +41,7 @@ from clsco.optics.texture_mapping import needs_detail, texture_map
 from clsco.plan.image_motion import ImagePath, image_paths, sampled_frames
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps, grid_slopes, middle_of, predict_depths
+from clsco.plan.request import check_tolerance
 from clsco.plan.texture_sources import STEEP, footprints, power_in_frame, spectrum_of, squared_errors
 from clsco.scene.model import Scene
 
@@ -62,18 +62,10 @@ TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # fractions of the longest path, as some
 
 @dataclass(frozen=True)
 class ApproximationReport:
-    """Samples used for a frame with a tolerance.
+    """Samples used for a frame with a tolerance; silhouette samples along an axis of a pixel, 1 for none.
 
-    Attributes
-    ----------
-    tolerance : float
-        Requested RMS error, 1 = white.
-    rms_error : float
-        Estimated RMS error relative to all samples of the scene; 0 if all are used.
-    samples, scene_samples : int
-        Number of time samples: used, and of the scene.
-    silhouette_samples, scene_silhouette_samples : int
-        Number of sub-pixel sources along an axis of a pixel: used, and of the scene; 1 for none.
+    tolerance: requested RMS error, 1 = white; rms_error: estimated RMS error relative to all samples of the scene, 0 if
+    all are used.
     """
 
     tolerance: float
@@ -100,48 +92,16 @@ class ApproximationReport:
         return f"{counts}: estimated RMS error {self.rms_error:.2g} of white"
 
 
-def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
-    """True if a frame was rendered with this tolerance; report: its `ApproximationReport` as a mapping, or None."""
-    return (None if report is None else report.get("tolerance")) == tolerance
-
-
-def checked_tolerance(tolerance: float) -> float:
-    """Return the tolerance; raises SceneError unless it is a positive number."""
-    if not (isfinite(tolerance) and tolerance > 0.0):
-        raise SceneError(f"tolerance: must be a number above 0, RMS of white; got {tolerance}")
-    return tolerance
-
-
 def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
-    """Choose the cheapest numbers of samples whose estimated error is within a tolerance.
+    """Choose the cheapest numbers of samples whose estimated error is within a tolerance, the RMS error with 1 = white.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan with all samples.
-    tolerance : float
-        RMS error, 1 = white.
-    textures : callable
-        Returns the textures of all objects; called only if something may be saved.
-    maps : sequence
-        As for `clsco.plan.plan.make_plan`.
-    least : tuple of int
-        Lower bounds of time samples and silhouette samples.
-
-    Returns
-    -------
-    Scene
-        Scene with fewer samples, or that of the plan.
-    ApproximationReport
-
-    Raises
-    ------
-    SceneError
-        The tolerance is not a positive number.
+    plan: with all samples; textures: returns those of all objects, called only if something may be saved; least: lower
+    bounds of time samples and silhouette samples. The scene is that of the plan if all samples are needed. Raises
+    SceneError if the tolerance is not a positive number.
     """
-    checked_tolerance(tolerance)
+    check_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square = *exact, 0.0
     fine = needs_detail(scene, plan.psf, plan.largest_blur)
@@ -256,7 +216,6 @@ class _Outlines:
 
     @staticmethod
     def of(psf: PointSpread, parts: tuple[_Part, ...]) -> _Outlines:
-        """Outlines of all objects."""
         slope = 2.0 / SIDE * (2.0 * np.pi * FREQUENCIES * np.sinc(FREQUENCIES)) ** 2
         pairs = [(sum(part.outline), _squared_transfer(psf, part.radius)) for part in parts]
         edges = (length * float(transfer[: SIDE // 2].mean()) for length, transfer in pairs)

@@ -95,11 +95,8 @@ def by_columns(psf: PointSpread) -> bool:
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
     """True if `gather` adds widely blurred, partly hidden sources by the ends of runs (kernels/blur/cpu/spans.clh)."""
-    return spec.method == "gather" and bool(spec.occluders) and _is_uniform(spec) and fp64 and _in_parts(spec.reach)
-
-
-def _is_uniform(spec: BlurSpec) -> bool:
-    return spec.psf.uniform and not spec.psf.stretched and not has_ray_means(spec.psf)
+    uniform = spec.psf.uniform and not spec.psf.stretched and not has_ray_means(spec.psf)
+    return spec.method == "gather" and spec.occluders > 0 and uniform and fp64 and _in_parts(spec.reach)
 
 
 def _in_parts(reach: int) -> bool:
@@ -155,16 +152,7 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
 def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     """Buffers of a blur (`clsco.passes.frame_blur.make_blur`).
 
-    Parameters
-    ----------
-    spec : BlurSpec
-    grid : Grid
-    device : DeviceFacts
-
-    Returns
-    -------
-    dict
-        "total" is the plane of a time sample, with rows as long as in `margin`; other buffers depend on the method.
+    "total" is the plane of a time sample, with rows as long as in `margin`; other buffers depend on the method.
     """
     reach, channels, rows, columns = spec.reach, grid.channels, grid.rows, grid.columns
     _, pitch = margin(columns, grid.guard, reach)
@@ -226,28 +214,18 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
     return sizes
 
 
-def _span(spec: BlurSpec) -> range:
-    return rounded_span(spec.psf, spec.smallest, spec.largest, 0)
-
-
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
     """Specification of the blur of a depth layer with its coverage; spec: that of the frame's blur."""
     brightest = max(spec.brightest, 1.0)
     return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
 
 
-def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, largest: float) -> int:
-    """Bytes of the pyramid of `clsco.passes.layered.DepthLayers` over a grid, for radii up to `largest` px."""
-    planes = channels + 2  # two more: the radius, and how far it is known
-    rows, columns, start = levels_of(height, width, most_deep(psf, largest), planes)[-1]
-    return 4 * (start + planes * rows * columns)
-
-
 def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
     """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`): planes that assign pixels to
     layers, and the planes of one layer with its pyramid. Arguments as for `layered_buffers`.
     """
-    pixels = grid.sources
+    pixels, planes = grid.sources, grid.channels + 2  # of the pyramid: also the radius, and how far it is known
+    rows, columns, start = levels_of(grid.height, grid.width, most_deep(spec.psf, spec.largest), planes)[-1]
     return {
         "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
         "offset": 4 * pixels,
@@ -255,7 +233,7 @@ def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
         "seed": pixels,
         "hidden": pixels,
         "edge": pixels,
-        "pyramid": pyramid_bytes(spec.psf, grid.channels, grid.width, grid.height, spec.largest),
+        "pyramid": 4 * (start + planes * rows * columns),
         "value": 4 * (grid.channels + 1) * pixels,  # with coverage
         "coc": REAL_BYTES * pixels,
         "valid": pixels,
@@ -263,43 +241,21 @@ def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
 
 
 def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`) besides those of the frame's blur.
-
-    Parameters
-    ----------
-    spec : BlurSpec
-        Blur of the frame.
-    grid : Grid
-    device : DeviceFacts
-
-    Returns
-    -------
-    dict
-        Buffers of sources and of coverage; buffers of a layer's blur have names that begin with "blur ".
+    """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`) besides those of the frame's blur `spec`: of
+    sources, of coverage, and of a layer's blur, whose names begin with "blur ".
     """
     sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
     sizes |= {"open": sizes["covered"]} if spec.occluders else {}
     layer = depth_layer_spec(spec)
     inner = blur_buffers(layer, replace(grid, channels=grid.channels + 1), device)
-    if _span(spec) == _span(layer):  # one table serves both
+    span, layer_span = (rounded_span(each.psf, each.smallest, each.largest, 0) for each in (spec, layer))
+    if span == layer_span:  # one table serves both
         inner = {name: size for name, size in inner.items() if name not in TABLES}
     return sizes | {f"blur {name}": size for name, size in inner.items()}
 
 
 def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of `clsco.passes.warp.ForwardWarp` besides those of its filling.
-
-    Parameters
-    ----------
-    scene : Scene
-    grid : Grid
-        Grid of the whole frame.
-    device : DeviceFacts
-
-    Returns
-    -------
-    dict
-    """
+    """Buffers of `clsco.passes.warp.ForwardWarp` besides those of its filling; grid: of the whole frame."""
     pixels, objects = grid.rows * grid.columns, len(scene.objects)
     maps = sum(not item.is_analytic for item in scene.objects)
     surfaces = objects * structs("double")["surface_t"].itemsize
@@ -316,22 +272,8 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
 
 
 def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
-    """Buffers of `clsco.passes.fill.Filler`.
-
-    Parameters
-    ----------
-    grid : Grid
-        Grid of the whole frame.
-    several : bool
-        True for several objects.
-    far : bool
-        True if holes are filled from the far side.
-    smooths : bool
-        True for mean/median filling.
-
-    Returns
-    -------
-    dict
+    """Buffers of `clsco.passes.fill.Filler`; grid: of the whole frame; several: True for several objects; far: True if
+    holes are filled from the far side; smooths: True for mean/median filling.
     """
     pixels, lines = grid.sources, grid.width + grid.height
     sizes = {
@@ -362,12 +304,12 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
 
 def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Sizes:
     """Buffers of trace.cl: ray hits and sources of an occlusion group at one time sample, predicted extents of several
-    objects, the lens's effect on rays, and statistics of a frame. mapped: as for `hit_buffers`.
+    objects, and the lens's effect on rays. mapped: as for `hit_buffers`.
     """
     objects, bends = len(scene.objects), bend_buffers(scene, grid.sources)
     sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}
     extents = {"extents": 6 * REAL_BYTES * objects} if objects > 1 else {}
-    return hit_buffers(grid, mapped) | sources | extents | bends | {"statistics": 4 * STATISTICS}
+    return hit_buffers(grid, mapped) | sources | extents | bends
 
 
 def bend_buffers(scene: Scene, pixels: int) -> Sizes:

@@ -10,16 +10,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Choice(Generic[T]):
-    """A value that a plan decided on, and the reason.
+    """A value that a plan decided on, with the reason for reports, and the scene's keys that have no effect with it.
 
-    Attributes
-    ----------
-    value : object
-        False, 0, empty or "none" if a part of the pipeline is left out.
-    reason : str
-        Text for reports.
-    unused : tuple of str
-        Keys of the scene file that have no effect with this value.
+    value: False, 0, empty or "none" if a part of the pipeline is left out.
     """
 
     value: T

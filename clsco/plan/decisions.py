@@ -11,7 +11,7 @@ from clsco.optics.exposure import subframes_of
 from clsco.optics.lens_path import widest_camera
 from clsco.optics.quadrics import Extent
 from clsco.optics.texture_mapping import needs_detail
-from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
+from clsco.optics.visibility import OcclusionGroup, extent, occlusion_groups
 from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
 from clsco.plan.methods import Blur, Occlusion, can_convolve, choose_blur, has_few_taps
@@ -19,6 +19,7 @@ from clsco.plan.predict import (
     ResolvedScene,
     constant_blur,
     fills_view,
+    hides_nothing,
     is_forward,
     is_static_map,
     shifts_view,
@@ -29,6 +30,7 @@ from clsco.scene.model import Aperture, Fill, Scene
 UNEVEN = 0.25  # fraction of the range of sampled poses by which an object may leave this range
 MOST_NAMED = 3  # largest number of objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
+NO_COLOR = "nobody asked for the color: neither its rays nor its blur"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
@@ -47,57 +49,23 @@ POSSIBLE: tuple[tuple[Group, Callable[[Scene], bool], str], ...] = (
 
 @dataclass(frozen=True)
 class Choices:
-    """Decisions of a plan, in the order in which reports list the parts that are left out.
-
-    Attributes
-    ----------
-    image : Choice of bool
-        Make the image, not only ground truth.
-    motion : Choice of int
-        Number of time samples for moving objects.
-    trace : Choice of bool
-        Cast rays.
-    texture_sampling : Choice of bool
-        Interpolate textures between their texels.
-    reproject : Choice of bool
-        Move pixels of the reference pose.
-    fill : Choice of bool
-        Fill pixels that the forward warp leaves missing.
-    silhouettes : Choice of int
-        Number of sub-pixel sources per axis.
-    tilt : Choice of bool
-        Make weights depend on the gradient of R.
-    blur : Choice of Blur
-        Method of the blur.
-    renormalize : Choice of bool
-        Return light that crosses the border to the frame.
-    guard_band : Choice of bool
-        Include light from surfaces beyond the frame.
-    color : Choice of bool
-        Use three channels.
-    occlusion : Choice of Occlusion
-        Method of occlusion.
-    ground_truth : Choice of tuple of str
-        Outputs besides color and alpha.
-    other_outputs : Choice of bool
-        False if some outputs are requested, but not all that the scene can have; the reason names these.
-    """
+    """Decisions of a plan, in the order in which reports list the parts that are left out."""
 
     image: Choice[bool]
-    motion: Choice[int]
+    motion: Choice[int]  # time samples while a line is exposed
     trace: Choice[bool]
-    texture_sampling: Choice[bool]
-    reproject: Choice[bool]
+    texture_sampling: Choice[bool]  # interpolate textures between their texels
+    reproject: Choice[bool]  # move pixels of the reference pose
     fill: Choice[bool]
-    silhouettes: Choice[int]
-    tilt: Choice[bool]
+    silhouettes: Choice[int]  # sub-pixel sources per axis
+    tilt: Choice[bool]  # weights depend on the gradient of R
     blur: Choice[Blur]
-    renormalize: Choice[bool]
-    guard_band: Choice[bool]
+    renormalize: Choice[bool]  # return light that crosses the border to the frame
+    guard_band: Choice[bool]  # include light from surfaces beyond the frame
     color: Choice[bool]
     occlusion: Choice[Occlusion]
-    ground_truth: Choice[tuple[str, ...]]
-    other_outputs: Choice[bool]
+    ground_truth: Choice[tuple[str, ...]]  # outputs besides color and alpha
+    other_outputs: Choice[bool]  # False if only some are requested; the reason names the others
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:
@@ -138,7 +106,7 @@ def choose(
     renormalize, guard_band = choose_border(scene)
     truth, other_outputs = choose_truth(scene, request.truth, request.color)
     choices = Choices(
-        image=choose_image(request.color),
+        image=Choice(True) if request.color else Choice(False, NO_COLOR),
         motion=choose_samples(view, rays.value),
         trace=rays,
         texture_sampling=choose_texture_sampling(view, warp.value),
@@ -157,15 +125,10 @@ def choose(
     return choices, groups, extents
 
 
-def choose_image(color: bool) -> Choice[bool]:
-    """Decide whether to make the image; color: True if it is requested."""
-    return Choice(True) if color else Choice(False, "nobody asked for the color: neither its rays nor its blur")
-
-
 def choose_samples(view: ResolvedScene, rays: bool) -> Choice[int]:
     """Choose the number of time samples while a line of the frame is exposed; 0 if nothing moves.
 
-    rays: True if rays are cast; guard: width of the guard band, px. Raises SceneError for too many time samples.
+    rays: True if rays are cast. Raises SceneError for too many time samples.
     """
     scene = view.scene
     if not scene.moves:
@@ -266,13 +229,6 @@ def choose_occlusion(
     if any(group.occluders for group in groups):
         return Choice("visibility"), groups, extents
     return Choice("none", "no object hides another within its blur", key), groups, extents
-
-
-def hides_nothing(scene: Scene) -> bool:
-    """True if the whole lens sees the same points as the pinhole: for a single surface that is not a depth map and has
-    no visible inside.
-    """
-    return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
 
 def choose_tilt(scene: Scene, one_radius: bool, blur: Blur) -> Choice[bool]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from clsco.plan.decisions import Choices
-from clsco.plan.ellipses import ellipticity_of
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Parameters
+from clsco.plan.predict import ellipticity_of
 from clsco.scene.model import Scene
 
 

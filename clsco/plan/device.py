@@ -10,35 +10,32 @@ UNKNOWN = 2**62  # bytes, in place of a limit that is not known
 
 
 class DeviceFacts(Protocol):
-    """Interface of a device's limits that a plan depends on; `clsco.opencl.device.Device` implements it."""
+    """Limits of a device that a plan depends on; `clsco.opencl.device.Device` implements it.
+
+    kind: "gpu", "cpu" or "accelerator"; compute_units: number of cores; global_mem: bytes; max_alloc: bytes of the
+    largest buffer; unified_memory: True if the device uses host memory.
+    """
 
     @property
-    def kind(self) -> str:
-        """ "gpu", "cpu" or "accelerator"."""
+    def kind(self) -> str: ...
 
     @property
-    def has_fp64(self) -> bool:
-        """True if the device computes in double precision."""
+    def has_fp64(self) -> bool: ...
 
     @property
-    def has_int64_atomics(self) -> bool:
-        """True if the device has atomic addition of 64-bit integers."""
+    def has_int64_atomics(self) -> bool: ...
 
     @property
-    def compute_units(self) -> int:
-        """Number of cores."""
+    def compute_units(self) -> int: ...
 
     @property
-    def global_mem(self) -> int:
-        """Size of the device's memory in bytes."""
+    def global_mem(self) -> int: ...
 
     @property
-    def max_alloc(self) -> int:
-        """Size in bytes of the largest buffer that the device can allocate."""
+    def max_alloc(self) -> int: ...
 
     @property
-    def unified_memory(self) -> bool:
-        """True if the device uses host memory."""
+    def unified_memory(self) -> bool: ...
 
 
 @dataclass(frozen=True)

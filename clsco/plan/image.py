@@ -1,29 +1,35 @@
-"""Passes that blur an image by its map of blur radii, and the plan for an image that a user passes with radii."""
+"""Passes that blur an image by its map of blur radii, passes after the blur, and the plan for a user's image."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from clsco.frame.strips import Grid, Strip, cut_strips
 from clsco.optics.depth_layers import margin_of_layers
 from clsco.optics.psf_grid import table_reach
+from clsco.optics.sensor import GRAY, LEAST_DARK_NOISE, SensorModel
 from clsco.plan.buffers import (
+    SHARED,
     Sizes,
     blur_buffers,
     cluster_buffers,
     layered_buffers,
     map_buffers,
+    sensor_buffers,
     source_buffers,
 )
 from clsco.plan.device import DeviceFacts
 from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.plan.passes import Parameters, Pass
+from clsco.scene.model import Scene
 
 CLUSTERED = (("layers", "of the image's pixels by R, each extended behind nearer ones"),)
 FROM_R = ("R", "from the inverse depth of every pixel")
 SLOPE = ("gradient", "from differences of R")
+COLORS = ("red", "green", "blue")
+JOINED = (("colors", "each blurred by itself"),)
 
 
 def prefix_names(owner: str, sizes: Sizes) -> Sizes:
@@ -58,20 +64,47 @@ def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Par
         yield Pass("blur", parameters, blur, ("sources",), ("plane",))
 
 
+def color_passes(passes: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
+    """The passes that blur red, green and blue separately, each up to the blurred plane, and join them in one plane.
+
+    grid: has the channels of the joined plane.
+    """
+    sizes = {"colors": 4 * grid.channels * grid.rows * grid.columns}
+    for color, (name, steps) in enumerate(zip(COLORS, passes, strict=True)):
+        for step in steps:
+            buffers = {key if key in SHARED else f"{name} {key}": size for key, size in step.buffers.items()}
+            yield replace(step, buffers=buffers, color=color)
+        inputs, last = ("plane", "colors") if color else ("plane",), name == COLORS[-1]
+        yield Pass("join colors", JOINED, sizes, inputs, ("plane" if last else "colors",), color=color)
+
+
+def vignetting_pass(scene: Scene, rows: int, columns: int) -> Pass:
+    """The pass that darkens the blurred plane of a time sample, of rows x columns px."""
+    kind = "none" if scene.lens is None else scene.lens.vignetting
+    text = "cos^4 of the angle from the axis" if kind == "natural" else f"a1, a2, a3 = {kind}"
+    return Pass("vignetting", (("share", text),), {"vignetting": 4 * rows * columns}, ("plane",), ("plane",))
+
+
+def sensor_pass(model: SensorModel, grid: Grid, takes: str) -> Pass:
+    """The pass that reads out the irradiance of a complete frame; takes: its name, "frame" or "plane"."""
+    sensor = model.sensor
+    electrons = f"{model.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
+    codes = f"{model.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"
+    noise = f"{model.dark_noise:.3g} DN rms in the dark"
+    if model.dark_noise < LEAST_DARK_NOISE:
+        noise += f": posterized, as below {LEAST_DARK_NOISE} DN means of many frames follow the steps of the codes"
+    parameters: Parameters = (("electrons", electrons), ("codes", codes), ("noise", noise))
+    if sensor.mosaic != "none":
+        parameters += (("mosaic", f"{sensor.mosaic}, demosaic {sensor.demosaic}"),)
+    return Pass("sensor", parameters, prefix_names("sensor", sensor_buffers(model, grid)), (takes,), ("codes",))
+
+
 @dataclass(frozen=True)
 class ImagePlan:
     """Plan for blurring an image by its map of radii, as in `clsco.defocus`.
 
-    Attributes
-    ----------
-    spec : BlurSpec
-    device : DeviceFacts
-    rows, columns, channels : int
-        Size of the image, px.
-    guard_px : int
-        Width of the guard band around the image that contributes light.
-    strip_rows : int
-        Rows of the tallest strip, 0 for all rows.
+    guard_px: width of the guard band around the image that contributes light; strip_rows: rows of the tallest strip, 0
+    for all rows.
     """
 
     spec: BlurSpec

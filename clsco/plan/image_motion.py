@@ -50,21 +50,11 @@ BETWEEN = 0.95  # ratio of a lower bound of |R| between rays to the smallest |R|
 
 @dataclass(frozen=True, eq=False)
 class ImagePath:
-    """Path of an object's points in the image while the shutter of a frame is open.
+    """Path of an object's points in the image while the shutter of a frame is open."""
 
-    Attributes
-    ----------
-    times : ndarray of float64, (n,)
-        From 0, when the shutter opens, to 1, when it closes.
-    places : ndarray of float64, (n, 3, points)
-        x and y in px from the middle of the image, and inverse depth in 1/mm.
-    visible : ndarray of bool, (n - 1, points)
-        True for the steps of each point that touch the frame or its guard band.
-    """
-
-    times: Array
-    places: Array
-    visible: NDArray[np.bool_]
+    times: Array  # (n,), from 0, when the shutter opens, to 1, when it closes
+    places: Array  # (n, 3, points): x and y in px from the middle of the image, and inverse depth in 1/mm
+    visible: NDArray[np.bool_]  # (n - 1, points), True for steps that touch the frame or its guard band
 
     @cached_property
     def steps(self) -> Array:
@@ -107,24 +97,12 @@ class ImagePath:
 
 @dataclass(frozen=True)
 class Need:
-    """Number of time samples that the motion of an object needs.
+    """Number of time samples that the motion of an object needs."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the object, from 0.
-    speed : float
-        Its largest speed in the image, px per exposure of a line.
-    radius : float
-        Smallest |R| of its visible points, px.
-    samples : float
-        Time samples per exposure of a line.
-    """
-
-    number: int
-    speed: float
-    radius: float
-    samples: float
+    number: int  # of the object, from 0
+    speed: float  # largest in the image, px per exposure of a line
+    radius: float  # smallest |R| of its visible points, px
+    samples: float  # time samples per exposure of a line
 
     def __str__(self) -> str:
         by_radius = self.samples < self.speed / PIXELS_PER_SAMPLE
@@ -134,36 +112,18 @@ class Need:
 def motion_needs(
     scene: Scene, psf: PointSpread, maps: Maps | None = None, guard: int = 0, gradual: bool = True
 ) -> list[Need]:
-    """Time samples per exposure of a line that the motion of each object needs, most demanding first.
+    """Time samples that the motion of each object needs, most demanding first; only objects with visible motion.
 
-    Parameters
-    ----------
-    scene : Scene
-    psf : PointSpread
-    maps : sequence of ndarray of float64 or None, optional
-        As for `clsco.plan.plan.make_plan`.
-    guard : int
-        Width in px of the guard band.
-    gradual : bool
-        True if the outline of an object is blurred like the object, so that points behind it appear gradually.
-
-    Returns
-    -------
-    list of Need
-        Objects with visible motion.
+    guard: width of the guard band, px; gradual: True if the outline of an object is blurred like the object, so that
+    points behind it appear gradually.
     """
     gradual = gradual and scene.sequence.sampling == "midpoint" and not scene.lens_moves
-    maps = None if maps is None or all(depth is None for depth in maps) else maps
-    return list(_cached_needs(scene, psf, guard, gradual) if maps is None else _needs(scene, psf, maps, guard, gradual))
+    if maps is not None and any(depth is not None for depth in maps):
+        return _needs(scene, psf, maps, guard, gradual)
+    return list(_cached_needs(scene, psf, (None,) * len(scene.objects), guard, gradual))
 
 
-@lru_cache(maxsize=32)
-def _cached_needs(scene: Scene, psf: PointSpread, guard: int, gradual: bool) -> tuple[Need, ...]:
-    """`motion_needs` of a scene without depth maps, cached because frames are often requested one by one."""
-    return _needs(scene, psf, (None,) * len(scene.objects), guard, gradual)
-
-
-def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool) -> tuple[Need, ...]:
+def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool) -> list[Need]:
     line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # fraction of a frame
     needs = dict[int, Need]()
     for frame in sampled_frames(scene):
@@ -175,7 +135,10 @@ def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, gradual: bool
                 samples = min(samples, sqrt(_chord(psf) * line * path.variation / (24.0 * radius * EDGE_ERROR)))
             if samples > (needs[number].samples if number in needs else 0.0):
                 needs[number] = Need(number, speed, radius, samples)
-    return tuple(sorted(needs.values(), key=lambda need: -need.samples))
+    return sorted(needs.values(), key=lambda need: -need.samples)
+
+
+_cached_needs = lru_cache(maxsize=32)(_needs)  # without depth maps: frames are often requested one by one
 
 
 @lru_cache(maxsize=16)
@@ -223,25 +186,11 @@ def sampled_frames(scene: Scene) -> list[int]:
 
 
 def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[ImagePath]:
-    """Paths of all objects in the image while the shutter of a frame is open.
+    """Paths of all objects in the image while the shutter of a frame is open; those that stand still have no points.
 
     Poses are evaluated at FIRST_STEPS + 1 times; the steps are halved as long as this makes a path longer. 8 steps per
     rotation or oscillation give 0.97 of its length, so up to MOST_STEPS / 8 rotations are detected. An object that
     appears and disappears within a step may be missed: its light is at most 1 / FIRST_STEPS of the exposure's.
-
-    Parameters
-    ----------
-    scene : Scene
-    maps : sequence of ndarray of float64 or None
-        As for `clsco.plan.plan.make_plan`.
-    frame : int
-    guard : int
-        Width in px of the guard band.
-
-    Returns
-    -------
-    list of ImagePath
-        One per object; the path of an object that stands still has no points.
     """
     opens, closes = shutter_span(scene.sequence, frame)
     jumps = (jump_times(scene, frame) - opens) / (closes - opens)

@@ -25,20 +25,11 @@ SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differentl
 
 @dataclass(frozen=True)
 class SourceStatistics:
-    """Statistics of a frame's sources, measured on the device.
+    """Statistics of a frame's sources, measured on the device."""
 
-    Attributes
-    ----------
-    smallest, largest : float
-        Range of |R| in px; largest is 0 without sources.
-    beyond : bool
-        True if a ray hit an object outside of its predicted extent, where it may be hidden by objects that are not
-        occluders of its group.
-    """
-
-    smallest: float
+    smallest: float  # range of |R| in px; largest is 0 without sources
     largest: float
-    beyond: bool
+    beyond: bool  # a ray hit an object outside of its extent, where one may hide it that is no occluder of its group
 
     @classmethod
     def parse(cls, values: NDArray[np.int32]) -> Self:
@@ -49,23 +40,9 @@ class SourceStatistics:
 
 
 def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan | None:
-    """A plan with room for the measured statistics; None if the given plan is large enough.
+    """A plan with room for the measured statistics within the limit; None if the given plan is large enough.
 
-    Parameters
-    ----------
-    plan : Plan
-    statistics : SourceStatistics
-    limit : Limit
-        Limit for the larger plan.
-
-    Returns
-    -------
-    Plan or None
-
-    Raises
-    ------
-    SceneError
-        The blur radius exceeds LARGEST_BLUR, or the memory limit is too small.
+    Raises SceneError if the blur radius exceeds LARGEST_BLUR, or the memory limit is too small.
     """
     smallest, largest = statistics.smallest, statistics.largest
     fits = largest <= plan.largest_blur * SLACK + 1e-6 and smallest >= plan.smallest_blur / SLACK - 1e-6

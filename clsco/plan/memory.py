@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from math import ceil
 from typing import TypeVar
 
@@ -60,14 +61,8 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
 
 
 def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
-    """Sizes in bytes, by name, of a plan's buffers on the device.
-
-    Buffers named "truth ..." exist only while ground truth is computed.
-    """
-    sizes: Sizes = {}
-    for step in plan.passes:
-        sizes |= step.buffers
-    return sizes
+    """Sizes by name of a plan's buffers on the device; "truth ..." exist only while ground truth is computed."""
+    return {name: size for step in plan.passes for name, size in step.buffers.items()}
 
 
 def lens_bytes(plans: Sequence[Plan]) -> int:
@@ -93,12 +88,10 @@ def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
 
 def fit_strips(plan: P, limit: Limit) -> P:
     """The plan in as few strips as fit within the limit, in one if possible. Raises as `rows_that_fit`."""
-    plans = {plan.strip_rows: plan}  # passes are costly to list, and each plan caches its own
 
+    @cache  # passes are costly to list, and each plan caches its own
     def in_strips(rows: int) -> P:
-        if rows not in plans:
-            plans[rows] = replace(plan, strip_rows=rows)
-        return plans[rows]
+        return plan if rows == plan.strip_rows else replace(plan, strip_rows=rows)
 
     return in_strips(rows_that_fit(plan.rows, limit, lambda rows: buffer_bytes(in_strips(rows)), plan.forward))
 
@@ -110,7 +103,6 @@ def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, i
     warp, which needs the whole frame. If even the smallest strips do not fit, raises SceneError if they exceed a limit
     set by the user, and returns them otherwise.
     """
-
     if fits(sizes(rows), limit):
         return rows
     least = rows if one_strip else min(BAND, rows)

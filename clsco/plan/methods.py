@@ -34,49 +34,23 @@ HOW: dict[Blur, str] = {
 class BlurSpec:
     """Specification of a blur, which determines its programs and buffers.
 
-    Attributes
-    ----------
-    psf : PointSpread
-    method : Blur
-    smallest, largest : float
-        Range of |R| in px; radii outside of it are clamped, except by "convolve", which uses the radius of the sources.
-    subpixels : int
-        Sub-pixel sources per axis at silhouettes, 0 for none.
-    small : bool
-        True if small surfaces have their own slots of sub-pixel sources.
-    tilt : bool
-        True if sources store the gradient of R.
-    occluders : int
-        Largest number of occluders of one source, rounded by `occluder_room`.
-    limited : bool
-        True if any occluder has bounds, is one nappe of a double cone or hyperboloid, or is a disc.
-    brightest : float
-        Largest |radiance|, which sets the unit of integer sums.
-    border : {"lose", "renormalize"}
-        Treatment of light beyond the frame: lost, or returned to the frame.
-    layered : bool
-        True if sources are in depth layers, with nearer ones hiding farther ones.
-    curved : int
-        Feature CURVED of the lens (`clsco.plan.features.curvature_of`), if visibility tests or ellipses need it; else
-        0.
-    shared : bool
-        True if sub-pixel sources of fine textures may share the visibility test of their pixel.
+    Radii outside of the range are clamped, except by "convolve", which uses the radius of the sources.
     """
 
     psf: PointSpread
     method: Blur
-    smallest: float
+    smallest: float  # range of |R|, px
     largest: float
-    subpixels: int = 0
-    tilt: bool = False
-    occluders: int = 0
-    limited: bool = False
-    brightest: float = 1.0
-    border: Literal["lose", "renormalize"] = "lose"
-    layered: bool = False
-    curved: int = 0
-    shared: bool = False
-    small: bool = False
+    subpixels: int = 0  # sub-pixel sources per axis at silhouettes, 0 for none
+    tilt: bool = False  # True if sources store the gradient of R
+    occluders: int = 0  # largest number of occluders of one source, rounded by `occluder_room`
+    limited: bool = False  # if any occluder has bounds, is one nappe of a double cone or hyperboloid, or is a disc
+    brightest: float = 1.0  # largest |radiance|, which sets the unit of integer sums
+    border: Literal["lose", "renormalize"] = "lose"  # light beyond the frame is lost, or returned to the frame
+    layered: bool = False  # True if sources are in depth layers, with nearer ones hiding farther ones
+    curved: int = 0  # feature CURVED of the lens, if visibility tests or ellipses need it
+    shared: bool = False  # True if sub-pixel sources of fine textures may share the visibility test of their pixel
+    small: bool = False  # True if small surfaces have their own slots of sub-pixel sources
 
     @property
     def marked(self) -> bool:
@@ -129,31 +103,12 @@ def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
 def choose_blur(
     method: str, sharp: bool, one_stencil: bool, gpu: bool, occluded: bool = False, few_taps: bool = False
 ) -> Choice[Blur]:
-    """Choose the method of a blur.
+    """Choose the method of a blur: `method` unless it is "auto". Raises SceneError for a method that does not exist or
+    does not support this blur.
 
-    Parameters
-    ----------
-    method : str
-        "auto", one of MANY_RADII, or "convolve".
-    sharp : bool
-        True if all light stays in its pixel (`PointSpread.is_sharp`).
-    one_stencil : bool
-        True if all pixels have one radius and `can_convolve` is True.
-    gpu : bool
-        True if the device is a GPU.
-    occluded : bool
-        True if sources may be occluded, rims cut their light, or their blur is an ellipse.
-    few_taps : bool
-        Value of `has_few_taps`.
-
-    Returns
-    -------
-    Choice of Blur
-
-    Raises
-    ------
-    SceneError
-        The method does not exist, or does not support this blur.
+    sharp: all light stays in its pixel (`PointSpread.is_sharp`); one_stencil: all pixels have one radius and
+    `can_convolve` is True; occluded: sources may be occluded, rims cut their light, or their blur is an ellipse;
+    few_taps: value of `has_few_taps`.
     """
     check_method(method)
     if method == "gather" and gpu:

@@ -1,4 +1,4 @@
-"""Notes on scenes that may not look as intended, by geometry alone, before rendering."""
+"""Notes on scenes that may not look as intended, by geometry alone, and on keys without effect, before rendering."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ RAYS = 65  # rays per axis of the frame; if they miss an object, also per axis o
 FEW_FRAMES, MOST_FRAMES = 5, 64  # frames that are examined: always; if these do not show an object
 LENS_POINTS = np.exp(0.25j * np.pi * np.arange(8))  # may see objects that are hidden from the middle
 MOST_NAMED = 3
+SECTIONS = ("aperture", "psf", "sequence", "motion", "fill")
 
 Array = NDArray[np.float64]
 
@@ -58,19 +59,8 @@ class _Sight:
 
 def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
     """Lines on objects that no frame shows or whose image is narrower than a pixel, on a light that shines only on
-    hidden sides, and on black frames; empty for scenes with depth maps.
+    hidden sides, and on black frames; empty for scenes with depth maps. plans: those of the views of a scene.
 
-    Parameters
-    ----------
-    plans : tuple of Plan
-        Plans of the views of a scene.
-
-    Returns
-    -------
-    list of str
-
-    Notes
-    -----
     FEW_FRAMES frames are examined at the beginning, middle and end of their exposures, from the middle of the lens. If
     these do not show an object, up to MOST_FRAMES are, and with visibility tests also from near the edge of the lens.
     """
@@ -133,7 +123,8 @@ def _examine(
     if light is not None and light.is_near:
         light = replace(light, place=light.place - eye)
     guard = 0 if any(place) else plan.guard_px  # the guard band is for rays from the middle
-    x, y = slopes_at(camera, *np.meshgrid(*(_positions(size, guard) for size in camera.frame_size)))
+    across = (np.linspace(-0.5, 0.5, RAYS) * (size - 1 + 2 * guard) for size in camera.frame_size)
+    x, y = slopes_at(camera, *np.meshgrid(*across))
     frame = x - eye[0] * power, y - eye[1] * power  # rays cross in the focal surface
     depths, any_seen = _depths(scene, surfaces, frame), False
     for k, (item, surface) in enumerate(zip(scene.objects, surfaces, strict=True)):
@@ -154,11 +145,6 @@ def _examine(
         if light is not None and not sight.lit and light.members >> k & 1:
             sight.lit = _is_lit(surface, light, *(values[visible] for values in (*rays, w[k])))
     return any_seen
-
-
-def _positions(size: int, guard: int) -> Array:
-    """Positions (RAYS,) in px across the frame and its guard band."""
-    return np.linspace(-0.5, 0.5, RAYS) * (size - 1 + 2 * guard)
 
 
 def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Array]) -> Array:
@@ -190,3 +176,28 @@ def _is_lit(surface: PlacedSurface, light: PlacedLight, x: Array, y: Array, w: A
     normal *= -np.sign((normal * ray).sum(axis=0))  # towards the lens
     towards = light.place[:, None] * (w if light.is_near else 1.0) - (ray if light.is_near else 0.0)
     return bool(((normal * towards).sum(axis=0) > 0.0).any())
+
+
+def unused_keys(plan: Plan) -> list[tuple[str, str]]:
+    """Keys that the scene sets although they have no effect, as pairs of key and reason."""
+    scene, reasons = plan.scene, plan.choices.unused | _idle_keys(plan.scene)
+    tables = [(name, getattr(scene, name)) for name in SECTIONS]
+    tables += [(f"object[{k}]", item) for k, item in enumerate(scene.objects)]
+    tables += [(f"group[{k}]", group) for k, group in enumerate(scene.groups)]
+    keys = [f"{place}.{key}" for place, table in tables for key in sorted(table.model_fields_set)]
+    return [(key, reasons[key]) for key in keys if key in reasons]
+
+
+def _idle_keys(scene: Scene) -> dict[str, str]:
+    """Reasons for keys that have no effect whatever is requested, by key."""
+    reasons = {}
+    motions = [scene.camera.motion, *(motion for item in scene.objects for motion in scene.motions(item))]
+    if scene.moves and all(sum(motion.turns) < 2 for motion in motions):
+        reasons["motion.rotation"] = "euler and axis differ only for turns about several axes"
+    for k, item in enumerate(scene.objects):
+        if not item.is_analytic and item.group is None and not any(item.motion.turns):
+            reasons[f"object[{k}].center"] = "the depth map does not turn"
+    for k, group in enumerate(scene.groups):
+        if all(item.group != group.name for item in scene.objects):
+            reasons |= {f"group[{k}].{key}": "no object is in it" for key in type(group).model_fields}
+    return reasons

@@ -19,24 +19,14 @@ ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # other passes run 
 
 @dataclass(frozen=True)
 class Pass:
-    """A step of a frame: the engine runs it, `clsco plan` prints it, and the memory estimate adds it up.
+    """A step of a frame: the engine runs it, `clsco plan` prints its parameters, and the memory estimate adds it up.
 
-    Attributes
-    ----------
-    kind : Kind
-    parameters : tuple of (str, str)
-        Parameters of the pass, for reports.
-    buffers : dict
-        Size in bytes of each buffer on the device, by name; passes share buffers of equal name.
-    takes, gives : tuple of str
-        Names of its inputs, which are outputs of earlier passes, and of its outputs: "moved" pixels; an "image" with
-        its radii; "sources"; depth "layers"; the blurred "plane" of a time sample; the "colors" joined so far, if each
-        is blurred separately; the "frame" summed so far; the sensor's "codes" of the complete frame; "counts" and mask
-        of "missing" pixels of a filling; the number of "depth_layers".
-    group : OcclusionGroup
-        Occlusion group that the pass processes.
-    color : int, optional
-        Color that the pass processes, 0 to 2; by default all colors.
+    buffers: size in bytes of each buffer on the device, by name; passes share buffers of equal name.
+    takes, gives: names of its inputs, which are outputs of earlier passes, and of its outputs: "moved" pixels; an
+    "image" with its radii; "sources"; depth "layers"; the blurred "plane" of a time sample; the "colors" joined so far,
+    if each is blurred separately; the "frame" summed so far; the sensor's "codes" of the complete frame; "counts" and
+    mask of "missing" pixels of a filling; the number of "depth_layers".
+    color: color that the pass processes, 0 to 2; by default all colors.
     """
 
     kind: Kind
@@ -49,21 +39,10 @@ class Pass:
 
 
 def run_passes(passes: Iterable[Pass], run: Callable[..., Iterable[Any]]) -> Mapping[str, Any]:
-    """Run passes in the given order.
+    """Run passes in the given order; returns all outputs by name, of outputs with equal names the latest.
 
-    Parameters
-    ----------
-    passes : iterable of Pass
-    run : callable
-        Called with a pass and its inputs, in the order of `takes`; returns its outputs, in the order of `gives`.
+    run: called with a pass and its inputs, in the order of `takes`; returns its outputs, in the order of `gives`.
 
-    Returns
-    -------
-    dict
-        All outputs by name; of outputs with equal names, the latest.
-
-    Examples
-    --------
     >>> from clsco.plan.passes import Pass, run_passes
     >>> passes = Pass("pinhole", (), {}, gives=("image",)), Pass("blur", (), {}, ("image",), ("plane",))
     >>> run_passes(passes, lambda step, *inputs: [f"{step.kind} of {inputs}"])["plane"]

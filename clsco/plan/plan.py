@@ -39,19 +39,32 @@ from clsco.plan.buffers import (
     truth_buffers,
     warp_buffers,
 )
-from clsco.plan.colors import color_passes
 from clsco.plan.decisions import Choices, choose
 from clsco.plan.descriptions import describe_blur, describe_frame, describe_pixels, describe_rays, shapes_of
 from clsco.plan.device import DeviceFacts, ThisMachine
-from clsco.plan.ellipses import elliptic_spread
 from clsco.plan.features import curvature_of, shape_features
-from clsco.plan.image import blur_passes, light_of, prefix_names, strips_of
+from clsco.plan.image import (
+    blur_passes,
+    color_passes,
+    light_of,
+    prefix_names,
+    sensor_pass,
+    strips_of,
+    vignetting_pass,
+)
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, check_shape, occluder_room
 from clsco.plan.passes import Kind, Pass
-from clsco.plan.predict import Maps, ResolvedScene, has_small_images, is_static_map, resolve, shifts_view, slopes_where
+from clsco.plan.predict import (
+    Maps,
+    ResolvedScene,
+    elliptic_spread,
+    has_small_images,
+    is_static_map,
+    resolve,
+    shifts_view,
+    slopes_where,
+)
 from clsco.plan.request import Request
-from clsco.plan.sensor import sensor_pass
-from clsco.plan.vignetting import vignetting_pass
 from clsco.scene.model import Scene
 
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
@@ -60,63 +73,27 @@ SILHOUETTE_SLOTS = 12  # initial slots for pixels near silhouettes, per row and 
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of rendering a scene: passes, buffers and costs.
-
-    Attributes
-    ----------
-    scene : Scene
-        Scene with a resolution.
-    psf : PointSpread
-        Point spread function (PSF) of the scene's lens.
-    device : DeviceFacts
-        Device to run on.
-    eye : {"left", "right"}
-        View of a stereo pair.
-    channels, rows, columns : int
-        Size of the frame: 1 or 3 channels, and one more with `alpha`; rows and columns in px.
-    guard_px : int
-        Width of the guard band around the frame, px.
-    smallest_blur, largest_blur : float
-        Predicted range of |R| in px over the whole sequence, with a margin.
-    choices : Choices
-        Decisions on the parts of the pipeline, with their reasons.
-    groups : tuple of OcclusionGroup
-        Occlusion groups, which are blurred one after the other.
-    taps : float
-        Predicted number of weights that the blur of a frame computes.
-    spreads : tuple of PointSpread
-        PSFs of red, green and blue, if each color is blurred separately (`color_plans`).
-    only : int, optional
-        Color that this plan is for, 0 to 2; None for all colors.
-    alpha : bool
-        True if the last channel is coverage.
-    strip_rows : int
-        Rows of the tallest strip, 0 for all rows of the frame.
-    extents : tuple of Extent
-        Predicted extents of objects within which `groups` are valid; empty if they always are.
-    small : bool
-        True if an object may be so narrow in the image that it needs its own slots of sub-pixel sources.
-    """
+    """Plan of rendering a view of a scene, which has a resolution: passes, buffers and costs."""
 
     scene: Scene
     psf: PointSpread
     device: DeviceFacts
     eye: Eye
-    channels: int
+    channels: int  # 1 or 3, and one more with `alpha`
     rows: int
     columns: int
-    guard_px: int
-    smallest_blur: float
+    guard_px: int  # width of the guard band around the frame
+    smallest_blur: float  # predicted range of |R| in px over the whole sequence, with a margin
     largest_blur: float
     choices: Choices
-    groups: tuple[OcclusionGroup, ...]
-    taps: float
-    spreads: tuple[PointSpread, ...] = ()
-    only: int | None = None
-    alpha: bool = False
-    strip_rows: int = 0
-    extents: tuple[Extent, ...] = ()
-    small: bool = False
+    groups: tuple[OcclusionGroup, ...]  # are blurred one after the other
+    taps: float  # predicted number of weights that the blur of a frame computes
+    spreads: tuple[PointSpread, ...] = ()  # of red, green and blue, if each color is blurred separately
+    only: int | None = None  # color that this plan is for, 0 to 2; None for all
+    alpha: bool = False  # True if the last channel is coverage
+    strip_rows: int = 0  # rows of the tallest strip, 0 for all rows of the frame
+    extents: tuple[Extent, ...] = ()  # of objects within which `groups` are valid; empty if they always are
+    small: bool = False  # True if an object may be so narrow that it needs its own slots of sub-pixel sources
 
     @cached_property
     def color_plans(self) -> tuple[Plan, ...]:
@@ -135,7 +112,6 @@ class Plan:
 
     @cached_property
     def moves(self) -> bool:
-        """True if anything moves."""
         return not self.choices.motion.left_out
 
     @property
@@ -159,8 +135,7 @@ class Plan:
 
     @property
     def forward(self) -> bool:
-        """True for a forward warp, which moves pixels of the reference pose."""
-        return self.choices.reproject.value
+        return self.choices.reproject.value  # a forward warp moves pixels of the reference pose
 
     @property
     def static_map(self) -> bool:
@@ -169,33 +144,27 @@ class Plan:
 
     @property
     def silhouettes(self) -> int:
-        """Sub-pixel sources per axis, 0 for none."""
-        return self.choices.silhouettes.value
+        return self.choices.silhouettes.value  # sub-pixel sources per axis, 0 for none
 
     @property
     def tilt(self) -> bool:
-        """True if weights depend on the gradient of R."""
-        return self.choices.tilt.value
+        return self.choices.tilt.value  # True if weights depend on the gradient of R
 
     @property
     def blur(self) -> Blur:
-        """Method of the blur."""
         return self.choices.blur.value
 
     @property
     def occlusion(self) -> Occlusion:
-        """Method of occlusion."""
         return self.choices.occlusion.value
 
     @property
     def truth(self) -> tuple[str, ...]:
-        """Outputs besides color and alpha."""
-        return self.choices.ground_truth.value
+        return self.choices.ground_truth.value  # outputs besides color and alpha
 
     @property
     def colors(self) -> int:
-        """Number of color channels."""
-        return self.channels - self.alpha
+        return self.channels - self.alpha  # without coverage
 
     @property
     def width(self) -> int:
@@ -243,11 +212,11 @@ class Plan:
 
     @cached_property
     def spec(self) -> BlurSpec:
-        """Specification of the blur."""
         room = occluder_room(max(len(self.psf.rims), *(group.occluders.bit_count() for group in self.groups)))
+        limited = room > 0 and shape_features(self.scene.objects)["NAPPE"] > 0
         return BlurSpec(
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
-            occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
+            occluders=room, limited=limited, border=self.scene.psf.border,
             layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
             shared=room > 0 and self.mapped > 0 and self.silhouettes > 0 and self.psf.shares_lens,
             small=self.small,
@@ -304,7 +273,7 @@ class Plan:
         scene, spec = self.scene, self.spec
         aimed = self.only is not None and scene.shifts_colors
         moved = (scene.is_displaced or self.eye_moved or aimed) and not self.forward
-        return self._shapes | {
+        return shape_features(scene.objects) | {
             "CHANNELS": self.channels,
             "OCCLUDED": int(spec.occluders > 0),
             "LIMITED": int(spec.limited),
@@ -321,10 +290,6 @@ class Plan:
             **psf_features(self.psf),
         }
 
-    @cached_property
-    def _shapes(self) -> dict[str, int]:
-        return shape_features(self.scene.objects)
-
 
 def make_plan(
     scene: Scene,
@@ -335,39 +300,19 @@ def make_plan(
     device: DeviceFacts | None = None,
     psf: PointSpread | None = None,
 ) -> Plan:
-    """Plan the rendering of a scene.
+    """Plan the rendering of a scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
-    channels : int
-        Number of color channels of its textures, 1 or 3.
-    request : Request, optional
-        Requested outputs and method of the blur; by default only color.
-    eye : {"left", "right"}
-        View of a stereo pair.
-    maps : sequence of ndarray of float64 (rows, columns) or None, optional
-        Inverse depth in 1/mm of every object that is a depth map, 0 without a surface; None for other objects
-        (`clsco.inputs.depth_maps.load_scene_depths`).
-    device : DeviceFacts, optional
-        Device to run on; by default this machine's processor.
-    psf : PointSpread, optional
-        PSF of the lens; by default computed from the scene.
-
-    Returns
-    -------
-    Plan
-
-    Raises
-    ------
-    SceneError
-        The scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the method does not support the scene.
+    channels: color channels of its textures, 1 or 3; request: by default only color; maps: inverse depth (rows,
+    columns) in 1/mm of every object that is a depth map, 0 without a surface, None for other objects
+    (`clsco.inputs.depth_maps.load_scene_depths`); device: by default this machine's processor; psf: by default computed
+    from the scene. Raises SceneError if the scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the
+    method does not support the scene.
     """
     columns, rows = scene.camera.frame_size
     request, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
     maps = maps or (None,) * len(scene.objects)
-    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _splits_colors(scene, channels) else ()
+    splits = scene.separates_colors or (channels > 1 and scene.psf.is_colored)  # by the lens, or by waves
+    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if splits else ()
     psf = max(spreads, key=lambda spread: spread.pupil.margin, default=psf)
     check_shape(psf, request.method)
     view = resolve(scene, psf, eye, maps)
@@ -392,11 +337,6 @@ def make_plan(
     return replace(plan, taps=_predicted_taps(plan, view)) if blur != "none" and plan.color else plan
 
 
-def _splits_colors(scene: Scene, channels: int) -> bool:
-    """True if colors are blurred separately: by different lenses, or by waves in a color image."""
-    return scene.separates_colors or (channels > 1 and scene.psf.is_colored)
-
-
 def _predicted_taps(plan: Plan, view: ResolvedScene) -> float:
     """Value of `Plan.taps`, from the predicted depths."""
     w, middle = view.nearest, view.times[len(view.times) // 2]
@@ -409,7 +349,6 @@ def _predicted_taps(plan: Plan, view: ResolvedScene) -> float:
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
-    """Value of `Plan.passes`."""
     passes: list[Pass] = []
     if plan.color_plans:
         passes += color_passes([(*_moving_passes(p), *_image_passes(p)) for p in plan.color_plans], plan.grid)

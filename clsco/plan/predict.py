@@ -1,4 +1,4 @@
-"""Predictions for a scene from a coarse grid of rays: range of blur radii, and width of the guard band."""
+"""Predictions for a scene from a coarse grid of rays: range of blur radii, width of the guard band, and ellipses."""
 
 from __future__ import annotations
 
@@ -12,24 +12,31 @@ from numpy.typing import NDArray
 from clsco.cache import Cache
 from clsco.constants import NARROW_IMAGE, TAP_LANES
 from clsco.errors import SceneError
-from clsco.optics.distortion import distortion_of
+from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.distortion import DistortedCamera, distortion_of
 from clsco.optics.exposure import middle_time, sequence_times, shutter_span
 from clsco.optics.lens import LARGEST_BLUR, ray_step
 from clsco.optics.lens import Lens as LensOptics
 from clsco.optics.lens_path import camera_at, colored, lenses_at, reference_camera
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
+from clsco.optics.pupils.circle import Circle
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, outline_lines, place, predict_inverse_depth
-from clsco.optics.rays import slopes_at
+from clsco.optics.rays import ray_slopes, slopes_at
+from clsco.optics.visibility import is_hollow
 from clsco.scene.model import Camera, Disc, Lens, Object, ObjectMotion, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
+"""Inverse depth (rows, columns) in 1/mm of each object that is a depth map, 0 without a surface; None for others."""
 Slopes = tuple[Array, Array]
 Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
 LEAST_DISTANCE = 0.1  # least distance of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
+PLACES = 33  # positions along each axis of the frame at which ellipses are examined
+ROUND = 0.01  # fraction of R: discs whose edges are at most this far from those of ellipses replace them
+BEYOND = 1.1  # safety factor for positions between PLACES and in the guard band
 # Keys of the camera that change the blur but not the rays.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 _DEPTHS = Cache(32 << 20)  # limit in bytes
@@ -101,6 +108,41 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
     if not scene.is_analytic:
         return not is_static_map(scene)
     return scene.motion.warp == "forward" and (scene.is_displaced or shifts_view(scene, eye))
+
+
+def hides_nothing(scene: Scene) -> bool:
+    """True if the whole lens sees the same points as the pinhole: for a single surface that is not a depth map and has
+    no visible inside.
+    """
+    return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
+
+
+def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
+    """The PSF of a view of a scene: `psf`, or by default the PSF that the scene specifies.
+
+    If distortion makes its discs ellipses, and the method supports ellipses, `stretched` is set to their margin.
+    """
+    psf = psf or scene_point_spread(scene)
+    off = ellipticity_of(scene)
+    plain = type(psf.pupil) is Circle and psf.edge == "integrated" and not psf.rims
+    layered = scene.psf.occlusion == "layered" and not hides_nothing(scene)
+    by_rays = scene.is_analytic and not layered and not is_forward(scene, eye)
+    return replace(psf, stretched=BEYOND * off) if plain and by_rays and off > ROUND else psf
+
+
+def ellipticity_of(scene: Scene) -> float:
+    """Largest distance in the frame between the edges of an ellipse and of a disc of the same area, as a fraction of R;
+    0 without distortion.
+    """
+    camera = reference_camera(scene)
+    return _ellipticity(camera) if isinstance(camera, DistortedCamera) else 0.0
+
+
+@lru_cache(maxsize=16)
+def _ellipticity(camera: DistortedCamera) -> float:
+    columns, rows = camera.frame_size
+    x, y = ray_slopes(camera, np.linspace(0.0, rows - 1.0, PLACES)[:, None], np.linspace(0.0, columns - 1.0, PLACES))
+    return float(camera.distortion.ellipticity(x, y).max())
 
 
 def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: int) -> Array:
@@ -219,43 +261,20 @@ def constant_blur(scene: Scene) -> bool:
 class ResolvedScene:
     """A view of a scene, resolved once for all decisions of a plan: poses at sampled times, and the hits of rays on a
     coarse grid.
-
-    Attributes
-    ----------
-    scene : Scene
-    psf : PointSpread
-    eye : {"left", "right"}
-        View of a stereo pair.
-    maps : sequence of ndarray or None
-        Inverse depth of every object that is a depth map, as for `clsco.plan.plan.make_plan`.
-    times : list of float
-        Sampled times, s.
-    poses : list of tuple of Pose
-        Poses of the objects at each time.
-    w : ndarray of float64, (objects, times, GRID, GRID)
-        Inverse depths in 1/mm at rays over frame and guard band, 0 for a miss.
-    slopes : tuple of ndarray of float64, (GRID, GRID)
-        Slopes of the rays, right and up, at the middle time.
-    smallest, largest : float
-        Range of |R| with a margin, px.
-    guard : int
-        Width of the guard band for |R| up to `largest`, px.
-    lowest, highest : float
-        Range of R with its sign, with a margin, px.
     """
 
     scene: Scene
     psf: PointSpread
     eye: Eye
     maps: Maps
-    times: list[float]
-    poses: list[tuple[Pose, ...]]
-    w: Array
-    slopes: Slopes
-    smallest: float
+    times: list[float]  # s
+    poses: list[tuple[Pose, ...]]  # of the objects at each time
+    w: Array  # inverse depths (objects, times, GRID, GRID) in 1/mm over frame and guard band, 0 for a miss
+    slopes: Slopes  # (GRID, GRID) of the rays, right and up, at the middle time
+    smallest: float  # range of |R| with a margin, px
     largest: float
-    guard: int
-    lowest: float
+    guard: int  # width of the guard band for |R| up to `largest`, px
+    lowest: float  # range of R with its sign, with a margin, px
     highest: float
 
     @property

@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,18 +35,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene ready to render.
+    """A scene ready to render: with a resolution, by default that of the first texture.
 
-    Attributes
-    ----------
-    scene : Scene
-        Scene with a resolution, by default that of the first texture.
-    plans : tuple of Plan
-        Plan for its view, or plans for the left and the right view; with three channels if any texture has color.
-    request : Request
-    files : InputFiles
-    approximation : ApproximationReport, optional
-        Report on the approximation by fewer samples, if the request has a tolerance.
+    plans: one for its view, or for the left and the right view; with three channels if any texture has color;
+    approximation: only if the request has a tolerance.
     """
 
     scene: Scene
@@ -98,24 +91,8 @@ def prepare(
 ) -> Prepared:
     """Read the files of a scene and plan its rendering; nothing is rendered.
 
-    Parameters
-    ----------
-    scene : Scene
-    request : Request, optional
-        By default only color.
-    device : DeviceFacts, optional
-        As for `clsco.plan.plan.make_plan`.
-    files : InputFiles, optional
-        Cache of input files; by default the one that all renderings of this process share.
-
-    Returns
-    -------
-    Prepared
-
-    Raises
-    ------
-    SceneError
-        A texture or depth map cannot be used (the error lists all faults), or as for `clsco.plan.plan.make_plan`.
+    request: by default only color; files: by default the cache that all renderings of this process share. Raises
+    SceneError for textures and depth maps that cannot be used, with all faults, and as `clsco.plan.plan.make_plan`.
     """
     (prepared,) = prepare_sweep(Sweep(("",), (scene,)), request, device, files)
     return prepared
@@ -159,13 +136,8 @@ def prepare_sweep(
 
 def lens_groups(scenes: Sequence[Scene]) -> list[list[int]]:
     """Groups of consecutive scenes that differ only in the lens or the sensor, as lists of scene numbers."""
-    groups: list[list[int]] = []
-    for k, scene in enumerate(scenes):
-        if k and without_lens(scenes[k - 1]) == without_lens(scene):
-            groups[-1].append(k)
-        else:
-            groups.append([k])
-    return groups
+    groups = groupby(range(len(scenes)), key=lambda k: without_lens(scenes[k]))
+    return [list(group) for _, group in groups]
 
 
 def prepare_files(

@@ -60,26 +60,10 @@ ALONG = ((2, 1), (0, 2), (0, 1))  # the two other components of each axis
 def squared_errors(
     scene: Scene, psf: PointSpread, textures: Sequence[Texture], maps: Maps, exact: int, counts: Sequence[int]
 ) -> dict[int, float]:
-    """Estimate the squared errors of a frame in which fine textures have fewer sub-pixel sources.
+    """Estimate the squared errors in white^2 of a frame in which fine textures have fewer sub-pixel sources.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with a resolution.
-    psf : PointSpread
-    textures : sequence of Texture
-        Textures of all objects.
-    maps : sequence
-        As for `clsco.plan.plan.make_plan`.
-    exact : int
-        Number of sub-pixel sources along an axis in the exact frame.
-    counts : sequence of int
-        Smaller numbers of sources along an axis; 1 for one source per pixel.
-
-    Returns
-    -------
-    dict
-        Squared error in white^2 for each number in `counts`: the largest one at the examined times.
+    textures: those of all objects; exact: number of sources along an axis in the exact frame; counts: smaller numbers,
+    1 for one source per pixel. Returns for each number in `counts` the largest error at the examined times.
     """
     spectra: dict[int, tuple[Spectrum, float]] = {}
     firsts = [next(j for j, other in enumerate(textures) if other.radiance is texture.radiance) for texture in textures]

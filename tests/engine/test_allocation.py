@@ -69,23 +69,32 @@ def scene_of(data: dict[str, Any]) -> Scene:
     return clsco.parse_scene({"camera": CAMERA, "sequence": sequence} | data)
 
 
+def forget(session: Session, allocated: list[weakref.ref[Any]]) -> None:
+    """Release all buffers that a session keeps, as if nothing had been rendered before."""
+    session.cache.clear()
+    shared_tables().clear()
+    gc.collect()
+    allocated.clear()
+
+
+def alive(allocated: list[weakref.ref[Any]]) -> list[int]:
+    """Sizes of the buffers that are still there."""
+    gc.collect()
+    return [buffer.size for buffer in (reference() for reference in allocated) if buffer is not None]
+
+
 @pytest.mark.parametrize("name", mostly_slow(SCENES, ["plane", "ball before a plane"]))
 def test_the_plan_is_what_is_allocated(session: Session, allocated: list[weakref.ref[Any]], name: str) -> None:
     data, method = SCENES[name]
     prepared = prepare(scene_of(data), Request(("depth",), method), session.device)
     plan = prepared.plan
     limit = limit_of(None, session.device)
-    session.cache.clear()  # as if nothing had been rendered before
-    shared_tables().clear()
     expected = {name: size for name, size in buffer_bytes(plan).items() if not name.startswith("truth")}
-    gc.collect()
-    allocated.clear()
+    forget(session, allocated)
     renderer = Renderer(session, fit_strips(plan, limit), prepared, limit)
     (film,) = expose([renderer], 0)
     renderer.finish(film)
-    gc.collect()
-    alive = [buffer.size for buffer in (reference() for reference in allocated) if buffer is not None]
-    found, wanted = Counter(alive), Counter(size for size in expected.values() if size)
+    found, wanted = Counter(alive(allocated)), Counter(size for size in expected.values() if size)
     tables = Counter(size for name, size in expected.items() if name.split()[-1] in TABLES)
     # Nothing beyond the plan; less where two blurs have one table of weights.
     assert (found - wanted, wanted - found - tables) == (Counter(), Counter()), expected
@@ -100,14 +109,9 @@ def test_lenses_have_one_set_of_hits_for_each_group(session: Session, allocated:
     limit, guard = limit_of(None, session.device), max(each.plan.guard_px for each in prepared)
     plans, hits = [replace(each.plan, guard_px=guard) for each in prepared], LatestHits(session)
     assert plans[0].groups == plans[1].groups
-    session.cache.clear()
-    shared_tables().clear()
-    gc.collect()
-    allocated.clear()
+    forget(session, allocated)
     renderers = [Renderer(session, plan, each, limit, hits) for plan, each in zip(plans, prepared, strict=True)]
     expose(renderers, 0)
-    gc.collect()
-    alive = [buffer.size for buffer in (reference() for reference in allocated) if buffer is not None]
-    depth = buffer_bytes(plans[0])["depth"]
-    assert alive.count(depth) == len(plans[0].groups) > 1
-    assert sum(alive) <= lens_bytes(plans) < sum(device_bytes(plan) for plan in plans) + len(plans[0].groups) * depth
+    sizes, depth = alive(allocated), buffer_bytes(plans[0])["depth"]
+    assert sizes.count(depth) == len(plans[0].groups) > 1
+    assert sum(sizes) <= lens_bytes(plans) < sum(device_bytes(plan) for plan in plans) + len(plans[0].groups) * depth

@@ -50,19 +50,8 @@ OTHERS: dict[str, Any] = {
     "object[0].texture_wrap": "mirror",
 }
 # Keys that others stand for, that say what belongs together, or that other programs are built for.
-ELSEWHERE = {
-    "shape",
-    "bounds",
-    "name",
-    "group",
-    "texture_layer",
-    "texture_size",
-    "texture_offset",
-    "texture_angle",
-    "texture_mapping",
-    "shutter_curve",
-    "scan",
-}
+ELSEWHERE = {"shape", "bounds", "name", "group", "shutter_curve", "scan"}
+ELSEWHERE |= {f"texture_{key}" for key in ("layer", "size", "offset", "angle", "mapping")}
 
 
 SMALL = np.random.default_rng(5).random((8, 8), np.float32)

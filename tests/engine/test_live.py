@@ -16,13 +16,13 @@ from clsco.engine.film import Film
 from clsco.engine.live import Live
 from clsco.engine.renderer import Renderer
 from clsco.frame.frame import Frame
-from clsco.frame.outputs import ALL_TRUTH
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.passes.blur import Scatter, Target
 from clsco.passes.gather import Gather
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
+from tests.scenes import assert_same as same
 from tests.scenes import scene_from
 
 COMPLETE = cl.command_execution_status.COMPLETE
@@ -57,14 +57,6 @@ def live() -> Iterator[Live]:
         yield opened
 
 
-def same(one: Frame, other: Frame) -> None:
-    for name in ("color", *ALL_TRUTH):
-        a, b = getattr(one, name), getattr(other, name)
-        assert (a is None) == (b is None), name
-        if a is not None:
-            np.testing.assert_array_equal(a, b, name)
-
-
 def alone(scene: Scene, **options: Any) -> Frame:
     """As a process renders that has rendered nothing yet, but for its kernels."""
     with Session(choose()) as session:
@@ -82,15 +74,20 @@ def test_frames_have_the_bits_of_frames_alone(live: Live, name: str) -> None:
     same(live.render(scene), alone(scene))
 
 
-def test_a_lens_casts_no_rays_again(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    launched: list[str] = []
-    run = Target.run
+@pytest.fixture
+def launched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the kernels that are run."""
+    names, run = list[str](), Target.run
 
-    def noted(self: Any, name: str, *args: Any, **given: Any) -> None:
-        launched.append(name)
-        run(self, name, *args, **given)
+    def noted(self: Any, name: str, *args: Any, **options: Any) -> None:
+        names.append(name)
+        run(self, name, *args, **options)
 
     monkeypatch.setattr(Target, "run", noted)
+    return names
+
+
+def test_a_lens_casts_no_rays_again(live: Live, launched: list[str]) -> None:
     scene = SCENES["moving"]
 
     def cast(wanted: Scene) -> int:
@@ -111,18 +108,11 @@ def test_a_lens_casts_no_rays_again(live: Live, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_too_little_room_for_subpixel_sources_is_found_before_the_blur(
-    live: Live, monkeypatch: pytest.MonkeyPatch
+    live: Live, launched: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    launched: list[str] = []
-    run = Target.run
     scene = SCENES["visibility"]
     expected = live.render(scene)
-
-    def noted(self: Any, name: str, *args: Any, **options: Any) -> None:
-        launched.append(name)
-        run(self, name, *args, **options)
-
-    monkeypatch.setattr(Target, "run", noted)
+    launched.clear()
     for blur in (Gather, Scatter):  # of processors, and of cards where objects hide each other
         monkeypatch.setattr(blur, "spread", _blur_noted(launched, blur))
     monkeypatch.setattr("clsco.plan.plan.SILHOUETTE_SLOTS", 0)

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 import clsco
-from clsco.cli.main import main
 from clsco.frame.outputs import ALL_TRUTH
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
+from tests.command import clsco_
 from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [48, 40], "pixel_pitch": 0.08}
@@ -104,10 +103,6 @@ def test_what_belongs_to_the_image_needs_it(truth: Any) -> None:
     of_the_image = "the image, what a sensor gives, alpha and subframes"
     with pytest.raises(clsco.SceneError, match=f"color: must be True for {of_the_image}; got False"):
         clsco.render(clsco.parse_scene(ONE), truth=truth, color=False)
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 @pytest.fixture

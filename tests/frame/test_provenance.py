@@ -10,9 +10,9 @@ import pytest
 
 from clsco.errors import FileError, SceneError
 from clsco.frame.provenance import file_digests, record, scene_sha256, units
+from clsco.plan.notes import unused_keys
 from clsco.plan.prepare import prepare, prepare_sweep
 from clsco.plan.request import Request
-from clsco.plan.unused_keys import unused_keys
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene

@@ -10,20 +10,15 @@ import numpy as np
 import OpenEXR
 import pytest
 import tifffile
-from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
 import clsco
-from clsco.cli.main import main
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.optics.lens import blur_radius
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Camera
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
+from tests.command import clsco_
 
 
 def exr_pixels(path: Path) -> NDArray[Any]:

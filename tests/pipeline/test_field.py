@@ -34,10 +34,7 @@ CASES: dict[str, dict[str, Any]] = {
     "hidden": {"object": [NEAR, FACING]},
     "renormalized": {"object": [TILTED], "psf": {**FIELD, "border": "renormalize"}},
     "layered": {"object": [NEAR, FACING], "psf": {**FIELD, "occlusion": "layered"}},
-    "colors": {
-        "object": [{**FACING, "texture": "#c86432"}],
-        "psf": {**FIELD, "wavelengths": [2600.0, 2500.0, 2200.0]},
-    },
+    "colors": {"object": [{**FACING, "texture": "#c86432"}], "psf": {**FIELD, "wavelengths": [2600.0, 2500.0, 2200.0]}},
     "blades": {"object": [FACING], "aperture": {"shape": "polygon", "blades": 5}},
     "moving": {
         "object": [{**NEAR, "motion": {"velocity": [20.0, 0.0, 0.0]}}, FACING],

@@ -10,7 +10,6 @@ import OpenEXR
 import pytest
 
 import clsco
-from clsco import reference
 from clsco.cli.check import compare
 from clsco.frame.files import files_of, write_frame
 from clsco.frame.truth_files import TruthFile
@@ -19,15 +18,14 @@ from clsco.optics.exposure import line_times
 from clsco.scene.model import Scene
 from tests.files.readers import torchvision_flo
 from tests.pipeline.common import PLAIN, assert_strips_agree
+from tests.pipeline.test_rolling_shutter import OPEN, SCANS
 from tests.pipeline.test_scenes import BALL
-from tests.scenes import outputs_of, scene_from
+from tests.scenes import outputs_of, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 CAMERA: dict[str, Any] = {"resolution": [56, 48], "pixel_pitch": 0.08, "aperture_diameter": 20.0}
 MOVING = BALL | {"motion": {"velocity": [15.0, 12.0, 20.0], "angular_velocity": [10.0, 40.0, 5.0]}}
 CARD = {"shape": "plane", "distance": 300.0, "texture": "checkerboard", "motion": {"velocity": [3.0, -8.0, 0.0]}}
-SCANS = ("top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left")
-OPEN = {"samples": 2, "shutter": 0.3, "readout": 0.6}
 
 
 def scene(*items: dict[str, Any], sections: dict[str, Any] | None = None, **sequence: Any) -> Scene:
@@ -40,12 +38,11 @@ def scene(*items: dict[str, Any], sections: dict[str, Any] | None = None, **sequ
 @pytest.mark.parametrize("sections", mostly_slow([{}, {"stereo": {"baseline": 20.0, "toe_in": 2.0}}], [{}]))
 def test_every_output_agrees(scan: str, sections: dict[str, Any]) -> None:
     wanted = scene(scan=scan, sections=sections)
-    for frame, exact in zip(clsco.render(wanted, precision="double"), reference.render(wanted), strict=True):
+    for frame, exact in zip(rendered(wanted, precision="double"), reference_frames(wanted), strict=True):
         found = compare(frame, exact)
         assert {"row_time", "flow", "flow_backward", "flow_occluded", "depth"} <= {each.output for each in found}
         assert ("disparity" in {each.output for each in found}) == bool(sections)
         assert [each for each in found if each.count] == []
-        assert frame.flow_occluded is not None
         assert 0.02 < frame.flow_occluded.mean() < 0.7
 
 
@@ -63,9 +60,8 @@ def test_every_output_agrees(scan: str, sections: dict[str, Any]) -> None:
 def test_a_lens_and_a_camera_that_move_within_the_frame(sections: dict[str, Any]) -> None:
     """A shake goes faster than the rows in places, where points are met several times or never."""
     wanted = scene(BALL, CARD, sections={"camera": CAMERA | {"resolution": [40, 30]}} | sections)
-    (frame,), (exact,) = clsco.render(wanted, precision="double"), reference.render(wanted)
+    (frame,), (exact,) = rendered(wanted, precision="double"), reference_frames(wanted)
     assert [each for each in compare(frame, exact) if each.count] == []
-    assert frame.flow_backward is not None
     assert np.isinf(frame.flow_backward).any() == ("shake" in sections["camera"] if "camera" in sections else False)
 
 
@@ -103,9 +99,7 @@ def test_flow_solves_for_the_time_of_the_row_it_leads_to(scan: str) -> None:
     """y' - y = v (T + t (y' - y)), t being the time from row to row."""
     right, down = 6.0, 4.0
     given = drifting(right, down, scan=scan, frames=3)
-    frame = clsco.render_frame(given, 1, truth=("flow", "flow_backward"), color=False)
-    assert frame.flow is not None
-    assert frame.flow_backward is not None
+    (frame,) = rendered(given, frames=[1], truth=("flow", "flow_backward"), color=False)
     rows = scan in ("top_to_bottom", "bottom_to_top")
     late = 0.6 / (47 if rows else 55) * (1.0 if scan in ("top_to_bottom", "left_to_right") else -1.0)
     for flow, interval in ((frame.flow, 1.0), (frame.flow_backward, -1.0)):
@@ -119,9 +113,7 @@ def test_flow_solves_for_the_time_of_the_row_it_leads_to(scan: str) -> None:
 
 def test_there_is_no_flow_where_the_image_is_as_fast_as_the_scan(tmp_path: Path) -> None:
     wanted = drifting(3.0, 80.0)  # 47 rows in 0.6 s: 78 px/s
-    frame = clsco.render_frame(wanted)
-    assert frame.flow is not None
-    assert frame.flow_occluded is not None
+    (frame,) = rendered(wanted)
     assert np.isinf(frame.flow).all()
     assert frame.flow_occluded.all()
     (extent,) = VIEWS["flow"].extent(frame.flow)
@@ -129,8 +121,7 @@ def test_there_is_no_flow_where_the_image_is_as_fast_as_the_scan(tmp_path: Path)
     assert (VIEWS["flow"].paint(frame.flow, (extent,)) == 0).all()
     write_frame(tmp_path, [frame], 8, "srgb", files_of("", "flo,npz"), scene=wanted)
     assert (torchvision_flo(tmp_path / "frame_0000_flow.flo") > 1e9).all()  # unknown
-    slow = clsco.render_frame(drifting(3.0, 76.0), truth=("flow",), color=False)
-    assert slow.flow is not None
+    (slow,) = rendered(drifting(3.0, 76.0), truth=("flow",), color=False)
     assert np.isfinite(slow.flow).all()
 
 

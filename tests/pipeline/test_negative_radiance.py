@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
-from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
 import clsco
-from clsco.cli.main import main
 from clsco.files.depth_codes import pfm_bytes
 from clsco.files.images import read_image, write_exr_image, write_png
 from clsco.inputs.textures import load_texture
+from tests.command import clsco_
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import combined
 
@@ -28,10 +27,6 @@ SAVERS: dict[str, Callable[[Path, Array], object]] = {
     "pfm": lambda path, data: path.write_bytes(pfm_bytes(data)),
     "npy": np.save,
 }
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 @pytest.mark.parametrize("suffix", SAVERS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,14 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
-from clsco import reference
 from clsco.cli.check import compare
-from clsco.files.images import write_png
-from clsco.frame.frame import Frame
 from clsco.plan.plan import make_plan
 from clsco.scene.model import Scene
 from tests.pipeline.common import PLAIN
-from tests.scenes import scene_from
+from tests.scenes import reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [60, 44], "pixel_pitch": 0.08, "aperture_diameter": 24.0, "focus_distance": 250.0}
@@ -57,10 +53,9 @@ def scene(sections: dict[str, Any], **psf: Any) -> Scene:
     return scene_from({"camera": CAMERA} | sections, psf=psf)
 
 
-def image(wanted: Scene, **options: Any) -> Frame:
+def image(wanted: Scene, **options: Any) -> Any:
     """The only frame."""
-    (frame,) = clsco.render(wanted, precision="double", **options)
-    return frame
+    return clsco.render_frame(wanted, precision="double", **options)
 
 
 @pytest.mark.parametrize(("name", "occlusion"), mostly_slow(VARIANTS, SOME))
@@ -69,7 +64,7 @@ def test_device_against_reference(name: str, occlusion: str, request: pytest.Fix
     if (name, occlusion) == ("bowl", "visibility"):
         request.applymarker(pytest.mark.xfail(reason=THIN, strict=True))
     wanted = scene(SCENES[name], occlusion=occlusion)
-    (exact,) = reference.render(wanted)
+    (exact,) = reference_frames(wanted)
     assert np.ptp(exact.color) > 0.2
     for method in ("gather", "scatter"):
         frame = image(wanted, method=method)
@@ -147,18 +142,15 @@ def test_none_spreads_what_the_pinhole_sees() -> None:
     """The focused image, blurred pixel by pixel: the same as `defocus` of that image by its map of radii."""
     psf = {"occlusion": "none", "silhouette_samples": 1, "tilt": False, "border": "renormalize"}
     frame = image(scene({"object": [BALL, COLUMN, WALL]}, **psf))
-    assert frame.sharp is not None
-    assert frame.blur_radius is not None
     expected = clsco.defocus(frame.sharp, frame.blur_radius, psf)
     # Radii rounded to float32 on their way: 1e-6 px, of weights that change by a few tenths per px.
     np.testing.assert_allclose(frame.color, expected, rtol=0, atol=3e-6)
 
 
-def deviation(folder: Path, items: list[dict[str, Any]], **psf: Any) -> NDArray[np.float64]:
+def deviation(items: list[dict[str, Any]], **psf: Any) -> NDArray[np.float64]:
     """Distance from 1 of the image of white objects, 128 x 128 px."""
-    write_png(folder / "white.png", np.full((128, 128), 255, np.uint8))
     camera = {"resolution": [128, 128], "focus_distance": 250.0}
-    painted = [item | {"texture": str(folder / "white.png")} for item in items]
+    painted = [item | {"texture": "#ffffff"} for item in items]
     frame = image(scene({"camera": camera, "object": painted}, **{"silhouette_samples": 8, **psf}), truth=())
     return np.abs(frame.color.astype(np.float64) - 1.0)
 
@@ -187,21 +179,21 @@ WHITE: dict[str, tuple[list[dict[str, Any]], dict[str, Any], float, float]] = {
 
 
 @pytest.mark.parametrize("name", mostly_slow(WHITE, []))
-def test_white_before_white_is_white(tmp_path: Path, name: str) -> None:
+def test_white_before_white_is_white(name: str) -> None:
     """Whatever an object takes away of the wall's light it gives itself: the parts of the lens add up to 1.
 
     What is left comes from edges that are softened over a cell of the lens, 1 / R of its radius, and from outlines
     seen in 8 x 8 samples; measured: 0.002 at most and 0.00013 in the mean for the ball.
     """
     items, psf, largest, mean = WHITE[name]
-    error = deviation(tmp_path, items, **psf)
+    error = deviation(items, **psf)
     assert error.max() < largest
     assert error.mean() < mean
 
 
-def test_white_is_not_white_without_occlusion(tmp_path: Path) -> None:
+def test_white_is_not_white_without_occlusion() -> None:
     """The ball's blur is added to a wall that is whole beside it."""
-    assert deviation(tmp_path, WHITE["ball, sharp wall"][0], **PLAIN, occlusion="none").max() > 0.4
+    assert deviation(WHITE["ball, sharp wall"][0], **PLAIN, occlusion="none").max() > 0.4
 
 
 # Ground truth
@@ -211,7 +203,6 @@ def test_every_pixel_belongs_to_the_nearest_object() -> None:
     items = SCENES["row"]["object"]
     whole = image(scene(SCENES["row"], **TRUTH_ONLY), color=False)
     alone = [image(scene({"object": [item]}, **TRUTH_ONLY), color=False) for item in items]
-    assert whole.object_id is not None
     assert set(np.unique(whole.object_id)) == {0, 1, 2}
     depths = np.stack([frame.depth for frame in alone if frame.depth is not None])
     np.testing.assert_array_equal(whole.object_id, depths.argmin(axis=0))
@@ -232,8 +223,6 @@ def test_a_plane_hides_the_same_however_it_is_written() -> None:
         image(scene({"object": [flat | about | {"coefficients": [*terms, constant]}, WALL]}, **PLAIN))
         for about, constant in ((near, 0.0), (far, 10.0))
     )
-    assert one.depth is not None
-    assert other.depth is not None
     np.testing.assert_allclose(one.depth, other.depth, rtol=1e-6)
     np.testing.assert_allclose(one.color, other.color, atol=1e-6)
     assert np.ptp(one.color) > 0.1
@@ -249,8 +238,7 @@ def test_what_is_cut_off_hides_nothing(shape: str) -> None:
     camera = {"resolution": [24, 6], "pixel_pitch": 0.02, "f_number": 4.0, "focus_distance": 265.0}
     behind = {"shape": "background", "texture": "#808080"}
     scene = clsco.parse_scene({"camera": camera, "object": [{"shape": shape} | items[shape], behind]})
-    (frame,), (exact,) = clsco.render(scene), reference.render(scene)
-    assert frame.mask is not None
+    (frame,), (exact,) = rendered(scene), reference_frames(scene)
     assert not frame.mask.any()
     # Soft edges of hidden parts reach a little beyond the cone.
     assert max(np.ptp(frame.color), np.ptp(exact.color)) < 2e-5

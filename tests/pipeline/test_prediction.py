@@ -1,6 +1,5 @@
 """Frames that meet larger blur than was predicted of the scene."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,10 +71,9 @@ def test_objects_that_are_not_where_they_were_predicted(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_a_depth_map_that_turns_between_the_moments_looked_at(tmp_path: Path) -> None:
+def test_a_depth_map_that_turns_between_the_moments_looked_at() -> None:
     depth = 280.0 + np.tile(np.linspace(0.0, 4.0, 36, dtype=np.float32), (24, 1))
-    np.save(tmp_path / "depth.npy", depth)
-    item = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "center": [0.0, 0.0, 280.0]}
+    item = {"shape": "depth_map", "depth": depth, "center": [0.0, 0.0, 280.0]}
     long, short = (turning(item, "forward", frames, 150.0) for frames in (64, 1))
     (first,), (only,) = clsco.render(long, frames=[0]), clsco.render(short)
     np.testing.assert_allclose(first.color, only.color, rtol=0, atol=1e-6)

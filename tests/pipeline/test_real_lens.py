@@ -19,7 +19,7 @@ from clsco.optics.vignetting import throughput
 from clsco.passes import vignetting
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Camera, Scene
-from tests.pipeline.common import assert_strips_agree
+from tests.pipeline.common import SLOPE, assert_strips_agree, lens_points, waves
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
@@ -35,6 +35,7 @@ LATERAL = {"lateral": [1.02, 1.0, 0.97]}
 ALL = AXIAL | CURVED | SPHERE
 RIMS = {"rim": [{"distance": 20.0, "diameter": 30.0}, {"distance": -10.0, "diameter": 30.0}]}
 ZOOM = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 0.1, "focal_length": 24.0}]}
+WAVES = (0.4, 0.2)
 scene = partial(scene_from, {"camera": CAMERA})
 SCENES: dict[str, Scene] = {
     "axial": scene(BALL, WALL, lens=AXIAL),
@@ -63,17 +64,10 @@ def test_device_against_reference(name: str) -> None:
 
 
 @pytest.mark.parametrize("how", mostly_slow(["static", "moving", "zoom", "lateral"], []))
-def test_depth_maps_against_the_reference(tmp_path: Path, how: str) -> None:
-    np.save(tmp_path / "depth.npy", 270.0 + np.add.outer(np.arange(32), np.arange(40.0)) / 2)
-    given = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "bricks", "unit": "mm"}
+def test_depth_maps_against_the_reference(how: str) -> None:
     lens = ALL | DARK | (ZOOM if how == "zoom" else {}) | (LATERAL if how == "lateral" else {})
-    found = scene(given | (MOVING if how == "moving" else {}), lens=lens, sequence=EXPOSED)
+    found = scene(SLOPE | (MOVING if how == "moving" else {}), lens=lens, sequence=EXPOSED)
     assert_agree(rendered(found), reference_frames(found))
-
-
-def radii_of(frame: clsco.Frame) -> NDArray[np.float32]:
-    assert frame.blur_radius is not None
-    return frame.blur_radius
 
 
 def test_shares_of_a_time_sample_stay_until_they_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,15 +96,15 @@ def test_shares_of_a_time_sample_stay_until_they_are_read(monkeypatch: pytest.Mo
 def test_one_color_is_that_of_its_lens_alone() -> None:
     """Red of a lens with longitudinal color is red of a thin lens with red's focal length, and the same opening."""
     given = scene(COLORED, WALL, lens=AXIAL)
-    found, wanted = clsco.render_frame(given), given.replace("lens", {})
+    (found,), wanted = rendered(given), given.replace("lens", {})
     red = wanted.model_copy(update={"camera": wanted.camera.model_copy(update={"focal_length": 20.2})})
-    alone = clsco.render_frame(red)
+    (alone,) = rendered(red)
     np.testing.assert_allclose(found.color[..., 0], alone.color[..., 0], atol=2e-7)
-    assert np.abs(radii_of(found)[..., 0] - radii_of(alone)).max() < 1e-5
-    green = clsco.render_frame(wanted)
+    assert np.abs(found.blur_radius[..., 0] - alone.blur_radius).max() < 1e-5
+    (green,) = rendered(wanted)
     np.testing.assert_allclose(found.color[..., 1], green.color[..., 1], atol=2e-7)
-    assert (radii_of(found)[..., 1] == radii_of(green)).all()
-    assert np.array_equal(found.depth, green.depth)  # type: ignore[arg-type]
+    assert (found.blur_radius[..., 1] == green.blur_radius).all()
+    assert np.array_equal(found.depth, green.depth)
 
 
 def test_gray_textures_are_seen_in_color() -> None:
@@ -122,9 +116,9 @@ def test_gray_textures_are_seen_in_color() -> None:
 def test_a_lens_with_nothing_in_it_is_a_thin_one() -> None:
     """To the bit, and without a program or a pass of its own."""
     thin, given = scene(BALL, WALL), scene(BALL, WALL, lens={"axial": [0.0, 0.0, 0.0], "focus_surface": "plane"})
-    one, other = (clsco.render_frame(each, truth="blur_radius") for each in (thin, given))
+    (one,), (other,) = (rendered(each, truth="blur_radius") for each in (thin, given))
     assert (one.color == other.color).all()
-    assert (radii_of(one) == radii_of(other)).all()
+    assert (one.blur_radius == other.blur_radius).all()
     plans = [prepare(each).plan for each in (thin, given)]
     assert plans[0].features() == plans[1].features()
     assert [step.kind for step in plans[0].passes] == [step.kind for step in plans[1].passes]
@@ -209,23 +203,15 @@ def test_a_sphere_in_focus_against_rays_through_the_lens() -> None:
     columns, rows, depth = 64, 48, 1000.0
     camera = clsco.Camera(resolution=(columns, rows), pixel_pitch=0.25, focus_distance=250.0, aperture_diameter=40.0)
     row, column = np.indices((rows, columns)).astype(np.float64)
-
-    def waves(row: NDArray[np.float64], column: NDArray[np.float64], soft: int) -> NDArray[np.float64]:
-        """Waves of 0.4 and 0.2 per px, as a source's pixel and one of the detector leave of them where it is 1."""
-        across, down = (np.sinc(wave / 2 / np.pi) ** (2 * soft) for wave in (0.4, 0.2))
-        return 0.5 + 0.25 * across * np.sin(0.4 * column) + 0.2 * down * np.cos(0.2 * row)
-
-    wall = clsco.Plane(distance=depth, texture=waves(row, column, 0).astype(np.float32))
+    wall = clsco.Plane(distance=depth, texture=waves(WAVES, row, column, 0).astype(np.float32))
     given = clsco.Scene(camera=camera, objects=(wall,), lens=clsco.Lens(focus_surface="sphere"))
     found = clsco.render_frame(given, truth=()).color[8:-8, 8:-8]
     step = 0.25 / camera.normalization_distance
     x, y = step * (column - 31.5), step * (23.5 - row)
     away = (1.0 / depth - np.sqrt(1.0 + x * x + y * y) / 250.0) / step
-    drawn = np.arange(800) + 0.5
-    size, turn = 20.0 * np.sqrt(drawn / 800), drawn * np.pi * (3.0 - 5.0**0.5)
     traced = np.zeros((rows, columns))
-    for right, up in zip(size * np.cos(turn), size * np.sin(turn), strict=True):
-        traced += waves(row - up * away, column + right * away, 1) / 800
+    for right, up in lens_points(20.0):
+        traced += waves(WAVES, row - up * away, column + right * away, 1) / 800
     error = np.abs(found - traced[8:-8, 8:-8])
     assert error.mean() < 4e-4  # of the second order in grad R; radii of K - w cos, a tenth off, have 2.4e-3 and 9.2e-3
     assert error.max() < 1.5e-3
@@ -239,10 +225,11 @@ def test_an_image_that_would_lie_at_the_lens_is_refused() -> None:
         clsco.render_frame(wide)
 
 
-def test_files_of_radii_need_a_plane(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lens", [CURVED, {"distortion": [-0.25, 0.05, 0.0], "tangential": [0.01, -0.02]}])
+def test_files_of_radii_need_equal_blur(tmp_path: Path, lens: dict[str, Any]) -> None:
     given = {"shape": "depth_map", "depth": str(tmp_path / "none.npy"), "texture": "bricks", "unit": "coc"}
     with pytest.raises(clsco.SceneError, match=r"object\[0\].unit: coc belongs to lenses without field_curvature"):
-        scene(given, lens=CURVED)
+        scene(given, lens=lens)
 
 
 @pytest.mark.slow

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
 import sys
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,20 +15,14 @@ from clsco.frame.frame import Frame
 from clsco.frame.outputs import TRUTH_NAMES
 from clsco.reference.sequence import render as reference
 from clsco.scene.file import parse_scene
+from tests.pipeline.common import printed_with_threads
 from tests.slow import mostly_slow
 
-ROOT = Path(__file__).resolve().parents[2]
+TURNING = {"velocity": [3.0, 0.0, -20.0], "angular_velocity": [0.0, 15.0, 25.0]}
+IN_PLANE = TURNING | {"angular_velocity": [0.0, 0.0, 25.0]}
 OBJECTS: dict[str, dict[str, Any]] = {
-    "sphere": {
-        "shape": "sphere",
-        "center": [0.0, 0.0, 280.0],
-        "motion": {"velocity": [3.0, 0.0, -20.0], "angular_velocity": [0.0, 15.0, 25.0]},
-    },
-    "plane": {
-        "shape": "plane",
-        "distance": 260.0,
-        "motion": {"velocity": [3.0, 0.0, -20.0], "angular_velocity": [0.0, 0.0, 25.0]},
-    },
+    "sphere": {"shape": "sphere", "center": [0.0, 0.0, 280.0], "motion": TURNING},
+    "plane": {"shape": "plane", "distance": 260.0, "motion": IN_PLANE},
     "card": {"shape": "plane", "distance": 230.0, "bounds": [[-9.0, 12.0], [-15.0, 4.0], [-1.0, 1.0]]},
     "wall": {"shape": "plane", "distance": 330.0},
 }
@@ -65,11 +56,7 @@ CASES = [
     ("plane", "inverse", "convolve"),
     ("sphere card wall", "forward", "gather"),
 ]
-OTHERS = [
-    ("sphere", "inverse", "tiles"),
-    ("sphere", "forward", "gather"),
-    ("sphere card wall", "inverse", "gather"),
-]
+OTHERS = [("sphere", "inverse", "tiles"), ("sphere", "forward", "gather"), ("sphere card wall", "inverse", "gather")]
 Known = dict[tuple[str, str, str], str]
 
 
@@ -100,12 +87,9 @@ def test_in_other_groups(local: tuple[int, int], known: Known, monkeypatch: pyte
 
 @pytest.mark.parametrize("threads", mostly_slow(["1", "3"], ["3"]))
 def test_with_other_threads(threads: str, known: Known) -> None:
-    code = f"from test_same_bits import outcome; print(*(outcome(*case) for case in {list(known)}), sep='\\n')"
-    path = os.pathsep.join([str(ROOT), str(Path(__file__).parent)])
-    environ = os.environ | {"POCL_MAX_PTHREAD_COUNT": threads, "PYTHONPATH": path}
-    command = [sys.executable, "-c", code]
-    printed = subprocess.run(command, env=environ, check=True, capture_output=True, text=True, timeout=300).stdout
-    assert printed.split() == list(known.values())
+    cases = f"(outcome(*case) for case in {list(known)})"
+    code = f"from tests.pipeline.test_same_bits import outcome; print(*{cases}, sep='\\n')"
+    assert printed_with_threads(threads, code).split() == list(known.values())
 
 
 @pytest.mark.parametrize(
@@ -118,10 +102,10 @@ def test_with_other_threads(threads: str, known: Known) -> None:
     ids=["still", "inverse", "forward"],
 )
 def test_where_arithmetic_is_exact_the_reference_has_the_same_bits(
-    motion: dict[str, Any], sequence: dict[str, Any], tmp_path: Path
+    motion: dict[str, Any], sequence: dict[str, Any]
 ) -> None:
     """A plane in focus with light in steps of a 256th, and means of four moments."""
-    np.save(tmp_path / "light.npy", (np.arange(48 * 80).reshape(48, 80) * 37 % 256 / 256).astype(np.float32))
+    light = (np.arange(48 * 80).reshape(48, 80) * 37 % 256 / 256).astype(np.float32)
     moving = {"velocity": [2.0, 1.0, 0.0]} if motion else {}
     scene = parse_scene(
         {
@@ -130,7 +114,7 @@ def test_where_arithmetic_is_exact_the_reference_has_the_same_bits(
             "psf": {"edge": "sampled"},
             "sequence": sequence,
             "motion": motion,
-            "object": [{"shape": "plane", "distance": 250.0, "texture": str(tmp_path / "light.npy"), "motion": moving}],
+            "object": [{"shape": "plane", "distance": 250.0, "texture": light, "motion": moving}],
         }
     )
     for found, expected in zip(clsco.render(scene), reference(scene), strict=True):

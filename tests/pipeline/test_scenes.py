@@ -34,7 +34,7 @@ ODD: Any = np.random.default_rng(5)
 scene = partial(scene_from, {"camera": CAMERA})
 
 
-def assert_agrees(wanted: Scene, **options: Any) -> list[Frame]:
+def assert_agrees(wanted: Scene, **options: Any) -> list[Any]:
     """All outputs of all frames agree with the reference's; gives the frames."""
     frames, exact = rendered(wanted, **options), reference_frames(wanted)
     assert len(exact) == wanted.sequence.frames
@@ -52,8 +52,7 @@ def picture(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("warp", "method"),
-    combined(("inverse", "forward"), ("gather", "scatter"), kept=[("inverse", "gather")]),
+    ("warp", "method"), combined(("inverse", "forward"), ("gather", "scatter"), kept=[("inverse", "gather")])
 )
 def test_color_is_three_gray_scenes(method: str, warp: str, picture: Path) -> None:
     item = {**BALL, "texture": str(picture), "motion": GOING}
@@ -104,9 +103,9 @@ def test_a_sharp_picture_comes_out_as_it_went_in(
         np.testing.assert_array_equal(out.data, data, strict=True)
 
 
-def test_light_above_white_is_kept(tmp_path: Path) -> None:
-    np.save(tmp_path / "sun.npy", np.where(ODD.random((40, 56)) > 0.99, 500.0, 0.2).astype(np.float32))
-    bright = scene({**BALL, "texture": str(tmp_path / "sun.npy")}, psf=PLAIN)
+def test_light_above_white_is_kept() -> None:
+    sun = np.where(ODD.random((40, 56)) > 0.99, 500.0, 0.2).astype(np.float32)
+    bright = scene({**BALL, "texture": sun}, psf=PLAIN)
     exact = next(reference.render(bright)).color
     assert exact.max() > 5
     for method in ("gather", "scatter"):
@@ -116,13 +115,11 @@ def test_light_above_white_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shape", "method"),
-    combined(("plane", "sphere"), ("gather", "scatter"), kept=[("plane", "scatter")]),
+    ("shape", "method"), combined(("plane", "sphere"), ("gather", "scatter"), kept=[("plane", "scatter")])
 )
-def test_renormalizing_gives_all_light_back(shape: str, method: str, tmp_path: Path) -> None:
+def test_renormalizing_gives_all_light_back(shape: str, method: str) -> None:
     item = {"shape": "plane", "slope_x": 1.0} if shape == "plane" else BALL
-    np.save(tmp_path / "flat.npy", np.full((40, 56), 0.5, np.float32))
-    flat = {**item, "texture": str(tmp_path / "flat.npy")}
+    flat = {**item, "texture": np.full((40, 56), 0.5, np.float32)}
     psf = {"border": "renormalize", "tilt": False}
     assert_agrees(scene({**item}, psf=psf), method=method)
     (frame,) = rendered(scene(flat, psf=psf), method=method)
@@ -130,7 +127,6 @@ def test_renormalizing_gives_all_light_back(shape: str, method: str, tmp_path: P
     # at a silhouette light the share of a pixel that the surface covers, and the mask says all or nothing: half
     # of each of the 130 pixels around the sphere at most.
     share = 0.5 * 130 / frame.color.size if item is BALL else 0.0
-    assert frame.sharp is not None
     assert frame.color.mean() == pytest.approx(frame.sharp.mean(), rel=1e-5, abs=0.5 * share)
     if item is not BALL:
         np.testing.assert_allclose(frame.color.sum(), 0.5 * frame.color.size, rtol=1e-5)
@@ -178,11 +174,7 @@ def test_texture_filters(texture_filter: str) -> None:
 
 @pytest.mark.parametrize(
     ("domain", "method"),
-    combined(
-        ("surface", "span"),
-        ("ait", "mean_median", "none"),
-        kept=[("surface", "ait"), ("span", "none")],
-    ),
+    combined(("surface", "span"), ("ait", "mean_median", "none"), kept=[("surface", "ait"), ("span", "none")]),
 )
 def test_filling(method: str, domain: str) -> None:
     item = {**BALL, "motion": {"velocity": [0.0, 0.0, -40.0], "angular_velocity": [0.0, 0.0, 30.0]}}
@@ -192,7 +184,6 @@ def test_filling(method: str, domain: str) -> None:
     filled = [moment["filled_pixels"] for moment in frame.metadata["intermediate"]]
     assert max(missing) > 20
     assert (max(filled) > 0) == (method != "none")
-    assert frame.filled is not None
     assert frame.filled.any()
 
 
@@ -220,7 +211,6 @@ def test_nothing_moves_by_no_velocity() -> None:
     first, second = rendered(still)
     assert first.metadata["samples"] == 1
     same(first, second)
-    assert first.flow is not None
     # A column below 64 is rounded to 2^-47, and few roundings lie between it and its difference from itself.
     assert np.abs(first.flow).max() < 16 * 2.0**-47
 

@@ -4,9 +4,6 @@ without one."""
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,11 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from PIL import Image
 
 import clsco
-from clsco.cli.main import main
 from clsco.constants import BAND
 from clsco.data.distribution import load_distribution, scripted
 from clsco.engine.response import response
@@ -34,7 +29,8 @@ from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.toml import toml_text
-from tests.pipeline.common import PLAIN, assert_strips_agree
+from tests.command import clsco_
+from tests.pipeline.common import PLAIN, assert_strips_agree, printed_with_threads
 from tests.slow import mostly_slow
 
 BALL: dict[str, Any] = {"shape": "sphere", "center": [0, 0, 260], "radius": 10, "texture": "bricks"}
@@ -108,11 +104,7 @@ def test_strips_have_the_bits_of_the_whole(name: str) -> None:
 @pytest.mark.parametrize("threads", ["1", "3"])
 def test_with_other_threads(threads: str) -> None:
     code = "from tests.pipeline.test_sensor import codes_sum; print(codes_sum())"
-    root = Path(__file__).resolve().parents[2]
-    environ = os.environ | {"POCL_MAX_PTHREAD_COUNT": threads, "PYTHONPATH": str(root)}
-    command = [sys.executable, "-c", code]
-    printed = subprocess.run(command, env=environ, check=True, capture_output=True, text=True, timeout=300).stdout
-    assert printed.strip() == codes_sum()
+    assert printed_with_threads(threads, code).strip() == codes_sum()
 
 
 def codes_sum() -> str:
@@ -297,7 +289,7 @@ texture = "#e08020"
 
 
 def run(*args: object) -> str:
-    found = CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
+    found = clsco_(*args)
     assert found.exit_code == 0, found.output
     return found.output
 
@@ -333,7 +325,7 @@ def test_files(tmp_path: Path) -> None:
 def test_codes_of_a_scene_without_a_sensor_are_refused(tmp_path: Path) -> None:
     scene = tmp_path / "s.toml"
     scene.write_text('[[object]]\nshape = "sphere"\n')
-    found = CliRunner().invoke(main, ["render", str(scene), "-o", str(tmp_path / "out"), "--format", "png"])
+    found = clsco_("render", scene, "-o", tmp_path / "out", "--format", "png")
     assert found.exit_code == 1
     assert "truth: the scene must have raw; got png" in found.output
 

@@ -9,31 +9,23 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-import clsco
 from clsco.optics.motion import poses_at
 from clsco.scene.model import Scene
 from clsco.scene.rotations import rotation_rows
 from tests.pipeline.common import PLAIN
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 
-# Turns that bring a side to the front: about y the right side comes nearer, about x the top goes away (scene_files.md).
-SHOWN = {
-    "front": [0.0, 0.0, 0.0],
-    "back": [0.0, 180.0, 0.0],
-    "left": [0.0, -90.0, 0.0],
-    "right": [0.0, 90.0, 0.0],
-    "top": [-90.0, 0.0, 0.0],
-    "bottom": [90.0, 0.0, 0.0],
+# A letter; the turn that brings the side to the front: about y the right side comes nearer, about x the top goes away
+# (scene_files.md); what is to the right and up for who looks at it upright: with the front beside, below or above it.
+SIDES: dict[str, tuple[str, list[float], tuple[int, ...], tuple[int, ...]]] = {
+    "front": ("F", [0.0, 0.0, 0.0], (1, 0, 0), (0, 1, 0)),
+    "back": ("K", [0.0, 180.0, 0.0], (-1, 0, 0), (0, 1, 0)),
+    "left": ("L", [0.0, -90.0, 0.0], (0, 0, -1), (0, 1, 0)),
+    "right": ("R", [0.0, 90.0, 0.0], (0, 0, 1), (0, 1, 0)),
+    "top": ("P", [-90.0, 0.0, 0.0], (1, 0, 0), (0, 0, 1)),
+    "bottom": ("G", [90.0, 0.0, 0.0], (1, 0, 0), (0, 0, -1)),
 }
-# Out, and what is to the right and up for who looks at it upright: with the front beside, below or above it.
-AXES = {
-    "front": ((0, 0, -1), (1, 0, 0), (0, 1, 0)),
-    "back": ((0, 0, 1), (-1, 0, 0), (0, 1, 0)),
-    "left": ((-1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "right": ((1, 0, 0), (0, 0, 1), (0, 1, 0)),
-    "top": ((0, 1, 0), (1, 0, 0), (0, 0, 1)),
-    "bottom": ((0, -1, 0), (1, 0, 0), (0, 0, -1)),
-}
+SHOWN = {side: turn for side, (_, turn, *_) in SIDES.items()}
 CAMERA: dict[str, Any] = {"resolution": [40, 40], "pixel_pitch": 0.1, "f_number": 4.0, "focus_distance": 262.0}
 TRUTH = ("uv", "depth", "object_id", "sharp")
 SIZE, CENTER = [30.0, 24.0, 20.0], [0.0, 0.0, 280.0]
@@ -42,8 +34,7 @@ SIZE, CENTER = [30.0, 24.0, 20.0], [0.0, 0.0, 280.0]
 def letter(side: str) -> NDArray[np.float32]:
     """A letter that no mirror keeps."""
     image = Image.new("L", (32, 32), 40)
-    character = {"front": "F", "back": "K", "left": "L", "right": "R", "top": "P", "bottom": "G"}[side]
-    ImageDraw.Draw(image).text((16, 16), character, 255, ImageFont.load_default(28), "mm")
+    ImageDraw.Draw(image).text((16, 16), SIDES[side][0], 255, ImageFont.load_default(28), "mm")
     return (np.asarray(image) / 255).astype(np.float32)
 
 
@@ -81,15 +72,11 @@ def test_letters_have_no_mirror_images() -> None:
 @pytest.mark.parametrize("side", SHOWN)
 def test_a_side_of_a_box_is_a_card_with_its_letter(side: str) -> None:
     given = scene(box(rotation=SHOWN[side])), scene(card(side, texture_mapping="surface"))
-    found, wanted = (clsco.render_frame(each, truth=TRUTH, color=False) for each in given)
+    (found,), (wanted,) = (rendered(each, truth=TRUTH, color=False) for each in given)
     # Beside its edges a pixel shows the next sides of a box.
     inner = (slice(14, 26),) * 2
-    assert found.sharp is not None
-    assert wanted.sharp is not None
     np.testing.assert_allclose(found.sharp[inner], wanted.sharp[inner], rtol=0, atol=2e-6)
     assert np.ptp(found.sharp[inner]) > 0.3
-    assert found.uv is not None
-    assert wanted.uv is not None
     np.testing.assert_allclose(found.uv, wanted.uv, rtol=0, atol=1e-6)
 
 
@@ -111,10 +98,7 @@ def test_uv_of_a_box_is_right_and_up_from_the_corner_of_each_side(rotation: list
     wanted = scene(
         box(rotation=rotation, motion=motion), sequence={"frames": 2, "interval": 1.0, "shutter": 1e-9, "samples": 1}
     )
-    frame = clsco.render_frame(wanted, 1, truth=TRUTH, color=False)
-    assert frame.uv is not None
-    assert frame.depth is not None
-    assert frame.object_id is not None
+    (frame,) = rendered(wanted, frames=[1], truth=TRUTH, color=False)
     names = [item.name.split()[1] for item in wanted.objects]
     pose = poses_at(wanted, 1.0 + 0.5e-9)[0]
     turn = pose.rotation @ np.array(rotation_rows((rotation[0], rotation[1], rotation[2])))
@@ -125,7 +109,7 @@ def test_uv_of_a_box_is_right_and_up_from_the_corner_of_each_side(rotation: list
     own = (points - np.array(CENTER) - pose.shift) @ turn
     sides = [names[number] for number in frame.object_id[i, j]]
     assert len(set(sides)) == 3
-    right, up = (np.array([AXES[side][k] for side in sides], float) for k in (1, 2))
+    right, up = (np.array([SIDES[side][k] for side in sides], float) for k in (2, 3))
     size = np.array(SIZE)
     expected = [0.5 + (own * axis).sum(axis=1) / np.abs(axis @ size) for axis in (right, up)]
     np.testing.assert_allclose(frame.uv[i, j], np.stack(expected, axis=1), rtol=0, atol=1e-4)
@@ -135,9 +119,7 @@ def test_uv_of_a_box_is_right_and_up_from_the_corner_of_each_side(rotation: list
 def test_a_side_of_a_cube_map_reads_as_the_front_does(side: str) -> None:
     ball = {"shape": "sphere", "radius": 14.0, "texture_mapping": "cube"}
     given = lettered(rotation=SHOWN[side]) | ball, {"center": CENTER, "texture": letter(side)} | ball
-    found, wanted = (clsco.render_frame(scene(item), truth=TRUTH, color=False).sharp for item in given)
-    assert found is not None
-    assert wanted is not None
+    found, wanted = (rendered(scene(item), truth=TRUTH, color=False)[0].sharp for item in given)
     # Other sides differ, which begin 45 degrees off the middle.
     middle = np.hypot(*np.indices((40, 40)) - 19.5) < 6.0
     np.testing.assert_allclose(found[middle], wanted[middle], rtol=0, atol=1e-3)

@@ -25,16 +25,12 @@ from clsco.plan.plan import Plan, make_plan
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
-from tests.scenes import scene_from
+from tests.scenes import assert_same, rendered, scene_from
+from tests.slow import mostly_slow
 
 ROWS, COLUMNS = 3 * BAND + 23, 50
-BALL = {
-    "shape": "sphere",
-    "center": [1.0, 0.0, 280.0],
-    "radius": 12.0,
-    "texture": "checkerboard",
-    "motion": {"velocity": [3.0, -9.0, -20.0], "angular_velocity": [0.0, 15.0, 25.0]},
-}
+MOVING = {"velocity": [3.0, -9.0, -20.0], "angular_velocity": [0.0, 15.0, 25.0]}
+BALL = {"shape": "sphere", "center": [1.0, 0.0, 280.0], "radius": 12.0, "texture": "checkerboard", "motion": MOVING}
 CARD = {"shape": "plane", "distance": 230.0, "bounds": [[-5.0, 4.0], [-15.0, 4.0], [-1.0, 1.0]]}
 FLOOR = {"shape": "plane", "distance": 300.0, "slope_y": 0.4}
 WALL = {"shape": "plane", "distance": 330.0}
@@ -52,9 +48,6 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 # Buffers that the views of a pair share, and the plan counts for each.
 SHARED = ("texture", *(f"blur {sub}{table}" for sub in ("", "subpixel ") for table in ("intervals", "coefficients")))
 SHARED += ("blur taps", "blur outlines")
-SLOW = ("moving ball", "pair", "fixed point", "fixed point, card", "tiles", "light given back")
-
-
 CAMERA = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0}
 
 
@@ -75,14 +68,27 @@ def plan_of(scene: Scene, truth: tuple[str, ...], method: str, eye: Any) -> Plan
     return known.plans[eye == "right"]
 
 
-def assert_same(frames: list[Frame], others: list[Frame]) -> None:
+def assert_cut(
+    scene: Scene, rows: int, count: int, whole: list[Frame], peak: list[int], method: str = "auto", shared: int = 0
+) -> list[Frame]:
+    """Frames in `count` strips of so many rows, with the bits of whole ones and the predicted memory; gives them.
+
+    shared: bytes that the views of a pair share.
+    """
+    limit, before = memory_for(scene, rows, method=method), peak[0]
+    peak[1] = before
+    tiled = list(clsco.render(scene, method=method, memory=limit))
+    # The plan counts no structs and no statistics: some kB.
+    assert peak[1] - before + shared == pytest.approx(limit, rel=0.05)
+    assert {frame.metadata["strips"] for frame in tiled} == {count}
+    assert_all_same(whole, tiled)
+    return tiled
+
+
+def assert_all_same(frames: list[Frame], others: list[Frame]) -> None:
     assert len(frames) == len(others) > 0
     for one, other in zip(frames, others, strict=True):
-        for name in ("color", *ALL_TRUTH):
-            wanted, got = getattr(one, name), getattr(other, name)
-            assert (wanted is None) == (got is None)
-            if wanted is not None:
-                np.testing.assert_array_equal(got.view(np.uint8), wanted.view(np.uint8), name, strict=True)
+        assert_same(other, one)
 
 
 @pytest.fixture
@@ -104,23 +110,16 @@ def peak(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return seen
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in SCENES]
-)
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ["card before a floor", "one radius", "in focus"]))
 def test_strips_have_the_bits_of_the_whole_frame(name: str, peak: list[int]) -> None:
     scene, method = named(name), SCENES[name][0]
     whole = list(clsco.render(scene, method=method))
     assert {frame.metadata["strips"] for frame in whole} == {1}
     assert len(np.unique(whole[0].color)) > 100
+    sizes = buffer_bytes(plan_of(scene, ALL_TRUTH, method, "left"))
+    twice = sum(sizes[one] for one in SHARED if name == "pair")
     for rows, count in ((BAND, 4), (2 * BAND, 2)):
-        limit, before = memory_for(scene, rows, method=method), peak[0]
-        peak[1] = before
-        tiled = list(clsco.render(scene, method=method, memory=limit))
-        twice = sum(buffer_bytes(plan_of(scene, ALL_TRUTH, method, "left"))[one] for one in SHARED if name == "pair")
-        # The plan counts no structs and no statistics: some kB.
-        assert peak[1] - before + twice == pytest.approx(limit, rel=0.05)
-        assert {frame.metadata["strips"] for frame in tiled} == {count}
-        assert_same(whole, tiled)
+        assert_cut(scene, rows, count, whole, peak, method, twice)
 
 
 TALL = 17 * BAND + 23
@@ -129,13 +128,13 @@ CARDS = [CARD | {"bounds": [[-5.0, 4.0], [-75.0 + k, 75.0], [-1.0, 1.0]], "dista
 
 @pytest.mark.parametrize(
     ("method", "sections"),
-    [
+    mostly_slow([
         ("gather", {"object": [*CARDS, FLOOR]}),
-        pytest.param("gather", {"object": [BALL, WALL], "sequence": {"samples": 2}}, marks=pytest.mark.slow),
-        pytest.param("scatter", {"object": [*CARDS, FLOOR], "psf": {"model": "gaussian"}}, marks=pytest.mark.slow),
-        pytest.param("gather", {"object": [*CARDS, WALL], "psf": {"border": "renormalize"}}, marks=pytest.mark.slow),
-    ],
-)
+        ("gather", {"object": [BALL, WALL], "sequence": {"samples": 2}}),
+        ("scatter", {"object": [*CARDS, FLOOR], "psf": {"model": "gaussian"}}),
+        ("gather", {"object": [*CARDS, WALL], "psf": {"border": "renormalize"}}),
+    ], [("gather", {"object": [*CARDS, FLOOR]})]),
+)  # fmt: skip
 def test_layers_in_strips(method: str, sections: dict[str, Any], peak: list[int]) -> None:
     """All strips have a say in where depth layers begin; what goes on behind an edge is made from what is near."""
     camera = {"resolution": [COLUMNS, TALL], "pixel_pitch": 0.04, "aperture_diameter": 8.0}
@@ -144,13 +143,8 @@ def test_layers_in_strips(method: str, sections: dict[str, Any], peak: list[int]
     assert {frame.metadata["strips"] for frame in whole} == {1}
     assert whole[0].metadata["intermediate"][0]["depth_layers"] > 1
     for rows in (BAND, 4 * BAND):
-        limit, before = memory_for(scene, rows, method=method), peak[0]
-        peak[1] = before
-        tiled = list(clsco.render(scene, method=method, memory=limit))
-        assert peak[1] - before == pytest.approx(limit, rel=0.05)
-        assert {frame.metadata["strips"] for frame in tiled} == {-(-TALL // rows)}
+        tiled = assert_cut(scene, rows, -(-TALL // rows), whole, peak, method)
         assert tiled[0].metadata["intermediate"] == whole[0].metadata["intermediate"]
-        assert_same(whole, tiled)
 
 
 @pytest.mark.parametrize("holes", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -167,16 +161,10 @@ def test_a_depth_map_in_strips(occlusion: str, holes: bool, tmp_path: Path, peak
     camera = {"pixel_pitch": 0.04, "aperture_diameter": 7.0}
     fill = {"motion": {"warp": "forward"}, "fill": {"method": "none"}} if holes else {}
     scene = scene_from(fill, item, camera=camera, psf={"occlusion": occlusion})
-    whole = list(clsco.render(scene))
-    assert whole[0].mask is not None
+    whole = rendered(scene)
     assert whole[0].mask.all() == (not holes)
     for tall in (BAND, 3 * BAND):
-        limit, before = memory_for(scene, tall), peak[0]
-        peak[1] = before
-        tiled = list(clsco.render(scene, memory=limit))
-        assert peak[1] - before == pytest.approx(limit, rel=0.05)
-        assert {frame.metadata["strips"] for frame in tiled} == {-(-rows // tall)}
-        assert_same(whole, tiled)
+        assert_cut(scene, tall, -(-rows // tall), whole, peak)
 
 
 def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[int]) -> None:
@@ -197,7 +185,7 @@ def test_a_plan_that_was_too_small(monkeypatch: pytest.MonkeyPatch, peak: list[i
     assert whole[0].metadata["strips"] == 1
     assert tiled[0].metadata["strips"] > 1
     assert tiled[0].metadata["guard_px"] > 0
-    assert_same(whole, tiled)
+    assert_all_same(whole, tiled)
 
 
 def test_a_sweep_in_strips() -> None:
@@ -209,7 +197,7 @@ def test_a_sweep_in_strips() -> None:
     tiled = [frame for _, frame in render_sweep(scenes, truth=(), frames=[0], memory=memory_for(scenes[0], BAND, ()))]
     assert [frame.metadata["strips"] for frame in whole] == [1, 1]
     assert min(frame.metadata["strips"] for frame in tiled) > 1
-    assert_same(whole, tiled)
+    assert_all_same(whole, tiled)
 
 
 def test_the_forward_warp_needs_the_whole_frame(peak: list[int]) -> None:

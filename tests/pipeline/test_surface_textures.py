@@ -139,12 +139,7 @@ def test_flow_carries_a_texture_to_the_next_frame() -> None:
     )
     camera = CAMERA | {"resolution": [144, 108], "pixel_pitch": 0.0333}
     wanted = scene(*items, camera=camera, psf=PLAIN, sequence={"frames": 2, "samples": 1})
-    first, second = clsco.render(wanted, truth=("sharp", "flow", "flow_occluded", "object_id"), color=False)
-    assert first.flow is not None
-    assert first.sharp is not None
-    assert first.flow_occluded is not None
-    assert first.object_id is not None
-    assert second.sharp is not None
+    first, second = rendered(wanted, truth=("sharp", "flow", "flow_occluded", "object_id"), color=False)
     i, j = np.indices(first.sharp.shape)
     found = interpolated(second.sharp, j + first.flow[..., 0], i + first.flow[..., 1])
     edge = np.zeros(first.sharp.shape, dtype=bool)
@@ -161,10 +156,7 @@ def test_flow_carries_a_texture_to_the_next_frame() -> None:
 def test_uv_is_where_the_texture_is_taken_from() -> None:
     ramp = np.tile((np.arange(64, dtype=np.float32) + 0.5) / 64, (64, 1))
     item = CARD | {"texture": ramp}
-    frame = clsco.render_frame(scene(item, psf=PLAIN), truth=("uv", "sharp", "mask"), color=False)
-    assert frame.uv is not None
-    assert frame.sharp is not None
-    assert frame.mask is not None
+    (frame,) = rendered(scene(item, psf=PLAIN), truth=("uv", "sharp", "mask"), color=False)
     inside = frame.mask & (frame.uv[..., 0] > 0.1) & (frame.uv[..., 0] < 0.9)
     np.testing.assert_allclose(frame.uv[inside][:, 0], frame.sharp[inside], atol=2e-3)
     assert (frame.uv[~frame.mask] == 0).all()
@@ -176,8 +168,6 @@ def test_means_of_thousands_of_texels_of_one_color_are_that_color(size: float) -
     """A pixel sees up to 10^10 texels, more than cells have room for; sums in single precision must not drift."""
     tiny = TUBE | {"texture": np.full((1, 1), 0.7, np.float32), "texture_size": size, "rotation": [20.0, 30.0, 10.0]}
     (frame,) = rendered(scene(tiny, psf=PLAIN), truth=("sharp", "depth"), color=False)
-    assert frame.sharp is not None
-    assert frame.depth is not None
     seen = frame.sharp[np.isfinite(frame.depth)]
     assert len(seen) > 300
     np.testing.assert_allclose(seen, 0.7, rtol=3e-6)

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 import clsco
-from clsco import reference
 from clsco.engine.sequence import render_sweep
-from clsco.frame.frame import Frame
 from clsco.optics.lens import Lens
 from clsco.scene.model import Scene
 from tests.pipeline.common import PLAIN
-from tests.scenes import scene_from
+from tests.scenes import reference_frames, rendered, scene_from
 from tests.slow import combined
 
 SIZE = 96
@@ -30,29 +29,19 @@ TRUTH_ONLY = PLAIN | {"occlusion": "none"}
 BEND = 0.25 * (2 * np.pi / 24) ** 2
 
 
-@pytest.fixture
-def waves(tmp_path: Path) -> str:
-    """A texture of smooth waves of 24 px and more."""
-    i, j = np.indices((SIZE, SIZE))
-    light = 0.5 + 0.25 * np.sin(2 * np.pi * j / 24) * np.cos(2 * np.pi * i / 31)
-    np.save(tmp_path / "waves.npy", light.astype(np.float32))
-    return str(tmp_path / "waves.npy")
+# Smooth waves of 24 px and more.
+AT = 2 * np.pi * np.arange(SIZE)
+WAVES = (0.5 + 0.25 * np.sin(AT / 24) * np.cos(AT / 31)[:, None]).astype(np.float32)
 
 
-def scene(texture: str, *items: dict[str, Any], **sections: Any) -> Scene:
-    objects = [{"texture": texture, **item} for item in items]
+def scene(*items: dict[str, Any], **sections: Any) -> Scene:
+    objects = [{"texture": WAVES, **item} for item in items]
     return scene_from({"camera": CAMERA}, *objects, **sections)
 
 
 def fetched(image: NDArray[Any], row: NDArray[Any], column: NDArray[Any]) -> NDArray[Any]:
     """Bilinear interpolation of an image (rows, columns) at positions in px, clamped to it."""
-    rows, columns = image.shape
-    i = np.clip(np.floor(row).astype(int), 0, rows - 2)
-    j = np.clip(np.floor(column).astype(int), 0, columns - 2)
-    y, x = row - i, column - j
-    above = image[i, j] * (1 - x) + image[i, j + 1] * x
-    below = image[i + 1, j] * (1 - x) + image[i + 1, j + 1] * x
-    return np.asarray(above * (1 - y) + below * y)
+    return np.asarray(ndimage.map_coordinates(np.asarray(image, float), [row, column], order=1, mode="nearest"))
 
 
 def whole_cell(number: NDArray[Any], row: NDArray[Any], column: NDArray[Any], own: NDArray[Any]) -> NDArray[Any]:
@@ -65,20 +54,14 @@ def whole_cell(number: NDArray[Any], row: NDArray[Any], column: NDArray[Any], ow
     return np.asarray(inside & np.logical_and.reduce(same))
 
 
-def test_flow_carries_a_frame_to_the_next(waves: str) -> None:
+def test_flow_carries_a_frame_to_the_next() -> None:
     """Away from the outlines the sharp image of a frame, fetched along the flow from the next one, is the same."""
     moving = {"velocity": [6.0, -3.0, 4.0], "angular_velocity": [0.0, 8.0, 5.0]}
     wanted = scene(
-        waves, BALL | {"motion": moving}, CARD | {"motion": {"velocity": [-5.0, 2.0, 0.0]}}, WALL,
+        BALL | {"motion": moving}, CARD | {"motion": {"velocity": [-5.0, 2.0, 0.0]}}, WALL,
         sequence={"frames": 2, "samples": 1}, camera={"motion": {"velocity": [1.0, 0.0, 2.0]}}, psf=TRUTH_ONLY,
     )  # fmt: skip
-    now, then = clsco.render(wanted, color=False)
-    assert now.flow is not None
-    assert now.sharp is not None
-    assert now.object_id is not None
-    assert now.hidden is not None
-    assert then.sharp is not None
-    assert then.object_id is not None
+    now, then = rendered(wanted, color=False)
     assert then.hidden is not None
     i, j = np.indices(now.sharp.shape)
     row, column = i + now.flow[..., 1], j + now.flow[..., 0]
@@ -94,19 +77,11 @@ def test_flow_carries_a_frame_to_the_next(waves: str) -> None:
 
 
 @pytest.mark.parametrize("toe_in", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_stereo_views_agree_outside_of_occlusions(waves: str, toe_in: float) -> None:
-    pair = scene(waves, BALL, CARD, WALL, stereo={"baseline": 6.0, "toe_in": toe_in}, psf=TRUTH_ONLY)
-    left, right = clsco.render(pair, color=False)
+def test_stereo_views_agree_outside_of_occlusions(toe_in: float) -> None:
+    pair = scene(BALL, CARD, WALL, stereo={"baseline": 6.0, "toe_in": toe_in}, psf=TRUTH_ONLY)
+    left, right = rendered(pair, color=False)
     assert (left.eye, right.eye) == ("left", "right")
     for one, other, sign in ((left, right, -1.0), (right, left, 1.0)):
-        assert one.disparity is not None
-        assert one.occluded is not None
-        assert one.object_id is not None
-        assert one.depth is not None
-        assert one.sharp is not None
-        assert other.sharp is not None
-        assert other.object_id is not None
-        assert other.depth is not None
         assert 0.02 < one.occluded.mean() < 0.5
         if toe_in:
             continue
@@ -123,78 +98,64 @@ def test_stereo_views_agree_outside_of_occlusions(waves: str, toe_in: float) -> 
         assert np.quantile(error, 0.99) < 1.1 * 3 * BEND / 8  # as for the flow, along the rows only
 
 
-def test_what_is_hidden_from_the_other_view_is_nearer_there(waves: str) -> None:
-    pair = scene(waves, BALL, WALL, stereo={"baseline": 6.0}, psf=TRUTH_ONLY)
-    left, right = clsco.render(pair, truth=("occluded", "object_id", "disparity"), color=False)
-    assert left.occluded is not None
-    assert left.object_id is not None
-    assert left.disparity is not None
+def test_what_is_hidden_from_the_other_view_is_nearer_there() -> None:
+    pair = scene(BALL, WALL, stereo={"baseline": 6.0}, psf=TRUTH_ONLY)
+    left, right = rendered(pair, truth=("occluded", "object_id", "disparity"), color=False)
     inside = np.indices(left.occluded.shape)[1] - left.disparity >= 0
     assert (left.object_id[left.occluded & inside] == 1).all()  # the wall, behind the ball
     assert right.occluded is not None
 
 
-def test_the_apex_of_a_cone_faces_the_lens(waves: str) -> None:
+def test_the_apex_of_a_cone_faces_the_lens() -> None:
     """Its gradient is 0, exactly, in the pixel that the axis goes through."""
     cone = {"shape": "cone", "apex": [0.0, 0.0, 256.0], "half_angle": 40.0}
-    wanted = scene(waves, cone, camera={"resolution": [9, 7]}, psf=TRUTH_ONLY)
-    frame = clsco.render_frame(wanted, truth=("normal",), color=False)
-    assert frame.normal is not None
+    wanted = scene(cone, camera={"resolution": [9, 7]}, psf=TRUTH_ONLY)
+    (frame,) = rendered(wanted, truth=("normal",), color=False)
     assert frame.normal[3, 4].tolist() == [0.0, 0.0, -1.0]
 
 
-def test_the_apex_of_a_cone_beside_the_axis_faces_the_lens(waves: str) -> None:
+def test_the_apex_of_a_cone_beside_the_axis_faces_the_lens() -> None:
     """A pixel is 1 mm at the apex, so that all of it is exact; its light goes into all directions alike."""
     cone = {"shape": "cone", "apex": [3.0, -1.0, 256.0], "half_angle": 40.0}
     camera = {"resolution": [9, 7], "pixel_pitch": 0.078125, "focus_distance": 150.0, "aperture_diameter": 20.0}
-    whole = scene(waves, cone, camera=camera, psf={"occlusion": "none", "silhouette_samples": 1, "edge": "sampled"})
-    (frame,), (twin,) = clsco.render(whole), reference.render(whole)
-    assert frame.normal is not None
-    assert frame.depth is not None
+    whole = scene(cone, camera=camera, psf={"occlusion": "none", "silhouette_samples": 1, "edge": "sampled"})
+    (frame,), (twin,) = rendered(whole), reference_frames(whole)
     assert frame.depth[4, 7] == 256.0
     ray = np.array([3.0, -1.0, 256.0])
     np.testing.assert_allclose(frame.normal[4, 7], -ray / np.linalg.norm(ray), rtol=1e-7)
     np.testing.assert_allclose(frame.color, twin.color, rtol=0, atol=1e-6)
 
 
-def test_a_depth_map_of_a_scene_gives_its_frame(waves: str, tmp_path: Path) -> None:
+def test_a_depth_map_of_a_scene_gives_its_frame(tmp_path: Path) -> None:
     """Depth and focused image of an analytic scene make the frame that its layers make, up to their rounding.
 
     Outside of the frame the map is mirrored, where the slanted wall goes on: the light that comes from there differs.
     """
-    analytic = scene(waves, BALL, WALL, psf={"occlusion": "layered"})
-    (frame,) = clsco.render(analytic)
-    assert frame.depth is not None
-    assert frame.sharp is not None
-    assert frame.blur_radius is not None
+    analytic = scene(BALL, WALL, psf={"occlusion": "layered"})
+    (frame,) = rendered(analytic)
     np.save(tmp_path / "sharp.npy", frame.sharp)
     bend = 10.0 * 20.0 / (2 * 0.05)  # px mm: what a change of inverse depth does to R
     for unit, depth in (("mm", frame.depth), ("inverse_mm", 1 / frame.depth), ("coc", frame.blur_radius)):
         np.save(tmp_path / "depth.npy", depth)
         item = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "unit": unit}
-        (mapped,) = clsco.render(scene(str(tmp_path / "sharp.npy"), item))
+        (mapped,) = rendered(scene(item | {"texture": str(tmp_path / "sharp.npy")}))
         # R from float32 is off by 6e-8 of kappa / Z or of R itself, and a frame changes by less than 1 per px of R.
         within = slice(frame.metadata["guard_px"], -frame.metadata["guard_px"])
         assert np.abs(mapped.color - frame.color)[within, within].max() < 1e-5
         assert 6e-8 * bend / 176.0 < 1e-5
-        assert mapped.depth is not None
         np.testing.assert_allclose(mapped.depth, frame.depth, rtol=1e-5, atol=0)
     assert Lens.of(analytic.camera).focus_power > 0
 
 
-def frames_of(scenes: list[Scene], method: str = "auto") -> list[Frame]:
-    return [frame for _, frame in sorted(render_sweep(scenes, method=method), key=lambda found: found[0])]
-
-
 @pytest.mark.parametrize(
-    ("key", "method"),
-    combined(("focus_distance", "f_number"), ("auto", "scatter"), kept=[("focus_distance", "auto")]),
+    ("key", "method"), combined(("focus_distance", "f_number"), ("auto", "scatter"), kept=[("focus_distance", "auto")])
 )
-def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: str, method: str) -> None:
+def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(key: str, method: str) -> None:
     values = {"focus_distance": [200.0, 400.0], "f_number": [2.0, 8.0]}[key]
     moving = BALL | {"motion": {"velocity": [5.0, 0.0, 0.0]}}
-    scenes = [scene(waves, moving, WALL, sequence={"samples": 2}, camera={key: value}, psf=PLAIN) for value in values]
-    together, alone = frames_of(scenes, method), [next(iter(clsco.render(one, method=method))) for one in scenes]
+    scenes = [scene(moving, WALL, sequence={"samples": 2}, camera={key: value}, psf=PLAIN) for value in values]
+    together = [frame for _, frame in sorted(render_sweep(scenes, method=method), key=lambda found: found[0])]
+    alone = [next(iter(clsco.render(one, method=method))) for one in scenes]
     assert len(together) == len(values)
     assert np.abs(together[0].color - together[-1].color).max() > 0.01
     casts = [frame.metadata["seconds"].keys() for frame in together]
@@ -222,19 +183,14 @@ MOVED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize(
-    ("move", "method"),
-    combined(MOVED, ("ait", "mean_median", "none"), kept=[("moved", "ait")]),
-)
+@pytest.mark.parametrize(("move", "method"), combined(MOVED, ("ait", "mean_median", "none"), kept=[("moved", "ait")]))
 def test_what_a_moved_camera_uncovers_is_filled_from_behind_and_from_the_image(move: str, method: str) -> None:
     """Between two near discs the wall comes to light, and at the frame's edge what was outside of it."""
     whole = two_discs(SIZE, fill={"method": method}, motion={"warp": "forward"}, **MOVED[move])
-    frame, twin = list(clsco.render(whole))[-1], list(reference.render(whole))[-1]
+    frame, twin = rendered(whole)[-1], reference_frames(whole)[-1]
     for name in ("filled", "mask", "object_id", "missing"):
         np.testing.assert_array_equal(getattr(frame, name), getattr(twin, name))
     np.testing.assert_allclose(frame.color, twin.color, atol=2e-6)
-    assert frame.filled is not None
-    assert frame.sharp is not None
     edge = np.concatenate([frame.filled[[0, -1]].ravel(), frame.filled[:, [0, -1]].ravel()])
     if method == "none":
         assert set(np.unique(frame.filled)) == {0, 2}
@@ -242,7 +198,6 @@ def test_what_a_moved_camera_uncovers_is_filled_from_behind_and_from_the_image(m
         return
     assert set(np.unique(frame.filled)) == {0, 1}
     assert (edge == 1).sum() > 10
-    assert frame.mask is not None
     assert frame.mask.all()
     assert frame.sharp.min() > 0.15  # black nowhere
     discs = (two_discs(SIZE).objects[0].inputs()["texture"].array > 0.5).sum()  # type: ignore[union-attr]

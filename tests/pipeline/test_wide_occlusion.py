@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +10,9 @@ import pytest
 import clsco
 from clsco.cli.check import compare
 from clsco.constants import BAND
-from clsco.opencl.device import choose
-from clsco.opencl.session import session_for
-from clsco.plan.memory import device_bytes
 from clsco.plan.plan import make_plan
-from clsco.plan.prepare import prepare
-from clsco.plan.request import Request
 from clsco.scene.model import Scene
+from tests.pipeline.test_strips import memory_for
 from tests.scenes import reference_frames, scene_from
 from tests.slow import combined, mostly_slow
 
@@ -97,9 +92,7 @@ def test_device_against_reference(number: int, precision: Any) -> None:
 def test_strips_have_the_bits_of_the_whole_frame(number: int) -> None:
     """Runs that begin above a strip, or end below it; objects are in the middle one of three."""
     wanted = drawn(number).replace("camera.resolution", [30, 2 * BAND + 20])
-    session_for(None).cache.clear()  # which would take of the memory
-    known = prepare(wanted, Request((), "gather"), choose())
-    limit = device_bytes(replace(known.plans[0], strip_rows=BAND, device=choose()), 1)
+    limit = memory_for(wanted, BAND, (), "gather")
     (whole,), (cut,) = (list(clsco.render(wanted, truth=(), method="gather", memory=most)) for most in (None, limit))
     assert (whole.metadata["strips"], cut.metadata["strips"]) == (1, 3)
     np.testing.assert_array_equal(cut.color, whole.color)

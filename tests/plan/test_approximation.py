@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import clsco
-from clsco.cli.main import main
 from clsco.optics.exposure import Exposure, frame_exposure
 from clsco.plan import approximation
 from clsco.plan.approximation import ApproximationReport
@@ -20,6 +18,7 @@ from clsco.plan.prepare import Prepared, prepare, prepare_sweep
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
+from tests.command import clsco_
 from tests.scenes import scene_file
 from tests.slow import combined, mostly_slow
 
@@ -143,10 +142,7 @@ def test_what_saves_nothing_has_the_same_bits_and_says_so(tmp_path: Path) -> Non
         assert exact.metadata["approximation"] is None
         assert ApproximationReport(**found.metadata["approximation"]).line() == why
     text = '[camera]\nresolution = [24, 16]\n[[object]]\nshape = "plane"\ndistance = 300.0\n'
-    done = CliRunner().invoke(
-        main,
-        ["render", str(scene_file(tmp_path / "flat.toml", text)), "-o", str(tmp_path / "out"), "--tolerance", "0.1"],
-    )
+    done = clsco_("render", scene_file(tmp_path / "flat.toml", text), "-o", tmp_path / "out", "--tolerance", 0.1)
     assert done.exit_code == 0, done.output
     assert done.stderr.count("exact: nothing can be saved, as nothing moves, and no silhouette is in sight") == 1
 
@@ -156,10 +152,10 @@ def test_the_choice_is_reported_and_a_frame_of_another_tolerance_is_made_again(t
         "[camera]\nresolution = [48, 32]\npixel_pitch = 0.1\n[sequence]\nframes = 1\nshutter = 0.05\ninterval = 0.1\n"
         '[[object]]\nshape = "sphere"\ntexture = "#ffffff"\nmotion = {velocity = [90.0, 0.0, 0.0]}\n'
     )
-    command = ["render", str(scene_file(tmp_path / "ball.toml", text)), "-o", str(tmp_path / "out"), "--resume"]
+    command = ["render", scene_file(tmp_path / "ball.toml", text), "-o", tmp_path / "out", "--resume"]
     written = []
     for more in (["--tolerance", "0.02"], ["--tolerance", "0.02"], [], ["--tolerance", "0.01"]):
-        done = CliRunner().invoke(main, [*command, *more])
+        done = clsco_(*command, *more)
         assert done.exit_code == 0, done.output
         values = json.loads((tmp_path / "out" / "frame_0000.json").read_text())["approximation"]
         assert (None if values is None else values["tolerance"]) == (float(more[1]) if more else None)
@@ -174,9 +170,9 @@ def test_the_choice_is_reported_and_a_frame_of_another_tolerance_is_made_again(t
 
 def test_frames_without_color_have_all_samples_and_are_left_as_they_are(tmp_path: Path) -> None:
     text = '[camera]\nresolution = [24, 16]\npixel_pitch = 0.1\n[[object]]\nshape = "sphere"\n'
-    command = ["render", str(scene_file(tmp_path / "ball.toml", text)), "-o", str(tmp_path / "out"), "--resume"]
+    command = ["render", scene_file(tmp_path / "ball.toml", text), "-o", tmp_path / "out", "--resume"]
     command += ["--no-color", "--format", "npz", "--tolerance", "0.1"]
-    outputs = [CliRunner().invoke(main, command) for _ in range(2)]
+    outputs = [clsco_(*command) for _ in range(2)]
     assert [done.exit_code for done in outputs] == [0, 0], outputs[0].output
     assert "all frames are there already" in outputs[1].output
     assert json.loads((tmp_path / "out" / "frame_0000.json").read_text())["approximation"] is None

@@ -16,16 +16,7 @@ from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.circle import Circle
 from clsco.plan import image_motion
-from clsco.plan.image_motion import (
-    EDGE_ERROR,
-    MOST_SAMPLES,
-    MOST_SUBFRAMES,
-    ImagePath,
-    Need,
-    image_paths,
-    motion_needs,
-    motion_samples,
-)
+from clsco.plan.image_motion import EDGE_ERROR, MOST_SUBFRAMES, ImagePath, image_paths, motion_needs, motion_samples
 from clsco.plan.plan import make_plan
 from clsco.scene.model import (
     Camera,
@@ -40,13 +31,12 @@ from clsco.scene.model import (
     Sequence,
     Sphere,
 )
+from tests.plan.test_predict import SIDES, STEP
 from tests.scenes import plan_of, scene_of
 from tests.slow import mostly_slow
 
-STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
 RIGHT = ObjectMotion(velocity=(10.0, 0.0, 0.0))
 MAP = DepthMap(depth="map.npy")
-SIDES = [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)]
 LENS = PointSpread(Circle())
 
 
@@ -179,10 +169,6 @@ def test_what_is_in_focus_has_a_sample_for_each_pixel_of_its_motion(speed: float
     given, way = plan_of(item, camera=ends), speed / 280.0 / STEP
     assert given.samples % 2 == 1
     assert way <= given.samples < way + 2
-
-
-def test_the_number_of_samples_has_an_end() -> None:
-    assert motion_samples(scene_of(ACROSS), [Need(0, 1e6, 0.0, 1e6)]) == MOST_SAMPLES
 
 
 def test_what_is_blurred_needs_fewer() -> None:

@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 import clsco
-from clsco.cli.main import main
 from clsco.constants import BAND, TAP_LANES
 from clsco.errors import SceneError
 from clsco.plan import memory
@@ -22,7 +20,9 @@ from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of, parse_size, rows_that_fit
 from clsco.resources import machine_bytes
+from tests.command import clsco_
 from tests.scenes import scene_file
+from tests.slow import mostly_slow
 
 
 @pytest.mark.parametrize(
@@ -97,25 +97,19 @@ RNG = np.random.default_rng(5)
 SHAPE = (3 * BAND + 10, 70)
 
 
-@pytest.mark.parametrize(
-    ("method", "radius", "psf", "channels"),
-    [
-        ("gather", 16.0, {}, ()),
-        ("scatter", 9.0, {}, ()),
-        ("convolve", 7.0, {}, (3,)),
-        *(
-            pytest.param(*each, marks=pytest.mark.slow)
-            for each in (
-                ("gather", 3.0, {}, (3,)),
-                ("gather", 9.0, {"border": "renormalize", "edge": "sampled"}, (1,)),
-                ("scatter", 9.0, {"model": "gaussian"}, ()),
-                ("tiles", 4.0, {}, ()),
-                ("convolve", 17.0, {}, ()),
-                ("convolve", 3.0, {"model": "gaussian"}, ()),
-            )
-        ),
-    ],
-)
+BLURS: list[tuple[Any, ...]] = [
+    ("gather", 16.0, {}, ()), ("scatter", 9.0, {}, ()), ("convolve", 7.0, {}, (3,)),
+    ("gather", 3.0, {}, (3,)), ("gather", 9.0, {"border": "renormalize", "edge": "sampled"}, (1,)),
+    ("scatter", 9.0, {"model": "gaussian"}, ()), ("tiles", 4.0, {}, ()),
+    ("convolve", 17.0, {}, ()), ("convolve", 3.0, {"model": "gaussian"}, ()),
+]  # fmt: skip
+LAYERED: list[tuple[Any, ...]] = [
+    ("gather", {}, (3,)), ("scatter", {"border": "renormalize"}, ()),
+    ("tiles", {"model": "gaussian", "edge": "area"}, ()),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("method", "radius", "psf", "channels"), mostly_slow(BLURS, BLURS[:3]))
 def test_an_image_in_strips(
     method: str, radius: float, psf: dict[str, object], channels: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,14 +120,7 @@ def test_an_image_in_strips(
     assert_strips(image, coc, psf, method, monkeypatch)
 
 
-@pytest.mark.parametrize(
-    ("method", "psf", "channels"),
-    [
-        ("gather", {}, (3,)),
-        pytest.param("scatter", {"border": "renormalize"}, (), marks=pytest.mark.slow),
-        pytest.param("tiles", {"model": "gaussian", "edge": "area"}, (), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("method", "psf", "channels"), mostly_slow(LAYERED, LAYERED[:1]))
 def test_layers_in_strips(
     method: str, psf: dict[str, object], channels: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -171,10 +158,6 @@ def assert_strips(
 
 
 FLOOR = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 @pytest.mark.processor  # whose buffers these are

@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
 import clsco
-from clsco.cli.main import main
 from clsco.plan.notes import close_focus_note, sight_notes
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Camera
+from tests.command import clsco_
 from tests.scenes import scene_file
 
 CAMERA = {"resolution": [40, 30], "pixel_pitch": 0.1}
@@ -76,7 +75,7 @@ def test_commands_say_it_once_and_succeed(tmp_path: Path) -> None:
     )
     path = scene_file(tmp_path / "s.toml", text)
     for command in (["validate"], ["plan"], ["render", "--quiet", "-o", str(tmp_path / "out")]):
-        result = CliRunner().invoke(main, [*command, str(path)])
+        result = clsco_(*command, path)
         assert result.exit_code == 0
         lines = [line.rpartition(": ")[2] for line in result.stderr.splitlines() if line.startswith(str(path))]
         assert lines[:2] == ["sphere", "nothing is in sight, and all is black, in all frames".rpartition(": ")[2]]

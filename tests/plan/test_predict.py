@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from clsco.errors import SceneError
-from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.lens import Lens as LensOptics
+from clsco.optics.lens import blur_radius
 from clsco.optics.motion import poses_at
 from clsco.optics.rays import slopes_at
-from clsco.plan.larger import widen_plan
 from clsco.plan.plan import make_plan
 from clsco.plan.predict import _moved_map, guard_band
 from clsco.scene.model import DepthMap, Lens, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
@@ -80,10 +79,6 @@ def test_nothing_in_sight_is_not_blurred_and_takes_no_work() -> None:
     assert tilted.smallest_blur == 0.0
     assert tilted.largest_blur <= 1.0
     assert tilted.taps == 0.0
-
-
-def test_the_largest_radius_that_is_allowed_is_taken() -> None:
-    assert widen_plan(plan_of(Sphere()), 0.0, LARGEST_BLUR).largest_blur == LARGEST_BLUR
 
 
 def test_a_refused_blur_tells_of_the_nearest_point() -> None:

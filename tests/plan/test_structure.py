@@ -17,16 +17,7 @@ from clsco.optics.point_spread import point_spread
 from clsco.plan.device import ThisMachine
 from clsco.plan.plan import make_plan
 from clsco.plan.predict import guard_band, is_forward, shifts_view
-from clsco.scene.model import (
-    Camera,
-    CameraMotion,
-    DepthMap,
-    ObjectMotion,
-    Plane,
-    Psf,
-    Sphere,
-    Stereo,
-)
+from clsco.scene.model import Camera, CameraMotion, DepthMap, ObjectMotion, Plane, Psf, Sphere, Stereo
 from tests.plan.test_plan import method_of
 from tests.scenes import plan_of, scene_of
 

@@ -10,8 +10,8 @@ import pytest
 
 from clsco.errors import SceneError
 from clsco.frame.provenance import record, scene_sha256, units
+from clsco.plan.notes import unused_keys
 from clsco.plan.prepare import prepare
-from clsco.plan.unused_keys import unused_keys
 from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 from clsco.scene.groups import group_origin
