@@ -26,10 +26,8 @@ CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger
 class Pages:
     """Pool of memory blocks; a block returns to the pool when its array is freed. Threads may share a pool.
 
-    Parameters
-    ----------
-    limit : int
-        Memory limit of unused blocks, bytes; beyond it, those unused for the longest time are returned to the system.
+    limit: of the memory of unused blocks, bytes; beyond it, those unused for the longest time are returned to the
+    system.
     """
 
     def __init__(self, limit: int = SPARE_BYTES) -> None:

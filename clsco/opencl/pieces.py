@@ -20,31 +20,11 @@ def in_pieces(
     expected: float,
     enqueue: Callable[[int, int], cl.Event],
 ) -> list[cl.Event]:
-    """Enqueue a launch piece by piece.
+    """Enqueue a launch piece by piece; returns the events in order. Raises CanceledError before a piece.
 
-    Parameters
-    ----------
-    session : Session
-    key : hashable
-        Key shared by all launches that take the same time per unit of work.
-    units : int
-        Number of parts into which the launch can be cut.
-    work : float
-        Total work of all parts, in units of `clsco.opencl.pace`.
-    expected : float
-        Expected seconds of the whole launch.
-    enqueue : callable
-        enqueue(first, end) enqueues the parts from `first` up to but not including `end`, and returns the event.
-
-    Returns
-    -------
-    list of Event
-        Events of the pieces, in order.
-
-    Raises
-    ------
-    CanceledError
-        The work was canceled before a piece.
+    key: shared by all launches that take the same time per unit of work. units: number of parts into which the launch
+    can be cut. work: of all parts, in units of `clsco.opencl.pace`. expected: seconds of the whole launch.
+    enqueue(first, end): enqueues the parts from `first` up to but not including `end`, and returns the event.
     """
     progress = session.progress
     events: list[cl.Event] = []

@@ -36,14 +36,9 @@ Program: TypeAlias = dict[str, cl.Kernel]
 class Progress:
     """Progress of a rendering, readable by another thread.
 
-    Attributes
-    ----------
-    doing : str
-        Current step: the kind of a pass, or "compiling" and names of files or of a kernel.
-    share : float
-        Fraction of the latest launch that is done, 0 to 1.
-    done, total : int
-        Numbers of time samples, added up over all strips: finished, and of the whole frame.
+    doing: current step, the kind of a pass, or "compiling" and names of files or of a kernel. share: fraction of the
+    latest launch that is done, 0 to 1. done, total: numbers of time samples over all strips, finished and of the whole
+    frame.
     """
 
     doing: str = ""

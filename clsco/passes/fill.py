@@ -38,24 +38,12 @@ CHAPTER5 = MeanMedian()
 class FillPlanes:
     """Buffers of fill.cl, with guard band; the caller writes `value` to `object` before the filling.
 
-    Attributes
-    ----------
-    value : Buffer
-        float (CHANNELS, height, width), radiance.
-    w, coc : Buffer
-        real: inverse depth in 1/mm, and signed R in px.
-    valid, status : Buffer
-        uchar: as in `clsco.passes.warp.Warped`.
-    object : Buffer, optional
-        uchar: number of the visible object, for scenes with several objects.
-    indices : (Buffer, Buffer)
-        Lists of missing pixels before and after a sweep, an int per pixel; used only during the filling.
-    spans, grown, counters : Buffer
-        First and last valid pixel of each line, before and after a sweep; numbers of pixels.
-    far : tuple of Buffer
-        Bounds on the depth of neighbors, if holes are filled from the far side.
-    done, sums, other_value, other_w : Buffer, optional
-        Buffers of mean/median filling.
+    value: float (CHANNELS, height, width), radiance. w, coc: real, inverse depth in 1/mm and signed R in px. valid,
+    status: uchar, as in `clsco.passes.warp.Warped`. object: uchar, number of the visible object, for scenes with
+    several objects. indices: lists of missing pixels before and after a sweep, an int per pixel; used only during the
+    filling. spans, grown: first and last valid pixel of each line, before and after a sweep. counters: numbers of
+    pixels. far: bounds on the depth of neighbors, if holes are filled from the far side. done to other_w: of
+    mean/median filling, else None.
     """
 
     value: cl.Buffer
@@ -91,25 +79,8 @@ class FillPlanes:
 class Filler:
     """Fills missing pixels of planes on one device (4.3.5, chapter 5).
 
-    Parameters
-    ----------
-    target : Target
-        Target with the kernels of fill.cl, and for mean/median filling of score.cl and fill_mean_median.cl.
-    grid : numpy.void
-        grid_t of the planes.
-    lens : numpy.void
-        lens_t, which determines the radii of filled pixels.
-    features : dict
-        Features of the program.
-    sizes : dict
-        Sizes of the buffers, by `clsco.plan.buffers.fill_buffers`.
-
-    Raises
-    ------
-    DeviceError
-
-    Notes
-    -----
+    target: has the kernels of fill.cl, and for mean/median filling of score.cl and fill_mean_median.cl, in a program
+    built for `features`. lens: determines the radii of filled pixels. sizes: of `clsco.plan.buffers.fill_buffers`.
     Validated against `clsco.reference.inpainting.fill`.
     """
 

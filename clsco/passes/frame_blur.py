@@ -18,19 +18,7 @@ METHODS: dict[Blur, type[BlurredPlane]] = {
 def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> BlurredPlane:
     """The object that blurs the time samples of a frame or its strips.
 
-    Parameters
-    ----------
-    target : Target
-        Target from `clsco.passes.blur.blur_target`.
-    spec : BlurSpec
-    tallest : Grid
-        Grid of the frame, or the tallest of its strips.
-    grid : numpy.void
-        grid_t of the first strip.
-
-    Returns
-    -------
-    BlurredPlane
+    target: from `clsco.passes.blur.blur_target`. tallest, grid: as for `BlurredPlane`.
     """
     sizes = blur_buffers(spec, tallest, target.session.device)
     return METHODS[spec.method](target, spec, tallest, grid, sizes)

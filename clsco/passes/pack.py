@@ -32,25 +32,10 @@ def grid_struct(
     rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0,
     rest_step: float | None = None,
 ) -> Struct:  # fmt: skip
-    """grid_t of a frame with a guard band.
+    """grid_t of a frame of `rows` and `columns` with a guard band, in px.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Size of the frame, px.
-    guard : int
-        Width of the guard band, px.
-    real : {"double", "float"}
-    strip : Strip, optional
-        Strip of the frame; by default the whole frame.
-    step : float
-        Slope between the rays of neighboring pixels, if rays are cast.
-    rest_step : float, optional
-        `step` in the reference pose; by default `step`.
-
-    Returns
-    -------
-    numpy.void
+    strip: of the frame; by default the whole frame. step: slope between the rays of neighboring pixels, if rays are
+    cast. rest_step: `step` in the reference pose; by default `step`.
     """
     part = strip or Strip(0, rows, guard, guard)
     values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
@@ -146,18 +131,8 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
 def texture_map_structs(
     maps: Sequence[TextureMap | None], bases: Sequence[int], psf: PointSpread, covered: float, real: Real
 ) -> NDArray[np.void]:
-    """texture_map_t of each object, (objects,).
-
-    Parameters
-    ----------
-    maps : sequence of TextureMap or None
-        Mapping of each object's texture to its surface; None for a projected texture.
-    bases : sequence of int
-        For each object, index of the first float of its mipmap.
-    psf : PointSpread
-    covered : float
-        Value of the last channel outside of a texture's image: 1 if that channel is coverage, else 0.
-    real : {"double", "float"}
+    """texture_map_t of each object, (objects,); maps: None for a projected texture; bases: index of the first float of
+    each mipmap; covered: value of the last channel outside of a texture's image, 1 if that channel is coverage, else 0.
     """
     packed = []
     for texture, base in zip(maps, bases, strict=True):

@@ -34,23 +34,9 @@ MOST_DETAIL = 1.37
 class PlacedScene:
     """A scene with a resolution on a device.
 
-    Parameters
-    ----------
-    session : Session
-    scene : Scene
-    psf : PointSpread
-    textures : sequence of Texture
-        Texture of every object (`clsco.inputs.textures.load_scene_textures`).
-    real : {"double", "float"}
-        Precision of the geometry.
-    eye : {"left", "right"}
-        View of a stereo pair; "left" without one.
-    covered : bool
-        True if the last channel is coverage.
-
-    Notes
-    -----
-    Uploaded arrays are kept until `release`, because launches that read them may run later.
+    textures: of every object (`clsco.inputs.textures.load_scene_textures`). real: precision of the geometry. eye: view
+    of a stereo pair; "left" without one. covered: True if the last channel is coverage. Uploaded arrays are kept until
+    `release`, because launches that read them may run later.
     """
 
     def __init__(

@@ -24,16 +24,9 @@ RECIPROCALS = reciprocals_of_counts()
 
 @dataclass(frozen=True)
 class Codes:
-    """Codes of a sensor on the device, with rows padded to whole vectors.
+    """Codes of a sensor on the device, and 1 for saturated pixels: ushort and uchar of `shape`.
 
-    Attributes
-    ----------
-    code, saturated : Buffer
-        Codes as ushort, and 1 for saturated pixels as uchar, both of `shape`.
-    shape : tuple of int
-        Planes, rows, and columns with padding.
-    columns : int
-        Columns of the image.
+    shape: planes, rows, and columns with padding to whole vectors; columns: without padding.
     """
 
     code: cl.Buffer
@@ -50,16 +43,8 @@ class Codes:
 class FrameSensor:
     """The sensor of a scene on the device; reads out a frame or its strips.
 
-    Parameters
-    ----------
-    session : Session
-    sensor_model : SensorModel
-    sizes : dict
-        Sizes of the buffers, by `clsco.plan.buffers.sensor_buffers`.
-
-    Notes
-    -----
-    Validated against `clsco.reference.sensor.sensor.sense`, with equal bits (tests/kernels/test_sensor.py).
+    sizes: of `clsco.plan.buffers.sensor_buffers`. Validated against `clsco.reference.sensor.sensor.sense`, with equal
+    bits (tests/kernels/test_sensor.py).
     """
 
     def __init__(self, session: Session, sensor_model: SensorModel, sizes: Sizes) -> None:

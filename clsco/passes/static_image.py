@@ -25,16 +25,10 @@ Array = NDArray[np.float64]
 
 
 class HostImage(ABC):
-    """An image and its signed radii, in host memory.
+    """An image (rows, columns[, channels]) and its signed radii, in host memory.
 
-    Parameters
-    ----------
-    session : Session
-    radiance : ndarray (rows, columns[, channels])
-    guard : int
-        Width of the guard band around the frame, px.
-    outside : {"symmetric", "constant"}
-        Image and radii in the guard band: "symmetric" for mirror images, as of textures, "constant" for 0.
+    guard: width of the guard band around the frame, px. outside: image and radii in the guard band, "symmetric" for
+    mirror images, as of textures, "constant" for 0.
     """
 
     def __init__(
@@ -74,21 +68,8 @@ class HostImage(ABC):
 class StaticMap(HostImage):
     """Image and depth map of a static scene; seen from the original viewpoint, its pixels are the pinhole image.
 
-    Parameters
-    ----------
-    session : Session
-    camera : Camera
-    lens : Lens
-    radiance : ndarray of float32 (rows, columns[, channels])
-    inverse_depth : ndarray of float64 (rows, columns)
-        1/mm, 0 without a surface.
-    guard : int
-        Width of the guard band, px.
-    real : {"double", "float"}
-
-    Notes
-    -----
-    Validated against `clsco.reference.render`, which moves every pixel.
+    radiance: (rows, columns[, channels]). inverse_depth: (rows, columns), 1/mm, 0 without a surface. Validated against
+    `clsco.reference.render`, which moves every pixel.
     """
 
     def __init__(

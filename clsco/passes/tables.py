@@ -30,14 +30,9 @@ R = TypeVar("R", PsfTable, WeightBlock)
 
 
 class TableStore:
-    """PSF tables of this process. Threads may share it.
+    """PSF tables of this process, with blocks of weights also on `disk`. Threads may share it.
 
-    Parameters
-    ----------
-    disk : ArrayCache
-        Cache for blocks of weights.
-    limit : int
-        Memory limit of tables in bytes; the least recently used tables are evicted, except the latest two.
+    limit: of the memory of tables in bytes; the least recently used are evicted, except the latest two.
     """
 
     def __init__(self, disk: ArrayCache, limit: int = CACHE_BYTES) -> None:

@@ -50,15 +50,9 @@ class Hits(Protocol):
     """Interface of a cache of ray hits that several lenses share."""
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        """The planes with the hits of an occlusion group; on a cache miss, `cast` fills them.
+        """The planes with the hits of an occlusion group; on a cache miss, `cast` enqueues the kernel that fills them.
 
-        Parameters
-        ----------
-        sizes : dict
-            Sizes of the planes, by `clsco.plan.buffers.hit_buffers`.
-        key : HitKey
-        cast : callable
-            Enqueues the kernel that casts rays and fills planes.
+        sizes: of `clsco.plan.buffers.hit_buffers`.
         """
 
 
@@ -101,17 +95,9 @@ class CachedHits:
 class Tracer:
     """Casts the rays of a plan.
 
-    Attributes
-    ----------
-    plan : Plan
-    scene : PlacedScene
-    buffers : dict
-        Buffers named as in `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
-        colors; those of slots are replaced if more slots are needed.
-    psf : numpy.void
-        psf_t of the blur that will add the sources.
-    hits : Hits, optional
-        Ray hits shared with other lenses; by default, rays are cast for this lens alone.
+    buffers: named as in `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
+    colors; those of slots are replaced if more slots are needed. psf: psf_t of the blur that will add the sources.
+    hits: shared with other lenses; by default, rays are cast for this lens alone.
     """
 
     plan: Plan

@@ -37,14 +37,8 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Computes the outputs of a plan besides color.
-
-    Attributes
-    ----------
-    plan : Plan
-    scene : PlacedScene
-    pixels : ForwardWarp or StaticMap, optional
-        Origin of pixels in the reference pose; None if rays are cast.
+    """Computes the outputs of a plan besides color; `pixels`: origin of pixels in the reference pose, None if rays are
+    cast.
     """
 
     plan: Plan

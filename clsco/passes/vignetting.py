@@ -27,19 +27,8 @@ def _share(camera: Camera, kind: Kind) -> NDArray[np.float32]:
 class Vignetting:
     """Multiplies planes by the vignetting of the lens, in place.
 
-    Parameters
-    ----------
-    session : Session
-    kind : {"natural"} or tuple of float
-        Value of the scene's key lens.vignetting.
-    colors : int
-        Number of color channels; a channel of coverage after them is not changed.
-    pixels : int
-        Number of pixels in the frame.
-
-    Notes
-    -----
-    Validated against `clsco.optics.vignetting.throughput`.
+    kind: the scene's key lens.vignetting. colors: number of color channels; a channel of coverage after them is not
+    changed. pixels: of the frame. Validated against `clsco.optics.vignetting.throughput`.
     """
 
     def __init__(self, session: Session, kind: Kind, colors: int, pixels: int) -> None:

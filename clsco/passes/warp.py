@@ -38,11 +38,10 @@ SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDE
 class Warped:
     """Planes of one time sample on the device, (height, width) with guard band; the next sample overwrites them.
 
-    value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed blur radius in
-    px; valid: uchar, 1 if known or filled, else 0 (value, w and coc are then 0); status: uchar, 0 known or not missing,
-    1 filled, 2 missing and not filled; object: uchar, number of the visible object, 255 for none and in the mirror
-    image around a depth map, or None instead of a plane if the scene has a single object; counters: as returned by
-    `Filler.fill`.
+    value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed R in px; valid:
+    uchar, 1 if known or filled, else 0 (value, w and coc are then 0); status: uchar, 0 known or not missing, 1 filled,
+    2 missing and not filled; object: uchar, number of the visible object, 255 for none and in the mirror image around a
+    depth map, None if the scene has a single object; counters: as returned by `Filler.fill`.
     """
 
     value: cl.Buffer
@@ -77,24 +76,10 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
 class ForwardWarp:
     """Moves the pixels of a scene's reference pose to their positions at a time, and fills missing pixels.
 
-    Parameters
-    ----------
-    plan : Plan
-    scene : PlacedScene
-        The scene on the device that runs the warp.
-    maps : sequence of ndarray of float64 (rows, columns) or None
-        Inverse depth in 1/mm of every object that is a depth map, 0 without a surface; None for other objects.
-    owned : bool, optional
-        True for the depth test in which each work-item owns a band of the image, False for the one by atomics; both
-        give the same bits. By default True on processors.
-
-    Raises
-    ------
-    DeviceError, KernelError
-
-    Notes
-    -----
-    Validated against `clsco.reference.warp.warp` and `clsco.reference.inpainting.fill`.
+    maps: inverse depth (rows, columns) in 1/mm of every object that is a depth map, 0 without a surface; None for
+    others. owned: True for the depth test in which each work-item owns a band of the image, False for the one by
+    atomics; both give the same bits. By default True on processors. Validated against `clsco.reference.warp.warp` and
+    `clsco.reference.inpainting.fill`.
     """
 
     def __init__(
