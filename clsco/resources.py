@@ -42,10 +42,8 @@ _PLACES: dict[Kind, tuple[str, str]] = {
 
 @cache
 def folder(name: str) -> Traversable:
-    """The shipped folder `name` ("kernels" or "examples"), installed or in a source tree.
-
-    An installed package contains it as `clsco.<name>`. In a source tree it is beside the package, and has priority over
-    an installed one. Raises FileNotFoundError if it is in neither place.
+    """The shipped folder `name` ("kernels" or "examples"): beside the package in a source tree, which has priority, or
+    installed as `clsco.<name>`. Raises FileNotFoundError if it is in neither place.
     """
     beside = Path(__file__).resolve().parent.parent / name
     if (beside.parent / "pyproject.toml").is_file() and beside.is_dir():
@@ -57,9 +55,7 @@ def folder(name: str) -> Traversable:
 
 
 def code_digest(*modules: ModuleType) -> str:
-    """SHA-256 of the source files of modules and packages, as part of cache keys: when the code changes, results cached
-    on disk are computed again.
-    """
+    """SHA-256 of the source files of modules and packages, for keys of results cached on disk."""
     digest = hashlib.sha256()
     for module in modules:
         path = Path(str(module.__file__))
@@ -79,10 +75,10 @@ class ExposedFolderError(Exception):
 def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: Kind = "cache") -> Path:
     """A folder in the user's cache or state folder that nobody else can write to, created if necessary.
 
-    names: of nested folders, outermost first. kind: "cache", or "state" for data that cannot be computed again. The
-    cache folder is XDG_CACHE_HOME, by default ~/.cache, the state folder XDG_STATE_HOME, by default ~/.local/state.
-    Raises ExposedFolderError if another user owns or may write to the folder or one of its parents created here;
-    OSError or RuntimeError if the folder cannot be created, or the user has no home.
+    names: of nested folders. kind: "cache", or "state" for data that cannot be computed again. The cache folder is
+    XDG_CACHE_HOME, by default ~/.cache, the state folder XDG_STATE_HOME, by default ~/.local/state. Raises
+    ExposedFolderError if another user owns or may write to the folder or one of its parents created here; OSError or
+    RuntimeError if the folder cannot be created, or the user has no home.
     """
     variable, default = _PLACES[kind]
     root = Path(environ.get(variable) or Path.home() / default)
@@ -96,9 +92,7 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: K
 
 
 def _exposed(root: Path, *ours: Path) -> Path | None:
-    """The topmost folder in which another user could put files, None if there is none; ours: folders created in `root`,
-    outermost first.
-    """
+    """The topmost folder in which another user could put files, or None; ours: created in `root`, outermost first."""
     if not hasattr(os, "geteuid"):
         return None
     user = os.geteuid()
@@ -157,9 +151,8 @@ def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
 
 
 def temporary_folder(name: str) -> Path:
-    """A new private folder for this process and its children, which is removed when the process ends.
-
-    If the process is killed, the next call with this name removes the folder. Raises OSError.
+    """A new private folder for this process and its children, removed at its end, or after a kill by the next such
+    call.
     """
     base = Path(tempfile.gettempdir())
     remove_left(base, f"clsco-{name}")
@@ -170,18 +163,16 @@ def temporary_folder(name: str) -> Path:
 
 
 def work_name(prefix: str, more: str = "") -> str:
-    """Name for an unfinished or temporary file or folder of this process; see `remove_left`.
-
-    more: hexadecimal digits to distinguish several names with the same prefix.
+    """Name for a temporary file or folder of this process, see `remove_left`; more: hexadecimal, to distinguish
+    several.
     """
     return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}{more and '-'}{more}.part"
 
 
 def remove_left(folder: Path, prefix: str = "") -> None:
-    """Remove temporary files and folders (`work_name`) of ended processes.
+    """Remove temporary files and folders (`work_name`) of ended processes, or of another machine after ABANDONED_S.
 
-    A process of another machine counts as ended if nothing has changed for ABANDONED_S. prefix: start of the names; by
-    default any name that begins with a dot.
+    prefix: start of the names; by default any name that begins with a dot.
     """
     for path in folder.glob(f"{prefix}.*.part"):
         with suppress(OSError, ValueError):
@@ -200,10 +191,9 @@ def remove_left(folder: Path, prefix: str = "") -> None:
 
 
 def process_began(process: int) -> float | None:
-    """Start time of a process, comparable with other start times on this machine; None if no such process is running.
+    """Start time of a process, comparable with others on this machine; None if no such process is running.
 
-    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems from psutil, in seconds
-    of the clock.
+    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems in seconds of the clock.
     """
     if not (PROC / "self").exists():
         return _began_by_psutil(process)

@@ -27,12 +27,11 @@ BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, 
 
 
 def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
-    """The camera of a frame at the middle of its shutter, the time of its ground truth.
+    """The camera of a frame at the middle of its shutter, the time of its ground truth; scene: one with a resolution.
 
-    scene: one with a resolution. The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of
-    the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom
-    it is that at the middle of the shutter. Validated by surface points projected to the next frame and the other view,
-    against flow and disparity.
+    The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of the scene. The focal length in
+    px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom it is that at the middle of
+    the shutter. Validated by surface points projected to the next frame and the other view, against flow and disparity.
     """
     columns, rows = scene.camera.frame_size
     time = middle_time(scene.sequence, index)
@@ -73,10 +72,7 @@ def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]
 
 
 def frame_rate(interval: float) -> Fraction:
-    """Frames per second for an interval in s, with at most 31 bits each in numerator and denominator.
-
-    A float of 1001/30000 s gives exactly 30000/1001.
-    """
+    """Frames per second for an interval in s, such as 30000/1001 for the float 1001/30000; terms have up to 31 bits."""
     larger = max(interval, 1.0 / interval)
     fraction = Fraction(larger).limit_denominator(min(FINEST, int(2**31 / larger)))
     return fraction if interval < 1.0 else 1 / fraction

@@ -34,10 +34,7 @@ def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.fl
 
 
 def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
-    """Value of the channel that each pixel measures, (rows, columns, planes).
-
-    values: a number per channel. size: (rows, columns).
-    """
+    """Value of the channel that each pixel measures, (rows, columns, planes); values: a number per channel."""
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
     return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)
@@ -62,8 +59,8 @@ def sensor_truth(
 ) -> dict[str, NDArray[Any]]:
     """Outputs of a sensor in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, (rows, columns[, 3]).
 
-    raw, saturated: (rows, columns, planes). light: irradiance, (rows, columns[, 3]), for `electrons` and `noise_sigma`;
-    without it these two are omitted.
+    raw, saturated: (rows, columns, planes). light: irradiance (rows, columns[, 3]) for `electrons` and `noise_sigma`,
+    which are omitted without it.
     """
     arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:

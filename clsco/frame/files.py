@@ -178,10 +178,7 @@ def _pictures(stem: str, subframes: int) -> list[str]:
 def _truth_names(
     index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
 ) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
-    """Name of each file that `file` stands for, the eyes in it, and its arrays, as `names` of a `TruthFile`.
-
-    held: arrays that the frame has, named as in files.
-    """
+    """Names of the files that `file` stands for, the eyes in each, and its arrays, if `held`, as a `TruthFile`."""
     known = TRUTH_FORMATS[file.format]
     if known.per == "frame":
         yield known.name.format(stem=_stem(index, "")), tuple(eyes), file
@@ -197,11 +194,7 @@ def _truth_names(
 def frame_files(
     index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0, held: Collection[str] = ("color",)
 ) -> set[str]:
-    """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
-
-    subframes: number of sub-frames that are written. held: arrays that the frame has, named as in files; without
-    "color" it has no PNG.
-    """
+    """Names of a frame's files besides its JSON file; held: names in files of its arrays, without "color" no PNG."""
     eyes = ("left", "right") if stereo else ("",)
     pictured = eyes if "color" in held else ()
     names = {name for eye in pictured for name in _pictures(_stem(index, eye), subframes)}

@@ -32,11 +32,11 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 
 @dataclass(frozen=True)
 class FrameFolder:
-    """Frames of one scene.
+    """Frames of one scene, with consecutive `numbers`.
 
-    numbers: frame numbers, consecutive. eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between
-    frames. transfer: curve of the PNG files, "srgb" or "linear". of: number of frames of the scene. scenes: hashes of
-    the frames' scenes (`scene_sha256`); a single one if all frames are of the same scene.
+    eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between frames. transfer: curve of the PNG
+    files. of: number of frames of the scene. scenes: `scene_sha256` of the frames, a single one if all are of the same
+    scene.
     """
 
     folder: Path
@@ -53,9 +53,8 @@ class FrameFolder:
             yield read_image(self._file(number, "png", eye)).data
 
     def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
-        """An array of each frame, float32, from its NPZ or else its EXR; name: name in files, such as "coc".
-
-        Raises FileError if a frame has neither file, or the file does not hold the array with its channels.
+        """An array of each frame, float32, from its NPZ or else its EXR; name: in files, such as "coc". Raises
+        FileError.
         """
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")

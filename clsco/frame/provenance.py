@@ -82,7 +82,7 @@ def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
 
 
 def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
-    """SHA-256 of everything that determines the image: all parameters, and contents of input files but not their paths.
+    """SHA-256 of all that determines the image: parameters, and contents of input files but not their paths.
 
     scene: one with a resolution. digests: those of `file_digests`, if known. Raises FileError if a file cannot be read.
     """
@@ -95,10 +95,9 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 
 
 def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Entries of a frame's JSON file that come from its scene.
+    """Entries of a frame's JSON file that come from its scene, with a description in place of each array.
 
-    These are the parameters as in a scene file, with a description in place of each array, derived parameters in mm,
-    units, hashes and the version. Arguments and errors are those of `scene_sha256`.
+    Arguments and errors are those of `scene_sha256`.
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests

@@ -133,13 +133,12 @@ def write_folder_clip(
     playing: Playing,
     advance: Callable[[], object] = lambda: None,
 ) -> list[str]:
-    """Write the frames of a folder as a clip.
+    """Write the frames of a folder as a clip; returns notes for users: the rate, the scale of colors, changes by
+    `write_clip`.
 
-    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color (the PNG files), sharp, compare (sharp and color
-    side by side), or depth, coc or flow as colors on one scale for the clip. advance: called after each frame.
-
-    Returns notes for users: the rate, the scale of colors, and changes made by `write_clip`. Raises FileError as
-    `write_clip`, and if files are missing or damaged.
+    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color (the PNG files), sharp, compare (both side by
+    side), or depth, coc or flow as colors on one scale for the clip. advance: called after each frame. Raises FileError
+    as `write_clip`, and if files are missing or damaged.
     """
     where = str(frames.folder)
     facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]
@@ -165,9 +164,7 @@ def write_folder_clip(
 
 
 def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
-    """The array `name` of each frame. Blur radii (those of green if there are several colors) become +inf without a
-    surface if the folder also has the depth.
-    """
+    """The array `name` of each frame; blur radii (of green, if several) are +inf where the depth, if known, is."""
     arrays = frames.arrays(name, eye)
     if name == "coc":
         arrays = (radius if radius.ndim == 2 else radius[..., GREEN] for radius in arrays)

@@ -28,9 +28,8 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 class FrameView:
     """Display of an output in colors.
 
-    array: name of the output in files. extent: takes an array, returns one or more numbers; their maxima over all
-    arrays of a clip are the scale. paint: takes an array and the scale, returns 8-bit RGB. label: returns a text that
-    states the scale.
+    array: name in files. extent: returns one or more numbers of an array; their maxima over all arrays of a clip are
+    the scale. paint: takes an array and the scale, returns 8-bit RGB. label: states the scale.
     """
 
     array: str

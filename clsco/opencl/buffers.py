@@ -38,10 +38,8 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """A read-only buffer with the contents of a C-ordered array, for a short time.
-
-    If the device uses host memory, the buffer uses the memory of the array, however aligned, so the array must not
-    change while kernels run; otherwise the array is copied. Raises DeviceError as `upload`.
+    """`upload` of a C-ordered array for a short time, in place on devices with host memory even if it is not aligned:
+    the array must not change while kernels run.
     """
     if not session.device.unified_memory or array.nbytes == 0:
         return upload(session, array)
@@ -53,8 +51,8 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
-    """`upload` of an array that never changes, cached in the session; place: cache key. A new array with the same key
-    replaces the previous one.
+    """`upload` of an array that never changes, cached in the session; an array replaces an earlier one with its
+    `place`.
     """
     key = ("array", place)
     for _ in range(2):
@@ -101,9 +99,7 @@ class Refilled:
         self._copy: cl.Event | None = None
 
     def fill(self, array: NDArray[Any]) -> cl.Buffer:
-        """Enqueue a copy of an array to the buffer, and return the buffer; waits for the previous copy. The caller must
-        not change the array before the copy has ended.
-        """
+        """Enqueue a copy of an array, which must not change until it ends; waits for the previous copy."""
         queue, packed = self.session.queue, np.ascontiguousarray(array)
         # pyopencl waits for a copy before it frees the event of the copy.
         self._copy = cl.enqueue_copy(queue, self.buffer, packed, is_blocking=False) if packed.nbytes else None
@@ -123,10 +119,7 @@ def filled_with(session: Session, size: int, value: float = 0.0) -> cl.Buffer:
 
 
 def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
-    """Wait for all enqueued commands, and copy the buffer's beginning to a new array.
-
-    shape, dtype: those of the returned array. Raises DeviceError if the device fails.
-    """
+    """Wait for all enqueued commands, and copy the buffer's beginning to a new array. May raise DeviceError."""
     array = np.empty(tuple(shape), dtype)
     download_into(session, buffer, array)
     return array
@@ -143,9 +136,8 @@ def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> N
 
 @contextmanager
 def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
-    """Wait for all enqueued commands, and map the buffer's beginning as an array; a processor does not copy it.
-
-    shape: shape of the array, which is valid only in the `with` block. Raises as `download`.
+    """Wait for all enqueued commands, and map the buffer's beginning as an array, valid in the block; a processor does
+    not copy it. Raises as `download`.
     """
     try:
         flags = cl.map_flags.READ

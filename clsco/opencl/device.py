@@ -108,8 +108,8 @@ def choose(name: str | None = None, source: str = "device") -> Device:
     device.
 
     Never prompts. `name` is compared without regard to case, first with the kind ("gpu" or "cpu") and the whole name of
-    a device, then with parts of its platform's name or version, then with parts of its name; source: where `name` comes
-    from, for messages. Raises DeviceError if there is no device or none matches.
+    a device, then with parts of its platform's name or version, then with parts of its name; source: of `name`, for
+    messages. Raises DeviceError if there is no device or none matches.
     """
     chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
@@ -124,11 +124,7 @@ def pick(
     by_pyopencl: Callable[[str], cl.Device],
     origin: str = "device",
 ) -> Choice:
-    """Choose from a list of devices by the rule of `choose`.
-
-    environ: environment variables; by_pyopencl: returns the device for a value of PYOPENCL_CTX; origin: where `name`
-    comes from, for messages.
-    """
+    """Choose by the rule of `choose`; by_pyopencl: the device for a value of PYOPENCL_CTX; origin: of `name`."""
     if not devices:
         return Choice(None, NO_DEVICE)
     for source, text in ((origin, name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
@@ -171,8 +167,8 @@ def _match_device(devices: Sequence[Device], source: str, text: str) -> Device:
     part = text.lower()
 
     def likeness(device: Device) -> int:
-        """Rank of a match: 0 for the device's kind or whole name, 1 for a part of the platform's name or version, 2 for
-        a part of the device's name, which drivers of other vendors may share, 3 for no match.
+        """0 for the kind or whole name, 1 for a part of the platform's name or version, 2 for a part of the device's
+        name, which drivers of other vendors may share, 3 for no match.
         """
         name, platform = device.name.lower(), (device.platform.lower(), device.platform_version.lower())
         if part in (device.kind, name):

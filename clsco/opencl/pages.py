@@ -26,8 +26,7 @@ CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger
 class Pages:
     """Pool of memory blocks; a block returns to the pool when its array is freed. Threads may share a pool.
 
-    limit: of the memory of unused blocks, bytes; beyond it, those unused for the longest time are returned to the
-    system.
+    limit: bytes of unused blocks, beyond which those unused for the longest time return to the system.
     """
 
     def __init__(self, limit: int = SPARE_BYTES) -> None:
@@ -38,10 +37,7 @@ class Pages:
         self._bytes = 0
 
     def take(self, size: int) -> NDArray[np.uint8]:
-        """An uninitialized array of `size` bytes, whose memory returns to the pool when the array is freed.
-
-        From LARGE on, it is in pages of 2 MiB if the system has these. Raises OSError if there is not enough memory.
-        """
+        """An uninitialized array of `size` bytes, whose memory returns to the pool when it is freed. Raises OSError."""
         bytes_ = block_size(size)
         with self._lock:
             self._take_back()
@@ -85,9 +81,7 @@ class Pages:
 
 
 def in_pages(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy of an array, in C order, in pages of its own: devices that use host memory read it in place, and its pages
-    return to the system when it is freed.
-    """
+    """A copy, in C order, in pages of its own: devices read it in place, and freeing it returns them to the system."""
     copy = np.frombuffer(_cleared(array.nbytes), array.dtype).reshape(array.shape)
     copy[...] = array
     return copy

@@ -89,7 +89,7 @@ def has_room(folder: Path | None = None) -> bool:
 
 
 def check() -> int:
-    """Remove each compiled program with a file that differs from its recorded checksum, and return their number.
+    """Remove each program with a file that differs from its recorded checksum, and return their number.
 
     A cache above its size limit is emptied. Does nothing in a folder that the user has set.
     """
@@ -130,10 +130,7 @@ def exclusive() -> Iterator[None]:
 
 
 def wipe_cache() -> Path | None:
-    """Remove all compiled kernels from PoCL's cache folder; returns the folder, None if it does not exist.
-
-    Other files in the folder stay.
-    """
+    """Remove all compiled kernels, and no other files, from PoCL's cache folder; returns the folder if it exists."""
     prepare()
     folder = _folder()
     if not folder.is_dir():

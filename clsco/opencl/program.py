@@ -141,10 +141,7 @@ def launch_whole(
     session: Session, kernel: cl.Kernel, size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
     offset: tuple[int, ...] | None = None,
 ) -> cl.Event:  # fmt: skip
-    """Enqueue a kernel in one piece over `size` work-items, a multiple of local_size; returns its event.
-
-    offset: number of the first work-item along each axis, by default 0. Other arguments and errors as for `launch`.
-    """
+    """Enqueue a kernel in one piece over `size` work-items, a multiple of local_size, from work-item `offset` on."""
     # PoCL compiles a kernel at its first launch with a local size, and again for small grids and for an offset if the
     # user has enabled these variants (clsco.opencl.pocl_cache).
     shape = (kernel, local_size, max(size) < 2**16, offset is None)

@@ -36,9 +36,8 @@ Program: TypeAlias = dict[str, cl.Kernel]
 class Progress:
     """Progress of a rendering, readable by another thread.
 
-    doing: current step, the kind of a pass, or "compiling" and names of files or of a kernel. share: fraction of the
-    latest launch that is done, 0 to 1. done, total: numbers of time samples over all strips, finished and of the whole
-    frame.
+    doing: kind of a pass, or "compiling" and names of files or of a kernel. share: fraction of the latest launch that
+    is done. done, total: numbers of time samples over all strips, finished and of the whole frame.
     """
 
     doing: str = ""
@@ -48,13 +47,11 @@ class Progress:
 
 
 class Session:
-    """A context and an in-order queue with profiling on one device, and the programs built in the context; released by
-    `close` or `with`.
+    """A context and an in-order queue with profiling on one device, and the programs built in the context.
 
-    queue: queue to use; if it is out of order or has no profiling, the session opens another one in its context;
-    context: context to use; by default a new one. Threads may share a session, but no session works after a fork: PoCL
-    would hang, so it raises DeviceError. Start processes by spawning. Raises DeviceError if the device refuses a
-    context.
+    queue, context: to use, by default new ones; instead of a queue that is out of order or has no profiling, the
+    session opens another one in its context. Threads may share a session, but no session works after a fork: PoCL would
+    hang, so it raises DeviceError. Start processes by spawning. Raises DeviceError if the device refuses a context.
     """
 
     def __init__(self, device: Device, queue: cl.CommandQueue | None = None, context: cl.Context | None = None) -> None:
@@ -203,7 +200,7 @@ def session_in(context: cl.Context) -> Session:
 
 
 def session_for(device: DeviceLike) -> Session:
-    """The session for a user's argument `device`. Raises DeviceError if no device matches."""
+    """The session for a user's argument `device`. Raises DeviceError."""
     if device is None or isinstance(device, str):
         return session_on(choose(device))
     if isinstance(device, cl.CommandQueue):

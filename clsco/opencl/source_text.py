@@ -40,8 +40,8 @@ def program_text(
 ) -> str:
     """The whole text of a program for the compiler, with #line directives so that the compiler's errors name files.
 
-    sources, structs, real: as for `clsco.opencl.program.build`; macros: values of names in the preprocessor's
-    conditions, such as features; on_cpu: True to use the files for processors. Raises KernelError for a missing file.
+    macros: values of names in the preprocessor's conditions, such as features; on_cpu: True to use the files for
+    processors; others as for `clsco.opencl.program.build`. Raises KernelError for a missing file.
     """
     lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c is rounded twice, as in NumPy; only fma() is fused
     # PoCL prints the number of warnings. This one, on passing wide vectors, is irrelevant because every function is
@@ -68,8 +68,8 @@ def program_text(
 class _Condition:
     """State of an #if that is not closed yet.
 
-    active: True while the current branch is included; done: True once a branch has been included; deferred: True if the
-    condition is left to the compiler, because it has an unknown name.
+    active: the current branch is included; done: a branch has been included; deferred: the condition is left to the
+    compiler, because it has an unknown name.
     """
 
     active: bool
@@ -79,9 +79,8 @@ class _Condition:
 
 @dataclass
 class _Preprocessor:
-    """Preprocessor of kernel files: evaluates conditions on known macros, and includes each file once.
-
-    macros: values of macros by name; on_cpu: True to prefer files in folders `cpu`; files_read: files read so far.
+    """Evaluates conditions on known macros in kernel files, and includes each file once, with on_cpu that of a folder
+    `cpu`.
     """
 
     macros: dict[str, float]
@@ -89,9 +88,7 @@ class _Preprocessor:
     files_read: set[str] = field(default_factory=set)
 
     def text(self, source: str) -> str:
-        """Text of a file and of the files that it includes, with blank lines for excluded text; empty if the file has
-        been read before.
-        """
+        """Text of a file and of those it includes, with blank lines for excluded text; empty if it has been read."""
         name = _cpu_form(source) if self.on_cpu else source
         if name in self.files_read:
             return ""
@@ -115,9 +112,7 @@ class _Preprocessor:
         return "".join([*pieces, text[end:]])
 
     def _decide(self, word: str, condition: str, line: str, conditionals: list[_Condition], active: bool) -> str:
-        """Process a directive such as #if or #endif; returns its line for the compiler, empty if it is evaluated here.
-
-        word: the directive's name; conditionals: open conditionals, updated; active: True if the line is in included
+        """The compiler's line for a directive in `conditionals`, empty if it is evaluated here; active: in included
         text.
         """
         if word.startswith("if"):

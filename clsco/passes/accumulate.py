@@ -38,8 +38,8 @@ class FrameSum:
     ) -> Plane:
         """Add a plane to the sum, and return the sum so far.
 
-        weights: (rows,) or (columns,) of the plane; top: row of the sum for the plane's first row; rows: of the sum, by
-        default those of the plane.
+        weights: per row or column of the plane; top: row of the sum for its first row; rows: of the sum, by default the
+        plane's.
         """
         height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]
         if self.begins and plane.rows < height:

@@ -96,10 +96,10 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
 
 @dataclass(frozen=True)
 class Image:
-    """An image with guard band on the device, and its blur radii.
+    """An image with guard band on the device, float (channels, height, width), and its blur radii.
 
-    value: float (channels, height, width), radiance. maps: signed R in px, real (height, width), and a mask of pixels
-    with known R, uchar (height, width); or only R as float; empty for an image with a single radius.
+    maps: signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R as
+    float; empty for an image with a single radius.
     """
 
     value: cl.Buffer
@@ -142,8 +142,7 @@ def prepare_sources(
 ) -> None:  # fmt: skip
     """Enqueue the kernel that turns a map of signed radii, as `Image.maps`, into the planes `source`.
 
-    psf: psf_t of the blur that will add the sources. rims: lens_t and a buffer for inverse depths, if rims cut the
-    light of sources.
+    psf: of the blur that will add the sources. rims: lens_t and a buffer for inverse depths, if rims cut their light.
     """
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source, *rims)
@@ -151,10 +150,9 @@ def prepare_sources(
 
 @dataclass(frozen=True)
 class Plane:
-    """An image on the device, as part of a larger array of floats.
+    """An image of `rows` and `columns` on the device, as part of a larger array of floats.
 
-    shape: channels, rows and columns of the array. rows, columns: size of the image. top, left: row and column of the
-    array with the first pixel of the image.
+    shape: channels, rows and columns of the array. top, left: its row and column with the first pixel of the image.
     """
 
     buffer: cl.Buffer
@@ -166,9 +164,7 @@ class Plane:
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """Kernel arguments: buffer, offset between channels, offset of the first pixel, and offset between rows, in
-        floats.
-        """
+        """Kernel arguments: buffer, and in floats the offsets between channels, of the first pixel, between rows."""
         _, height, pitch = self.shape
         return self.buffer, np.int32(height * pitch), np.int32(self.top * pitch + self.left), np.int32(pitch)
 
@@ -247,7 +243,7 @@ class BlurredPlane(ABC):
 
 
 class TableBlur(BlurredPlane):
-    """A blur of sources with different radii, by weights from tables; arguments as for `BlurredPlane`."""
+    """A blur of sources with different radii, by weights from tables."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)

@@ -95,8 +95,8 @@ class Filler:
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
 
-        surfaces: buffer of `count` surface_t; with domain "surface", only pixels whose rays hit one of these surfaces
-        are filled. brightest: largest radiance. Waits for the device once per sweep.
+        surfaces: `count` surface_t; with domain "surface", only pixels whose rays hit one of them are filled.
+        brightest: largest radiance. Waits for the device once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
         source, remaining = self.planes.indices
@@ -141,9 +141,7 @@ class Filler:
         return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
-        """Fill those of the `count` missing pixels in the list `source` that have at least `minimum` known neighbors;
-        wins: as returned by `_score`.
-        """
+        """Fill those of `count` missing pixels, listed in `source`, that have at least `minimum` known neighbors."""
         p = self.planes
         objects = () if p.object is None else (p.object,)
         planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *objects)

@@ -56,9 +56,9 @@ class SceneJob(Job):
     """The part of a scene's frame at a time sample that passes process.
 
     weights: of the time sample in the rows of `strip`, or in all columns of the frame. is_first: True for the first
-    time sample of the whole strip, which begins the sum. whole_strip: strip of the frame; `strip` is the part of it in
-    which the time sample has a weight. noise_stream: `clsco.optics.sensor.camera_word` of the frame in the last time
-    sample of the whole strip, else None.
+    time sample of the whole strip, which begins the sum. whole_strip: of the frame; in its part `strip` the time sample
+    has a weight. noise_stream: `clsco.optics.sensor.camera_word` of the frame in the last time sample of the whole
+    strip.
     """
 
     sample: TimeSample

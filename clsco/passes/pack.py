@@ -32,10 +32,9 @@ def grid_struct(
     rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0,
     rest_step: float | None = None,
 ) -> Struct:  # fmt: skip
-    """grid_t of a frame of `rows` and `columns` with a guard band, in px.
+    """grid_t of a frame of `rows` and `columns`, or of its strip, with a guard band in px.
 
-    strip: of the frame; by default the whole frame. step: slope between the rays of neighboring pixels, if rays are
-    cast. rest_step: `step` in the reference pose; by default `step`.
+    step: slope between the rays of neighboring pixels, if rays are cast; rest_step: in the reference pose.
     """
     part = strip or Strip(0, rows, guard, guard)
     values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
@@ -47,9 +46,7 @@ def grid_struct(
 def camera_grid(
     camera: Camera, guard: int, real: Real, strip: Strip | None = None, reference: Camera | None = None
 ) -> Struct:
-    """grid_t of a camera with a resolution; guard, strip: as for `grid_struct`; reference: camera of the reference
-    pose, by default `camera`.
-    """
+    """grid_t of a camera with a resolution; reference: camera of the reference pose, by default `camera`."""
     columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
     grid = grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
     if (distortion := distortion_of(camera)) is not None:
@@ -68,8 +65,8 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set the fields of grid_t for Newton's method, which undistorts rays: coefficients of the first guess, and a
-    number of steps that is enough for all rays of the grid, also in its reference pose.
+    """Set the first guess of Newton's method, which undistorts rays, and a number of steps for all rays of the grid,
+    also in its reference pose.
     """
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
@@ -89,9 +86,7 @@ def lens_struct(lens: Lens, real: Real) -> Struct:
 def surface_structs(
     items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
 ) -> NDArray[np.void]:
-    """surface_t of each object, (objects,); surfaces: the objects as placed in front of the camera; textures: number of
-    each object's texture, by default 0.
-    """
+    """surface_t of each object, (objects,), as placed in front of the camera; textures: their numbers, by default 0."""
     numbers = textures or [0] * len(items)
     placed = [_surface_struct(*fields, real) for fields in zip(items, surfaces, numbers, strict=True)]
     return np.array(placed, structs(real)["surface_t"])
@@ -193,10 +188,7 @@ def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, rea
 
 
 def texture_planes(radiances: Sequence[NDArray[np.float32]], channels: int) -> NDArray[np.float32]:
-    """Channel planes (textures, channels, rows, columns) of textures; with 3 channels, gray textures are repeated.
-
-    A single texture with a single channel is returned without a copy.
-    """
+    """Channel planes (textures, channels, rows, columns); gray textures are repeated; a single one is not copied."""
     planes = [radiance[None] if radiance.ndim == 2 else np.moveaxis(radiance, -1, 0) for radiance in radiances]
     if len(planes) == channels == 1:
         return planes[0][None]

@@ -32,11 +32,11 @@ MOST_DETAIL = 1.37
 
 
 class PlacedScene:
-    """A scene with a resolution on a device.
+    """A scene with a resolution on a device; keeps uploaded arrays until `release`, because launches may read them
+    later.
 
     textures: of every object (`clsco.inputs.textures.load_scene_textures`). real: precision of the geometry. eye: view
-    of a stereo pair; "left" without one. covered: True if the last channel is coverage. Uploaded arrays are kept until
-    `release`, because launches that read them may run later.
+    of a stereo pair; "left" without one. covered: True if the last channel is coverage.
     """
 
     def __init__(

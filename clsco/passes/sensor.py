@@ -43,8 +43,7 @@ class Codes:
 class FrameSensor:
     """The sensor of a scene on the device; reads out a frame or its strips.
 
-    sizes: of `clsco.plan.buffers.sensor_buffers`. Validated against `clsco.reference.sensor.sensor.sense`, with equal
-    bits (tests/kernels/test_sensor.py).
+    Validated against `clsco.reference.sensor.sensor.sense`, with equal bits (tests/kernels/test_sensor.py).
     """
 
     def __init__(self, session: Session, sensor_model: SensorModel, sizes: Sizes) -> None:
@@ -55,9 +54,7 @@ class FrameSensor:
         self.struct = filled("sensor_t", "float", sensor_values(sensor_model))
 
     def expose(self, strip: Strip, plane: Plane, camera: int, events: Events) -> Codes:
-        """Enqueue the conversion of a strip's irradiance `plane` to codes; camera: word from
-        `clsco.optics.sensor.camera_word`, which selects the noise of the frame.
-        """
+        """Enqueue the conversion of a strip's irradiance to codes; camera: `clsco.optics.sensor.camera_word`."""
         padded = padded_columns(plane.columns)
         counts = upload_cached(self.target.session, RECIPROCALS, "reciprocals of counts")
         head = (np.int32(n) for n in (plane.rows, plane.columns, strip.top, padded))

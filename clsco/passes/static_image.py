@@ -27,8 +27,7 @@ Array = NDArray[np.float64]
 class HostImage(ABC):
     """An image (rows, columns[, channels]) and its signed radii, in host memory.
 
-    guard: width of the guard band around the frame, px. outside: image and radii in the guard band, "symmetric" for
-    mirror images, as of textures, "constant" for 0.
+    guard: px of the guard band, which holds mirror images, as of textures, or 0 with outside = "constant".
     """
 
     def __init__(
@@ -47,8 +46,7 @@ class HostImage(ABC):
     def image(self, job: Job, buffers: Mapping[str, cl.Buffer]) -> Image:
         """Upload the image of a strip to the buffers "value", "coc" and "valid".
 
-        If `buffers` lacks one of them, kernels read the host's array in place. Buffer "valid" stays unchanged if
-        `radii` returns no mask.
+        Without a buffer, kernels read the host's array in place; "valid" stays unchanged if `radii` returns no mask.
         """
         value = self._send(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
         uploaded = {name: self._send(buffers.get(name), array) for name, array in self.radii(job.strip).items()}

@@ -50,10 +50,7 @@ class Hits(Protocol):
     """Interface of a cache of ray hits that several lenses share."""
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        """The planes with the hits of an occlusion group; on a cache miss, `cast` enqueues the kernel that fills them.
-
-        sizes: of `clsco.plan.buffers.hit_buffers`.
-        """
+        """The planes with the hits of an occlusion group; on a cache miss, `cast` enqueues the kernel for them."""
 
 
 class LatestHits:
@@ -190,9 +187,7 @@ class Tracer:
         return self.buffers["pixels"].size // 4
 
     def _assign_slots(self, job: SceneJob, sources: Sources) -> int:
-        """Assign slots to the pixels that need sub-pixel sources, and allocate more slots if these are too few; returns
-        the number of slots used. Waits for the device.
-        """
+        """Assign slots to pixels that need sub-pixel sources, and add slots if needed; returns their number. Waits."""
         session, statistics = self.target.session, self.buffers["statistics"]
         runs = -(-int(job.grid["width"]) // TAP_LANES), int(job.grid["height"])
         first_slot = np.zeros(1, np.int32)

@@ -54,11 +54,10 @@ class Warped:
 
 
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """Features that warp.cl and fill.cl are compiled for; owned: as for `ForwardWarp`.
+    """Features that warp.cl and fill.cl are compiled for.
 
-    In a scene with a depth map, whose outline rays cannot find, domain "surface" is replaced by "span". Holes are
-    filled from their far side (FILL_FAR) if their sides may be at different depths: with several objects, or a depth
-    map.
+    In a scene with a depth map, whose outline rays cannot find, domain "surface" is replaced by "span". FILL_FAR: holes
+    are filled from their far side, as with several objects or a depth map their sides may be at different depths.
     """
     fill, mapped = plan.scene.fill, not plan.scene.is_analytic
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
@@ -142,9 +141,7 @@ class ForwardWarp:
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
-        """Enqueue the depth test, which computes the target of each pixel of the reference pose, and the winner of each
-        target: the nearest of the pixels that are moved to it. Arguments as for `warp`.
-        """
+        """Enqueue the depth test: the target of each pixel of the reference pose, and the nearest source of each."""
         scene, real = self.plan.scene, self.scene.real
         if scene.lens_moves or self.plan.only is not None:
             self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)
@@ -157,9 +154,7 @@ class ForwardWarp:
             self._test_by_atomics(args, events)
 
     def gather(self, events: Events) -> None:
-        """Enqueue kernels that copy the winners of the depth test to the planes of `filler`, without filling. Arguments
-        as for `warp`.
-        """
+        """Enqueue kernels that copy the winners of the depth test to the planes of `filler`, without filling."""
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
             chunks = (-(-plan.width // (OWNED_PIXELS if self.owned else 1)), plan.height)
