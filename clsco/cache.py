@@ -44,14 +44,12 @@ class Cache:
         with self._lock:
             if place in self._values:
                 self._values.move_to_end(place)
-                found: V = self._values[place][0]
-                return found
+                return self._values[place][0]
         value = make()
         needed = size(value)
         with self._lock:
             if place in self._values:
-                earlier: V = self._values[place][0]
-                return earlier
+                return self._values[place][0]
             if needed <= self.limit:
                 self._values[place] = value, needed
                 self._bytes += needed

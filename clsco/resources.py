@@ -35,9 +35,7 @@ DEVICE = "a device or a pipe"  # in errors, name for a file that is neither regu
 
 
 Kind = Literal["cache", "state"]
-_PLACES: dict[Kind, tuple[str, str]] = {
-    "cache": ("XDG_CACHE_HOME", ".cache"), "state": ("XDG_STATE_HOME", ".local/state"),
-}  # fmt: skip
+_PLACES = {"cache": ("XDG_CACHE_HOME", ".cache"), "state": ("XDG_STATE_HOME", ".local/state")}
 
 
 @cache
@@ -110,9 +108,9 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False) -> BufferedReader:
     """Open a regular file for reading; any other file is opened only briefly, to determine its kind.
 
-    most: size limit of the file in bytes; if the file may grow while it is read, use `read_regular`. follow: True to
-    allow a symbolic link, for names from users; links among the parent folders are always followed. Raises OSError if
-    the file cannot be opened, is not regular, or is too large; `strerror` names its kind, such as "a device or a pipe".
+    most: size limit in bytes; for a file that may grow while it is read, use `read_regular`. follow: True to allow a
+    symbolic link, for names from users; links among the parent folders are always followed. Raises OSError if the file
+    cannot be opened, is not regular, or is too large; `strerror` names its kind, such as "a device or a pipe".
     """
     flags = _SAFELY & ~getattr(os, "O_NOFOLLOW", 0) if follow else _SAFELY
     try:
@@ -195,13 +193,20 @@ def process_began(process: int) -> float | None:
 
     On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems in seconds of the clock.
     """
-    if not (PROC / "self").exists():
-        return _began_by_psutil(process)
+    if (PROC / "self").exists():
+        try:
+            text = (PROC / str(process) / "stat").read_text("utf-8", "replace")
+        except OSError:
+            return None
+        fields = text.rpartition(")")[2].split()  # from the state on
+        return None if fields[0] in ("Z", "X") else float(fields[19])
+    import psutil
+
     try:
-        fields = _stat(process)
-    except OSError:
+        entry = psutil.Process(process)
+        return None if entry.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD) else float(entry.create_time())
+    except psutil.NoSuchProcess:
         return None
-    return None if fields[0] in ("Z", "X") else float(fields[19])
 
 
 def process_is_gone(process: int) -> bool:
@@ -214,21 +219,6 @@ def process_is_gone(process: int) -> bool:
         except OSError:  # another user's process
             return False
     return process_began(process) is None
-
-
-def _stat(process: int) -> list[str]:
-    """Fields of a process in Linux's /proc/<id>/stat, from the state on; raises OSError if there is no such process."""
-    return (PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-
-
-def _began_by_psutil(process: int) -> float | None:
-    import psutil
-
-    try:
-        found = psutil.Process(process)
-        return None if found.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD) else float(found.create_time())
-    except psutil.NoSuchProcess:
-        return None
 
 
 def read_at(file: BinaryIO, size: int, place: int) -> bytes:
@@ -265,9 +255,9 @@ def machine_bytes(*, free: bool = False) -> int:
 
 
 def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")) -> int:
-    """Number of processors that this process may use: limited by its affinity and by the quotas of its control groups.
+    """Number of processors that this process may use: limited by its affinity and the quotas of its control groups.
 
-    groups: file in which Linux lists a process's control groups; mounted: folder of their settings (version 1 or 2).
+    groups: file in which Linux lists these; mounted: folder of their settings (version 1 or 2).
     """
     if hasattr(os, "process_cpu_count"):  # Python 3.13
         bound = os.process_cpu_count()

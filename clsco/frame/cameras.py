@@ -52,8 +52,8 @@ def eye_of(frame: Frame) -> Eye:
 def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     """Mask of surface points that are behind the lens at the middle of the shutter `step` frames later.
 
-    scene: one with a resolution. frame: one with `depth`, `object_id`, and `flow` for step 1 or `flow_backward` for
-    step -1. Points behind the lens have flow 0, as no pixel shows them. Validated by a camera that flies past a sphere.
+    frame: one with `depth`, `object_id`, and `flow` for step 1 or `flow_backward` for step -1, which is 0 behind the
+    lens, as no pixel shows the point. Validated by a camera that flies past a sphere.
     """
     flow = frame.flow if step == 1 else frame.flow_backward
     assert flow is not None
@@ -81,10 +81,10 @@ def frame_rate(interval: float) -> Fraction:
 def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any]:
     """Standard OpenEXR attributes for a frame of a scene with a resolution.
 
-    `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as for sRGB), `worldToCamera` (for row vectors, mm)
-    and `screenWindowWidth`; for moving scenes `expTime` (s) and `framesPerSecond`. The camera of OpenEXR looks along +z
-    with x to the left and y up, and its screen window is at z = 1. The world is that of `pinhole`. Validated by surface
-    points projected with these attributes.
+    `aperture` (f-number), `focus` (m), `chromaticities` (BT.709), `worldToCamera` (for row vectors, mm) and
+    `screenWindowWidth`; for moving scenes `expTime` (s) and `framesPerSecond`. The camera looks along +z with x to the
+    left and y up, its screen window is at z = 1, and the world is that of `pinhole`. Validated by projected surface
+    points.
     """
     camera, lens = pinhole(scene, index, eye), camera_at(scene, middle_time(scene.sequence, index))
     matrix = np.eye(4)

@@ -16,11 +16,11 @@ LEAST_SIDE = 2  # px, smallest side of a frame that can be demosaiced
 
 
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
-    """Irradiance for codes (rows, columns, planes): (code - black) / (gain white), 1 = white.
+    """Irradiance for codes (rows, columns, planes): (code - black) / (gain white), 1 = white, negative by noise.
 
-    Returns float32 (rows, columns[, 3]), demosaiced if the sensor's `demosaic` is not "none". Values may be negative by
-    noise. In a color mosaic that is not demosaiced, channels that a pixel has not measured are 0; in a gray scene each
-    pixel measures the only channel. Raises MissingDependencyError if `demosaic = "menon"` lacks colour-demosaicing.
+    Float32 (rows, columns[, 3]), demosaiced unless the sensor's `demosaic` is "none": then channels that a pixel has
+    not measured are 0. In a gray scene each pixel measures the only channel. Raises MissingDependencyError if `demosaic
+    = "menon"` lacks colour-demosaicing.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
     light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])

@@ -210,21 +210,18 @@ def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[TruthFile] = (),
     about: Mapping[str, Any] | None = None, scene: Scene | None = None, color: Color = SRGB,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write the files of a frame; frame_0000.json comes last and makes the frame complete.
+    """Write the files of a frame; frame_0000.json comes last and makes the frame complete. Returns its content.
 
     views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
-    EXR holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on. bits:
-    bits of the textures, 8, 16 or 32; the PNG has 16 for 32. transfer: curve of the PNG, "srgb" or "linear"; the PNG
-    clips radiance to 0 to 1, the other files do not. truth: files to write; each holds the color and all ground truth
-    of the frame, or only the arrays that it names, linear; files written once per scene (`write_scene_files`) are
-    skipped. about: additional content of the JSON file. scene: one with a resolution; its camera gives the attributes
-    of an EXR. color: color space of the image, whose curve replaces "srgb"; unless it is sRGB, the JSON file has its
-    name, and an EXR its chromaticities.
+    EXR holds both. Sub-frames are frame_0000_sample_00.png and so on. bits: of the textures, 8, 16 or 32; the PNG has
+    16 for 32. transfer: curve of the PNG, "srgb" or "linear"; the PNG clips radiance to 0 to 1, the other files, which
+    are linear, do not. truth: files to write; those written once per scene (`write_scene_files`) are skipped. about:
+    additional content of the JSON file. scene: one with a resolution, for the attributes of an EXR. color: color space
+    of the image, whose curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its
+    chromaticities.
 
-    Returns the content of the JSON file: `about`, the metadata (of a stereo pair in `views`), `truth` if a ground-truth
-    file does not hold everything, and `files`, SHA-256 by file name. Raises FileError if a file cannot be written, or
-    values do not fit its format. Files are renamed when all are complete on the disk; until then an older frame stays
-    unchanged.
+    Raises FileError if a file cannot be written, or values do not fit its format. Files are renamed when all are
+    complete on the disk; until then an older frame stays unchanged.
     """
     index, stereo = views[0].index, len(views) > 1
     by_eye = {frame.eye: frame for frame in views}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -99,8 +99,8 @@ def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
 def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
     """List the frames of a folder, or those with numbers in `only`, from their JSON files.
 
-    Raises SceneError with all faults: no frames, missing numbers, an invalid JSON file, frames that differ in interval,
-    transfer or stereo, a missing PNG.
+    Raises SceneError with all faults: missing frames and PNG files, invalid JSON, different interval, transfer or
+    stereo.
     """
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)
@@ -164,7 +164,12 @@ def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
 def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[float, str, bool, int]:
     """Interval, transfer, True for a stereo pair, number of frames; an invalid value becomes a default and a fault."""
 
-    def value(table: str, key: str, default: Any, is_right: Any) -> Any:
+    scene = content.get("scene")
+    if not isinstance(scene, dict):
+        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(scene).__name__}")
+        scene = {}
+
+    def value(table: str, key: str, default: Any, is_right: Callable[[Any], bool]) -> Any:
         inner = scene.get(table, {})
         value_of_key = inner.get(key, default) if isinstance(inner, dict) else None
         if is_right(value_of_key):
@@ -172,25 +177,10 @@ def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[f
         faults.append(f"{path}: scene.{table}.{key}: must be one of a scene; got {str(value_of_key)[:40]}")
         return default
 
-    def is_count(value_of_key: Any) -> bool:
-        return isinstance(value_of_key, int) and 0 < value_of_key <= 1_000_000
-
-    def is_time(value_of_key: Any) -> bool:
-        return (
-            isinstance(value_of_key, (int, float))
-            and not isinstance(value_of_key, bool)
-            and 0 < value_of_key < math.inf
-        )
-
-    value_of_key = content.get("scene")
-    if not isinstance(value_of_key, dict):
-        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(value_of_key).__name__}")
-    scene = value_of_key if isinstance(value_of_key, dict) else {}
-    interval = float(min(value("sequence", "interval", 1.0, is_time), 1e300))
-    transfer = value(
-        "image", "transfer", "srgb", lambda value_of_key: isinstance(value_of_key, str) and value_of_key in TRANSFERS
-    )
-    return interval, transfer, scene.get("stereo") is not None, value("sequence", "frames", 1, is_count)
+    interval = value("sequence", "interval", 1.0, lambda time: type(time) in (int, float) and 0 < time < math.inf)
+    transfer = value("image", "transfer", "srgb", lambda name: isinstance(name, str) and name in TRANSFERS)
+    count = value("sequence", "frames", 1, lambda number: isinstance(number, int) and 0 < number <= 1_000_000)
+    return float(min(interval, 1e300)), transfer, scene.get("stereo") is not None, count
 
 
 def _describe(known: tuple[float, str, bool, int]) -> str:

@@ -134,7 +134,7 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
     truth: such as "depth,coc"; "all", or "" with formats, means every array that the formats can hold. formats: names
     and options, such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as for `parse_types`. Raises
-    SceneError for unknown words, an array that no format can hold, and a format that can hold none of the arrays.
+    SceneError for unknown words, an array that no format can hold, and a format that can hold none.
     """
     if not (truth or formats):
         if types:

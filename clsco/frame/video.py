@@ -18,6 +18,7 @@ from clsco.files.transfer import TRANSFERS, encode
 from clsco.files.video import PRESETS, parse_rate, preset_for, rate_of, write_clip
 from clsco.frame.frame import GREEN, Frame
 from clsco.frame.frame_folder import FrameFolder
+from clsco.frame.notebook import three_channels
 from clsco.frame.views import VIEWS
 
 VIEW_NAMES = ("color", "sharp", *VIEWS, "compare")
@@ -190,7 +191,7 @@ def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[A
         raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     left = encode(left, 8 * right.dtype.itemsize, transfer)
     if left.ndim != right.ndim:
-        left, right = (each if each.ndim == 3 else np.repeat(each[..., None], 3, axis=2) for each in (left, right))
+        left, right = map(three_channels, (left, right))
     return np.concatenate([left, right], axis=1)
 
 

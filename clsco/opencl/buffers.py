@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import numpy as np
@@ -20,21 +20,17 @@ from clsco.opencl.session import Session
 def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
     """A read-only buffer with the contents of `array`, in C order.
 
-    If the device uses host memory and the array is aligned and C-ordered, the buffer uses the array's memory. The
-    buffer keeps the array alive; until the last kernel that reads it has ended, the caller must neither write to the
-    array nor drop the buffer. Otherwise the array is copied. Raises DeviceError if the array is larger than the device
-    allows for one buffer, or memory is short.
+    If the device uses host memory and the array is aligned and C-ordered, the buffer uses the array's memory and keeps
+    it alive: until the last kernel that reads it has ended, the caller must neither write to the array nor drop the
+    buffer. Raises DeviceError if the array is larger than the device allows for one buffer, or memory is short.
     """
     packed = np.ascontiguousarray(array)
-    _check_size(session, packed.nbytes)
     if packed.nbytes == 0:
         return empty(session, 0)
     in_place = session.device.unified_memory and packed.ctypes.data % session.device.alignment == 0
     flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
-    try:
+    with _allocating(session, packed.nbytes):
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | flags, hostbuf=packed)
-    except cl.Error as error:
-        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
 
 
 def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
@@ -43,11 +39,8 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
     """
     if not session.device.unified_memory or array.nbytes == 0:
         return upload(session, array)
-    _check_size(session, array.nbytes)
-    try:
+    with _allocating(session, array.nbytes):
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
-    except cl.Error as error:
-        raise failure(session.device, f"have memory for a buffer of {array.nbytes} bytes", error) from error
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
@@ -73,22 +66,17 @@ def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
             cl.enqueue_copy(session.queue, buffer, packed)
         return buffer
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # faster than a command in the queue
-    try:
+    with _allocating(session, packed.nbytes):
         return cl.Buffer(session.context, flags, hostbuf=packed)
-    except cl.Error as error:
-        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
 
 
 def empty(session: Session, size: int) -> cl.Buffer:
     """An uninitialized read-write buffer of `size` bytes. Raises DeviceError as `upload`."""
-    _check_size(session, size)
     flags = cl.mem_flags.READ_WRITE
-    try:
+    with _allocating(session, size):
         if session.device.unified_memory and size >= SMALLEST and sys.platform == "linux":
             return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=shared_pages().take(size))
         return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL has no empty buffers
-    except (cl.Error, OSError) as error:
-        raise failure(session.device, f"have memory for a buffer of {size} bytes", error) from error
 
 
 class Refilled:
@@ -128,10 +116,8 @@ def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: D
 def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> None:
     """Wait for all enqueued commands, and copy the buffer's beginning to a C-ordered array. Raises as `download`."""
     if array.nbytes:
-        try:
+        with _reporting(session, "give results back"):
             cl.enqueue_copy(session.queue, array, buffer, is_blocking=True)
-        except cl.Error as error:
-            raise failure(session.device, "give results back", error) from error
 
 
 @contextmanager
@@ -139,21 +125,26 @@ def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterato
     """Wait for all enqueued commands, and map the buffer's beginning as an array, valid in the block; a processor does
     not copy it. Raises as `download`.
     """
-    try:
-        flags = cl.map_flags.READ
-        array, _ = cl.enqueue_map_buffer(
-            session.queue, buffer, flags, 0, tuple(shape), np.dtype(np.float32), is_blocking=True
-        )
-    except cl.Error as error:
-        raise failure(session.device, "give results back", error) from error
+    args = cl.map_flags.READ, 0, tuple(shape), np.dtype(np.float32)
+    with _reporting(session, "give results back"):
+        array, _ = cl.enqueue_map_buffer(session.queue, buffer, *args, is_blocking=True)
     try:
         yield array
     finally:
         array.base.release(session.queue)
 
 
-def _check_size(session: Session, size: int) -> None:
-    if size > session.device.max_alloc:
-        raise DeviceError(
-            f"device {session.device}: a buffer must be at most {session.device.max_alloc} bytes; got {size}"
-        )
+@contextmanager
+def _reporting(session: Session, task: str) -> Iterator[None]:
+    """Convert errors in the block, which does `task`, to DeviceError."""
+    try:
+        yield
+    except (cl.Error, OSError) as error:
+        raise failure(session.device, task, error) from error
+
+
+def _allocating(session: Session, size: int) -> AbstractContextManager[None]:
+    """Check the size of a buffer, and convert errors of its allocation in the block to DeviceError."""
+    if size > (most := session.device.max_alloc):
+        raise DeviceError(f"device {session.device}: a buffer must be at most {most} bytes; got {size}")
+    return _reporting(session, f"have memory for a buffer of {size} bytes")

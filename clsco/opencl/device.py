@@ -39,16 +39,13 @@ class Device:
     kind: Literal["gpu", "cpu", "accelerator"]
     has_fp64: bool
     has_int64_atomics: bool
-    correctly_rounded: bool
-    """True if an option of the compiler makes float32 division and square root correctly rounded, as in NumPy."""
-    unified_memory: bool
-    """True if the device uses the host's memory, so that an aligned array needs no copy."""
+    correctly_rounded: bool  # an option of the compiler rounds float32 division and square root as NumPy does
+    unified_memory: bool  # the device uses the host's memory, so that an aligned array needs no copy
     alignment: int
     max_alloc: int
     global_mem: int
     compute_units: int
-    vector_width: int
-    """Number of floats in the widest vector that the device computes at once."""
+    vector_width: int  # number of floats in the widest vector that the device computes at once
     max_work_group: int
     handle: cl.Device = field(repr=False)
 

@@ -80,15 +80,10 @@ class Pages:
             self._bytes = 0
 
 
-def in_pages(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy, in C order, in pages of its own: devices read it in place, and freeing it returns them to the system."""
-    copy = np.frombuffer(_cleared(array.nbytes), array.dtype).reshape(array.shape)
-    copy[...] = array
-    return copy
-
-
 def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays concatenated along their first axis, in pages as from `in_pages`."""
+    """Arrays concatenated along their first axis in C order, in pages of their own: devices that use host memory read
+    them in place, and the pages return to the system when the result is freed.
+    """
     shape = (sum(len(array) for array in arrays), *arrays[0].shape[1:])
     size = sum(array.nbytes for array in arrays)
     if size == 0:
@@ -98,7 +93,7 @@ def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def is_in_pages(array: NDArray[Any]) -> bool:
-    """True for an array from `in_pages` or `joined_in_pages`."""
+    """True for an array from `joined_in_pages`."""
     return array.ctypes.data % mmap.PAGESIZE == 0
 
 

@@ -58,18 +58,15 @@ class Session:
         check_not_forked()
         self.device = device
         self.lock = threading.RLock()
-        self.cache = Cache(CACHE_BYTES)
-        """Buffers that are filled once, such as textures, tables and ray hits, by keys that describe their content."""
-        self.canceled = threading.Event()
-        """Set this to cancel the work of the session at the next call of `go_on`."""
+        self.cache = Cache(CACHE_BYTES)  # buffers that are filled once, by keys that describe their content
+        self.canceled = threading.Event()  # set this to cancel the session's work at the next call of `go_on`
+        # For another thread to read; if set, the host is at most one time sample ahead of the device.
         self.progress: Progress | None = None
-        """Progress for another thread to read; if set, the host is at most one time sample ahead of the device."""
+        # Programs by their texts and the compiler's options, and by arguments of `program.build` that lead to one text.
         self.programs: dict[Hashable, Program] = {}
-        """Programs built in this session, by their texts and the compiler's options."""
         self.requests: dict[Hashable, Program] = {}
-        """The same programs by the arguments of `program.build`; several arguments may lead to one text."""
+        # Kernels and launch shapes that the driver has compiled.
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
-        """Kernels and launch shapes that the driver has compiled, recorded by `program.launch_whole`."""
         self.pace = Pace()
         if device.is_pocl:
             poclcache.prepare()  # the user may have opened a queue before clsco listed devices

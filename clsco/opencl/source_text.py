@@ -14,13 +14,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from clsco.errors import KernelError
+from clsco.records import Real
 from clsco.resources import folder
+
+Structs = Mapping[str, np.dtype[Any]]
 
 _C_TYPES = {
     "f4": "float", "f8": "double",
@@ -31,8 +34,8 @@ _C_TYPES = {
 
 def program_text(
     sources: Sequence[str],
-    structs: Mapping[str, np.dtype[Any]],
-    real: Literal["double", "float"],
+    structs: Structs,
+    real: Real,
     has_fp64: bool,
     has_int64_atomics: bool,
     macros: Mapping[str, float] | None = None,
@@ -167,12 +170,12 @@ def _read(source: str) -> str:
         raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
 
 
-def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:
+def struct_text(name: str, dtype: np.dtype[Any], structs: Structs) -> str:
     """The C typedef `name` of an aligned structured dtype, with a compile-time check of its size.
 
-    Fields are scalars, arrays of scalars, or dtypes in `structs`. `np.dtype(..., align=True)` has the layout that
-    OpenCL C prescribes, so equal sizes mean equal offsets. pyopencl's match_dtype_to_c_struct would query the device by
-    a kernel for each struct, which takes 35 ms each from a warm cache, and 0.3 s from a cold one.
+    `np.dtype(..., align=True)` has the layout that OpenCL C prescribes, so equal sizes mean equal offsets. pyopencl's
+    match_dtype_to_c_struct would query the device by a kernel for each struct, 35 ms from a warm cache, 0.3 s from a
+    cold.
     """
     if dtype.fields is None or not dtype.isalignedstruct:
         raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")

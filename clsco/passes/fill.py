@@ -38,12 +38,13 @@ CHAPTER5 = MeanMedian()
 class FillPlanes:
     """Buffers of fill.cl, with guard band; the caller writes `value` to `object` before the filling.
 
-    value: float (CHANNELS, height, width), radiance. w, coc: real, inverse depth in 1/mm and signed R in px. valid,
-    status: uchar, as in `clsco.passes.warp.Warped`. object: uchar, number of the visible object, for scenes with
-    several objects. indices: lists of missing pixels before and after a sweep, an int per pixel; used only during the
-    filling. spans, grown: first and last valid pixel of each line, before and after a sweep. counters: numbers of
-    pixels. far: bounds on the depth of neighbors, if holes are filled from the far side. done to other_w: of
-    mean/median filling, else None.
+    value: float (CHANNELS, height, width), radiance. w, coc: real, inverse depth in 1/mm and signed R in px. valid:
+    uchar, 1 if known or filled, else 0 (value, w and coc are then 0). status: uchar, 0 known or not missing, 1 filled,
+    2 missing and not filled. object: uchar, number of the visible object, 255 for none and in the mirror image around a
+    depth map; None if the scene has a single object. indices: lists of missing pixels before and after a sweep, an int
+    per pixel; used only during the filling. spans, grown: first and last valid pixel of each line, before and after a
+    sweep. counters: numbers of pixels. far: bounds on the depth of neighbors, if holes are filled from the far side.
+    done to other_w: of mean/median filling, else None.
     """
 
     value: cl.Buffer
@@ -130,10 +131,10 @@ class Filler:
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels on the device; returns the counters."""
-        chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.grid, self.planes.valid)
-        self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
-        args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
-        self._run("mark_missing", events, chunks, (1, *LINES), *args)
+        p, lines, chunks = self.planes, (self.rows + self.columns,), (-(-self.columns // FILL_CHUNK), self.rows)
+        self.target.run("find_spans", lines, LINES, events, self.grid, p.valid, p.spans, p.grown)
+        args = (*placed, p.spans, p.status, source, p.counters, *self._depths())
+        self.target.run("mark_missing", chunks, (1, *LINES), events, *args)
         return self._read_counters()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
@@ -148,10 +149,10 @@ class Filler:
         head = (self.grid, self.lens, source, np.int32(count))
         if self.interpolates:
             rule = (minimum,) if self.is_far else ()
-            self._run("fill_ait", events, (count,), LISTED, *head, *rule, *planes)
+            self.target.run("fill_ait", (count,), LISTED, events, *head, *rule, *planes)
         else:
             vectors = (-(-count // FILL_LANES),)
-            self._run("fill_mean_median", events, vectors, LINES, *head, wins, minimum, *planes)
+            self.target.run("fill_mean_median", vectors, LINES, events, *head, wins, minimum, *planes)
 
     def _settle(
         self, placed: tuple[Any, ...], source: cl.Buffer, remaining: cl.Buffer, count: int, events: Events
@@ -162,16 +163,16 @@ class Filler:
         lines = (p.spans, p.grown)
         args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, remaining, p.counters)
         done = (p.done,) if self.smooths else ()
-        self._run("settle_sweep", events, (-(-count // FILL_CHUNK),), LINES, *args, *done)
+        self.target.run("settle_sweep", (-(-count // FILL_CHUNK),), LINES, events, *args, *done)
         grown = (*placed, *lines, p.status, remaining, p.counters, *self._depths())
-        self._run("mark_grown", events, (self.rows + self.columns,), LISTED, *grown)
+        self.target.run("mark_grown", (self.rows + self.columns,), LISTED, events, *grown)
         return self._read_counters()
 
     def _score(self, brightest: float, events: Events) -> int:
         """Bits k of the counts of known neighbors for which the median is a better estimator than the mean."""
         scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
         args = (self.grid, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
-        self._run("score_mean_median", events, (scored,), OWNERS, *args)
+        self.target.run("score_mean_median", (scored,), OWNERS, events, *args)
         score = score_of_sums(download(self.session, self.planes.sums, (scored, SCORE_SUMS), np.int64), scale)
         return bits_of(score.median_wins())
 
@@ -183,12 +184,9 @@ class Filler:
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
         vectors, head = (-(-count // FILL_LANES),), (self.grid, self.lens, p.done, np.int32(count), *p.far, p.valid)
         for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
-            self._run("smooth_median", events, vectors, LINES, *head, *current, *next_, p.coc)
+            self.target.run("smooth_median", vectors, LINES, events, *head, *current, *next_, p.coc)
             current, next_ = next_, current
 
     def _read_counters(self) -> list[int]:
         counts: list[int] = download(self.session, self.planes.counters, (COUNTERS,), np.int32).tolist()
         return counts
-
-    def _run(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
-        self.target.run(name, size, local, events, *args)

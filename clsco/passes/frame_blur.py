@@ -10,9 +10,7 @@ from clsco.plan.buffers import blur_buffers
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Struct
 
-METHODS: dict[Blur, type[BlurredPlane]] = {
-    "gather": Gather, "scatter": Scatter, "tiles": Tiles, "convolve": Convolve,
-}  # fmt: skip
+METHODS: dict[Blur, type[BlurredPlane]] = {"gather": Gather, "scatter": Scatter, "tiles": Tiles, "convolve": Convolve}
 
 
 def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> BlurredPlane:

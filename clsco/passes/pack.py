@@ -15,7 +15,7 @@ from clsco.inputs.mipmaps import level_sizes
 from clsco.optics.distortion import Distortion, distortion_of
 from clsco.optics.lens import Lens, ray_step
 from clsco.optics.light import PlacedLight
-from clsco.optics.motion import Pose
+from clsco.optics.motion import Pose, rest_center
 from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
@@ -84,43 +84,29 @@ def lens_struct(lens: Lens, real: Real) -> Struct:
 
 
 def surface_structs(
-    items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
+    items: Sequence[Object], surfaces: Sequence[PlacedSurface | None], real: Real, textures: Sequence[int] | None = None
 ) -> NDArray[np.void]:
-    """surface_t of each object, (objects,), as placed in front of the camera; textures: their numbers, by default 0."""
-    numbers = textures or [0] * len(items)
-    placed = [_surface_struct(*fields, real) for fields in zip(items, surfaces, numbers, strict=True)]
-    return np.array(placed, structs(real)["surface_t"])
+    """surface_t of each object, (objects,), as placed in front of the camera; textures: their numbers, by default 0.
+
+    That of a depth map, which has no surface, holds only the center of rotation and the texture.
+    """
+    numbers, array = textures or [0] * len(items), np.zeros(len(items), structs(real)["surface_t"])
+    for k, fields in enumerate(zip(items, surfaces, numbers, strict=True)):
+        array[k] = _surface_struct(*fields, real)
+    return array
 
 
-def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Real) -> Struct:
-    shape = surface.canonical
+def _surface_struct(item: Object, surface: PlacedSurface | None, texture: int, real: Real) -> Struct:
+    if surface is None:
+        return filled("surface_t", real, {"rest": rest_center(item), "texture": texture})
+    shape, extent = surface.canonical, surface.extent
     low, high = np.array(cutting_bounds(item) or EVERYWHERE, dtype=np.float64).T
-    return filled(
-        "surface_t",
-        real,
-        {
-            "turn": surface.turn.ravel(),
-            "body_turn": surface.body_turn.ravel(),
-            "own_turn": surface.own_turn.ravel(),
-            "offset": surface.offset,
-            "body_offset": surface.body_offset,
-            "own_offset": surface.own_offset,
-            "rest": surface.rest,
-            "q": shape.q,
-            "l": shape.l,
-            "bounds_low": low,
-            "bounds_high": high,
-            "k": shape.k,
-            "at_lens": surface.constant,
-            "radius": shape.radius,
-            "nappe": shape.nappe,
-            "texture": texture,
-            "near_x": surface.extent.x,
-            "near_y": surface.extent.y,
-            "near_w": surface.extent.w[1],
-            "width": surface.width,
-        },
-    )
+    names = ("turn", "body_turn", "own_turn", "offset", "body_offset", "own_offset", "rest")
+    values: dict[str, Any] = {name: getattr(surface, name).ravel() for name in names}
+    values |= {name: getattr(shape, name) for name in ("q", "l", "k", "radius", "nappe")}
+    values |= {"bounds_low": low, "bounds_high": high, "at_lens": surface.constant, "texture": texture}
+    values |= {"near_x": extent.x, "near_y": extent.y, "near_w": extent.w[1], "width": surface.width}
+    return filled("surface_t", real, values)
 
 
 def texture_map_structs(
@@ -160,30 +146,21 @@ def group_struct(group: OcclusionGroup, objects: int) -> Struct:
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
     """psf_t of a PSF; table, subpixel: its tables for pixels, and for sub-pixel sources if there are any."""
-    values: dict[str, Any] = {
-        "first": table.first,
-        "count": table.count,
-        "low": table.low,
-        "end": table.end,
-        "reach": max(table.reach, subpixel.reach if subpixel else 0),
-        "key": psf.key,
-        "minimum_blur": MINIMUM_BLUR,
-        "octaves_from": octaves_from(psf),
-        "steps": table_steps(psf, False),
-        "sub_steps": table_steps(psf, True),
-        "lens_extent": psf.extent,
-    }
+    names = ("first", "count", "low", "end", "stride")
+    values: dict[str, Any] = {name: getattr(table, name) for name in names}
+    values |= {"reach": max(table.reach, subpixel.reach if subpixel else 0), "key": psf.key, "lens_extent": psf.extent}
+    values |= {"minimum_blur": MINIMUM_BLUR, "octaves_from": octaves_from(psf)}
+    values |= {"steps": table_steps(psf, False), "sub_steps": table_steps(psf, True)}
     values["fine_steps"], values["fine_until"] = sampled_steps(psf)
     none = [0.0] * (MOST_RIMS - len(psf.rims))
     values |= {"rim_distance": [*(rim.distance for rim in psf.rims), *none]}
     values |= {"rim_radius": [*(rim.radius for rim in psf.rims), *none]}
     if psf.varying is not None:
         (across, down), (columns, rows) = psf.varying.cells, psf.varying.frame
-        values |= {"across": across, "down": down, "stride": table.stride}
+        values |= {"across": across, "down": down}
         values |= {"per_column": across / max(columns - 1, 1), "per_row": down / max(rows - 1, 1)}
     if subpixel:
-        values |= {"sub_first": subpixel.first, "sub_count": subpixel.count}
-        values |= {"sub_low": subpixel.low, "sub_end": subpixel.end, "sub_stride": subpixel.stride}
+        values |= {f"sub_{name}": getattr(subpixel, name) for name in names}
     return filled("psf_t", real, values)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -46,15 +46,11 @@ class HitKey(NamedTuple):
     textures: Hashable
 
 
-class Hits(Protocol):
-    """Interface of a cache of ray hits that several lenses share."""
-
-    def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        """The planes with the hits of an occlusion group; on a cache miss, `cast` enqueues the kernel for them."""
-
-
 class LatestHits:
-    """Cache of each occlusion group's hits at the latest time sample, for the lenses of a sweep."""
+    """Cache of each occlusion group's hits at the latest time sample, for the lenses of a sweep.
+
+    `planes` returns the planes with the hits; on a cache miss, `cast` enqueues the kernel for them.
+    """
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -86,6 +82,9 @@ class CachedHits:
         if key.textures is None:
             return cast_new()
         return self.session.cache.get(("hits", key), cast_new, lambda _: sum(sizes.values()))
+
+
+Hits = LatestHits | CachedHits
 
 
 @dataclass(eq=False)

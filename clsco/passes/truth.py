@@ -91,12 +91,10 @@ class GroundTruth:
         self._clear_background(out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
-        return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._still_outputs() | out
-
-    def _still_outputs(self) -> Arrays:
-        """Outputs that are 0 everywhere if the scene is static, so that they need no rays."""
-        shape = self.plan.rows, self.plan.columns
-        return {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
+        # Flow and hidden are 0 everywhere if the scene is static, and need no rays.
+        shape = plan.rows, plan.columns
+        zeros = {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
+        return {"filled": np.zeros(shape, np.uint8)} | zeros | out
 
     def _arguments(
         self, reference: TimeSample, sample: TimeSample, after: TimeSample, other_view: TimeSample | None = None,

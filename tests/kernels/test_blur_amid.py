@@ -66,11 +66,7 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     expected = source_planes(records(given, coc, twin.prepare_sources(coc, valid), valid, False), tilt, True)
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
     out = Amid(session, np.full_like(expected, LEFT_ALONE), LEFT_ALONE)
-    planes = {
-        "grid": given.grid(),
-        "psf": psf_struct(point_spread(psf), given.table(), None, "double"),
-        "source": out,
-    }
+    planes = {"grid": given.grid(), "psf": psf_struct(point_spread(psf), given.table(), None, "double"), "source": out}
     planes |= {"coc": Amid(session, coc, 9.0), "valid": Amid(session, valid.astype(np.uint8), 1)}
     run(session, program, "prepare_sources", (items, coc.shape[0]), (items, 1), **planes)
     found = out.now()

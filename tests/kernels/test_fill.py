@@ -26,20 +26,12 @@ from clsco.passes.pack import camera_grid, lens_struct, surface_structs
 from clsco.plan.buffers import COUNTERS, fill_buffers
 from clsco.records import REAL, Real, flat, structs
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
-from clsco.reference.inpainting.fill import (
-    Method,
-    fill_objects,
-    find_spans,
-    mark_grown,
-    mark_missing,
-    settle_sweep,
-)
+from clsco.reference.inpainting.fill import Method, fill_objects, find_spans, mark_grown, mark_missing, settle_sweep
 from clsco.reference.inpainting.fill_mean_median import smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Sphere
-from tests.kernels.launches import parameters
-from tests.kernels.numbers import whole
+from tests.kernels.launches import parameters, whole
 from tests.slow import combined, mostly_slow
 
 Array = NDArray[Any]

@@ -39,10 +39,7 @@ GENERAL = {
     "FIELD": (0, 0, 1),
 }  # not with what is alike in all octants
 
-BLUR = (
-    *("SAMPLED", "TILT", "GATHER", "SCATTER", "RENORMALIZE"),
-    *("DISC", "SEPARABLE", "LIMITED"),
-)
+BLUR = (*("SAMPLED", "TILT", "GATHER", "SCATTER", "RENORMALIZE"), *("DISC", "SEPARABLE", "LIMITED"))
 # Files of programs that can test what hides a source: by one object, or any other number up to all but one.
 OCCLUSION = (TRACE_FILES, FILES_OF["gather"], FILES_OF["scatter"])
 ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": ON_OR_OFF}
