@@ -37,8 +37,7 @@ class Cache:
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
         """The value of a key, which callers must not change; if it is not cached, `make` computes it.
 
-        size: returns the bytes of a value; one above the limit is not cached. Two threads may call `make` at the same
-        time, but get the same value.
+        size: returns the bytes of a value; one above the limit is not cached. Threads that call `make` at once get one.
         """
         place = _Key(key)
         with self._lock:

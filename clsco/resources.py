@@ -149,9 +149,7 @@ def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
 
 
 def temporary_folder(name: str) -> Path:
-    """A new private folder for this process and its children, removed at its end, or after a kill by the next such
-    call.
-    """
+    """A new private folder for this process and its children, removed at its end, or after a kill by the next call."""
     base = Path(tempfile.gettempdir())
     remove_left(base, f"clsco-{name}")
     first, last = work_name(f"clsco-{name}").split(".", 1)
@@ -161,9 +159,7 @@ def temporary_folder(name: str) -> Path:
 
 
 def work_name(prefix: str, more: str = "") -> str:
-    """Name for a temporary file or folder of this process, see `remove_left`; more: hexadecimal, to distinguish
-    several.
-    """
+    """Name for a temporary file or folder of this process, see `remove_left`; more: hexadecimal digits."""
     return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}{more and '-'}{more}.part"
 
 

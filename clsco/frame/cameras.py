@@ -82,9 +82,8 @@ def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any
     """Standard OpenEXR attributes for a frame of a scene with a resolution.
 
     `aperture` (f-number), `focus` (m), `chromaticities` (BT.709), `worldToCamera` (for row vectors, mm) and
-    `screenWindowWidth`; for moving scenes `expTime` (s) and `framesPerSecond`. The camera looks along +z with x to the
-    left and y up, its screen window is at z = 1, and the world is that of `pinhole`. Validated by projected surface
-    points.
+    `screenWindowWidth`; for moving scenes `expTime` (s) and `framesPerSecond`. The camera looks along +z, x to the left
+    and y up, its screen window is at z = 1, and the world is that of `pinhole`. Validated by projected points.
     """
     camera, lens = pinhole(scene, index, eye), camera_at(scene, middle_time(scene.sequence, index))
     matrix = np.eye(4)

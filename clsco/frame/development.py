@@ -51,16 +51,12 @@ def check_development(sensor_model: SensorModel, rows: int, columns: int) -> Non
 
 
 def sensor_truth(
-    names: Collection[str],
-    raw: NDArray[np.uint16],
-    saturated: NDArray[np.bool_],
-    light: NDArray[np.floating] | None,
-    sensor_model: SensorModel,
-) -> dict[str, NDArray[Any]]:
+    names: Collection[str], raw: NDArray[np.uint16], saturated: NDArray[np.bool_],
+    light: NDArray[np.floating] | None, sensor_model: SensorModel,
+) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Outputs of a sensor in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, (rows, columns[, 3]).
 
-    raw, saturated: (rows, columns, planes). light: irradiance (rows, columns[, 3]) for `electrons` and `noise_sigma`,
-    which are omitted without it.
+    raw, saturated: (rows, columns, planes). light: irradiance, without which `electrons` and `noise_sigma` are omitted.
     """
     arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:

@@ -216,9 +216,8 @@ def write_frame(
     EXR holds both. Sub-frames are frame_0000_sample_00.png and so on. bits: of the textures, 8, 16 or 32; the PNG has
     16 for 32. transfer: curve of the PNG, "srgb" or "linear"; the PNG clips radiance to 0 to 1, the other files, which
     are linear, do not. truth: files to write; those written once per scene (`write_scene_files`) are skipped. about:
-    additional content of the JSON file. scene: one with a resolution, for the attributes of an EXR. color: color space
-    of the image, whose curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its
-    chromaticities.
+    additional content of the JSON file. scene: one with a resolution, for the attributes of an EXR. color: of the
+    image, its curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its chromaticities.
 
     Raises FileError if a file cannot be written, or values do not fit its format. Files are renamed when all are
     complete on the disk; until then an older frame stays unchanged.

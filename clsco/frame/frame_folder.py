@@ -35,8 +35,7 @@ class FrameFolder:
     """Frames of one scene, with consecutive `numbers`.
 
     eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between frames. transfer: curve of the PNG
-    files. of: number of frames of the scene. scenes: `scene_sha256` of the frames, a single one if all are of the same
-    scene.
+    files. of: number of frames of the scene. scenes: `scene_sha256` of the frames, one if all are of the same scene.
     """
 
     folder: Path
@@ -53,9 +52,7 @@ class FrameFolder:
             yield read_image(self._file(number, "png", eye)).data
 
     def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
-        """An array of each frame, float32, from its NPZ or else its EXR; name: in files, such as "coc". Raises
-        FileError.
-        """
+        """An array of each frame, float32, from its NPZ or EXR; name: in files, such as "coc". Raises FileError."""
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
             if npz.exists():
@@ -99,8 +96,7 @@ def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
 def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
     """List the frames of a folder, or those with numbers in `only`, from their JSON files.
 
-    Raises SceneError with all faults: missing frames and PNG files, invalid JSON, different interval, transfer or
-    stereo.
+    Raises SceneError with all faults: missing frames and PNG files, invalid JSON, another interval, transfer or stereo.
     """
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)

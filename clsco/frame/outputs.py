@@ -124,8 +124,7 @@ OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
     """Attributes of the outputs besides color that a user requests: some of ALL_TRUTH and IMAGE_NAMES.
 
-    truth: an iterable or a comma-separated text of attributes or names in files; "all" for ALL_TRUTH. Raises
-    SceneError.
+    truth: iterable or comma-separated text of attributes or names in files, or "all" for ALL_TRUTH. Raises SceneError.
     """
     if truth == "all":
         return ALL_TRUTH

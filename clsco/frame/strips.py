@@ -31,8 +31,7 @@ class Strip:
 
 
 def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
-    """Cut a frame of `rows` rows into strips of at most `tallest`, a multiple of BAND or `rows`; the first is the
-    tallest.
+    """Cut a frame of `rows` rows into strips; the first has the most rows, `tallest`, a multiple of BAND or `rows`.
 
     guard: rows of the apron before and after the frame. reach: largest distance in rows at which a source may
     contribute to a pixel. step: source grids begin at multiples of this many rows.
@@ -42,8 +41,8 @@ def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -
 
 
 def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
-    """The strip from row `top` to before row `end`, with the bits of the whole frame if both are multiples of BAND, or
-    `end` is `rows`; the other arguments as for `cut_strips`.
+    """The strip from row `top` to before row `end`; it has the bits of the frame if both are multiples of BAND or
+    `rows`.
     """
     above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
     return Strip(top, end - top, above + (top + guard - above) % step, below)
@@ -70,7 +69,7 @@ class Grid:
     columns: int
     guard: int
     channels: int
-    height: int
+    height: int  # rows of the tallest source grid
 
     @classmethod
     def of(cls, strips: Sequence[Strip], columns: int, guard: int, channels: int) -> Self:

@@ -153,9 +153,7 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
-    """File of a format with options, such as "npz+compressed", with those of `names` that it holds; halves: to be
-    float16.
-    """
+    """File of a format with options, such as "npz+compressed", of the `names` that it holds; halves: as float16."""
     form, *options = text.split("+")
     if form not in known:
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")

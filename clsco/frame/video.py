@@ -126,16 +126,10 @@ class Playing:
 
 
 def write_folder_clip(
-    target: Path,
-    frames: FrameFolder,
-    eye: str,
-    view: str,
-    preset: str,
-    playing: Playing,
+    target: Path, frames: FrameFolder, eye: str, view: str, preset: str, playing: Playing,
     advance: Callable[[], object] = lambda: None,
-) -> list[str]:
-    """Write the frames of a folder as a clip; returns notes for users: the rate, the scale of colors, changes by
-    `write_clip`.
+) -> list[str]:  # fmt: skip
+    """Write the frames of a folder as a clip; returns notes for users: the rate, the scale of colors, changes.
 
     eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color (the PNG files), sharp, compare (both side by
     side), or depth, coc or flow as colors on one scale for the clip. advance: called after each frame. Raises FileError

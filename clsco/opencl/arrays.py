@@ -21,8 +21,8 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
 
     arrays: by their names in messages. If any is a pyopencl array, the session works in the queue of the first such
     array, and results become pyopencl arrays; else the session is on `device`. Masked arrays stay masked. Raises
-    DeviceError if the first pyopencl array has no queue or `device` is unknown, ArgumentError for arrays that are not
-    contiguous there.
+    DeviceError if the first pyopencl array has no queue or `device` is unknown, ArgumentError for others than
+    contiguous ones.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:

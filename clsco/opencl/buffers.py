@@ -44,9 +44,7 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
-    """`upload` of an array that never changes, cached in the session; an array replaces an earlier one with its
-    `place`.
-    """
+    """`upload` of an array that never changes, cached in the session; it replaces an earlier one with its `place`."""
     key = ("array", place)
     for _ in range(2):
         buffer, owner = session.cache.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
@@ -122,9 +120,7 @@ def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> N
 
 @contextmanager
 def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
-    """Wait for all enqueued commands, and map the buffer's beginning as an array, valid in the block; a processor does
-    not copy it. Raises as `download`.
-    """
+    """Map a buffer's beginning as an array in the block, without a copy on processors. Waits for all commands."""
     args = cl.map_flags.READ, 0, tuple(shape), np.dtype(np.float32)
     with _reporting(session, "give results back"):
         array, _ = cl.enqueue_map_buffer(session.queue, buffer, *args, is_blocking=True)

@@ -101,8 +101,7 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
 
 
 def choose(name: str | None = None, source: str = "device") -> Device:
-    """The device to use, by the first of: `name`, CLSCO_DEVICE, PYOPENCL_CTX, a GPU, PoCL, another processor, any
-    device.
+    """The device by the first of: `name`, CLSCO_DEVICE, PYOPENCL_CTX, a GPU, PoCL, another processor, any device.
 
     Never prompts. `name` is compared without regard to case, first with the kind ("gpu" or "cpu") and the whole name of
     a device, then with parts of its platform's name or version, then with parts of its name; source: of `name`, for
@@ -115,12 +114,9 @@ def choose(name: str | None = None, source: str = "device") -> Device:
 
 
 def pick(
-    devices: Sequence[Device],
-    name: str | None,
-    environ: Mapping[str, str],
-    by_pyopencl: Callable[[str], cl.Device],
+    devices: Sequence[Device], name: str | None, environ: Mapping[str, str], by_pyopencl: Callable[[str], cl.Device],
     origin: str = "device",
-) -> Choice:
+) -> Choice:  # fmt: skip
     """Choose by the rule of `choose`; by_pyopencl: the device for a value of PYOPENCL_CTX; origin: of `name`."""
     if not devices:
         return Choice(None, NO_DEVICE)

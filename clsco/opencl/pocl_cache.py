@@ -48,8 +48,8 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
 
     The folder is `clsco/pocl-<versions>` in the user's cache folder. If clsco cannot write to that, or others can, PoCL
     gets a temporary folder, which is removed at exit. A POCL_CACHE_DIR set by the user stays unchanged. Unless the user
-    sets POCL_WORK_GROUP_SPECIALIZATION, PoCL compiles each kernel only once: its variants for small grids and for an
-    offset are not faster.
+    sets POCL_WORK_GROUP_SPECIALIZATION, PoCL compiles no variants for small grids and for an offset, which save no
+    time.
     """
     environ.setdefault(SPECIALIZATION, "0")
     if environ.get(VARIABLE):

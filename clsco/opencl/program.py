@@ -36,8 +36,7 @@ BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu
 def build(
     session: Session, sources: Sequence[str], features: Mapping[str, int | bool], structs: Structs, real: Real
 ) -> Program:
-    """Build kernel files, with the files that they include, into a program; equal requests share a program, even if
-    files have changed since.
+    """Build kernel files with all that they include; equal requests share a program, even if files have changed since.
 
     sources: names of files in kernels/, such as "trace/trace.cl". features: small integers or bools by names from
     `clsco.opencl.features.FEATURES`, by default 0; not for values that often change, as each text is compiled anew.
@@ -92,22 +91,16 @@ def kernel(program: Program, name: str) -> cl.Kernel:
 
 
 def launch(
-    session: Session,
-    kernel: cl.Kernel,
-    global_size: tuple[int, ...],
-    local_size: tuple[int, ...],
-    *args: Argument,
-    work: float = 1.0,
-    origin: tuple[int, ...] = (),
-) -> list[cl.Event]:
+    session: Session, kernel: cl.Kernel, global_size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
+    work: float = 1.0, origin: tuple[int, ...] = (),
+) -> list[cl.Event]:  # fmt: skip
     """Enqueue a kernel over at least `global_size` work-items; returns the events of its pieces, in order.
 
     Long launches are cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on the number
     of groups. global_size is rounded up to whole groups of local_size, so the kernel must ignore work-items beyond it.
     Use one local_size per kernel, as the driver compiles the kernel again for each. args: in the kernel's order. work:
     units of work per work-item, 1 for about the usual work of a pixel. origin: number of the first work-item along each
-    axis, by default 0. Raises DeviceError if the device cannot run the kernel, and CanceledError before a piece if the
-    work is canceled.
+    axis, by default 0. Raises DeviceError if the device cannot run the kernel, and CanceledError before a piece.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])

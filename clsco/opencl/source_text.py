@@ -33,14 +33,9 @@ _C_TYPES = {
 
 
 def program_text(
-    sources: Sequence[str],
-    structs: Structs,
-    real: Real,
-    has_fp64: bool,
-    has_int64_atomics: bool,
-    macros: Mapping[str, float] | None = None,
-    on_cpu: bool = False,
-) -> str:
+    sources: Sequence[str], structs: Structs, real: Real, has_fp64: bool, has_int64_atomics: bool,
+    macros: Mapping[str, float] | None = None, on_cpu: bool = False,
+) -> str:  # fmt: skip
     """The whole text of a program for the compiler, with #line directives so that the compiler's errors name files.
 
     macros: values of names in the preprocessor's conditions, such as features; on_cpu: True to use the files for
@@ -82,9 +77,7 @@ class _Condition:
 
 @dataclass
 class _Preprocessor:
-    """Evaluates conditions on known macros in kernel files, and includes each file once, with on_cpu that of a folder
-    `cpu`.
-    """
+    """Evaluates conditions on known macros in kernel files, and includes each once, or with on_cpu that of `cpu`."""
 
     macros: dict[str, float]
     on_cpu: bool
@@ -115,9 +108,7 @@ class _Preprocessor:
         return "".join([*pieces, text[end:]])
 
     def _decide(self, word: str, condition: str, line: str, conditionals: list[_Condition], active: bool) -> str:
-        """The compiler's line for a directive in `conditionals`, empty if it is evaluated here; active: in included
-        text.
-        """
+        """Line of a directive for the compiler, empty if it is evaluated here; active: it is in included text."""
         if word.startswith("if"):
             value = self._value(condition) if word == "if" and active else None
             deferred = active and value is None
@@ -174,8 +165,8 @@ def struct_text(name: str, dtype: np.dtype[Any], structs: Structs) -> str:
     """The C typedef `name` of an aligned structured dtype, with a compile-time check of its size.
 
     `np.dtype(..., align=True)` has the layout that OpenCL C prescribes, so equal sizes mean equal offsets. pyopencl's
-    match_dtype_to_c_struct would query the device by a kernel for each struct, 35 ms from a warm cache, 0.3 s from a
-    cold.
+    match_dtype_to_c_struct would query the device by a kernel for each struct, 0.3 s from a cold cache, 35 ms from a
+    warm.
     """
     if dtype.fields is None or not dtype.isalignedstruct:
         raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")

@@ -38,7 +38,7 @@ class FrameSum:
     ) -> Plane:
         """Add a plane to the sum, and return the sum so far.
 
-        weights: per row or column of the plane; top: row of the sum for its first row; rows: of the sum, by default the
+        weights: per row or column of the plane; top: row of the sum for its first row; rows: of the sum, if not the
         plane's.
         """
         height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]

@@ -84,9 +84,7 @@ class Convolve(BlurredPlane):
         self, step: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
         target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
-        """Enqueue one convolution; share: weight of sums over rectangles; target: buffer, offset of pixel (0, 0),
-        pitch.
-        """
+        """Enqueue a convolution; share: weight of sums over rectangles; target: buffer, offset of pixel 0, pitch."""
         stencil, (runs, weights, pairs) = step
         args = (
             *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(stencil.runs)), weights,

@@ -14,8 +14,6 @@ METHODS: dict[Blur, type[BlurredPlane]] = {"gather": Gather, "scatter": Scatter,
 
 
 def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> BlurredPlane:
-    """The object that blurs the time samples of a frame or its strips, with a target from
-    `clsco.passes.blur.blur_target`.
-    """
+    """The object that blurs the time samples of a frame or its strips; target: from `blur_target`."""
     sizes = blur_buffers(spec, tallest, target.session.device)
     return METHODS[spec.method](target, spec, tallest, grid, sizes)

@@ -57,7 +57,7 @@ class SceneJob(Job):
 
     weights: of the time sample in the rows of `strip`, or in all columns of the frame. is_first: True for the first
     time sample of the whole strip, which begins the sum. whole_strip: of the frame; in its part `strip` the time sample
-    has a weight. noise_stream: `clsco.optics.sensor.camera_word` of the frame in the last time sample of the whole
+    has a weight. noise_stream: `clsco.optics.sensor.camera_word`, but None before the last time sample of the whole
     strip.
     """
 

@@ -65,9 +65,7 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set the first guess of Newton's method, which undistorts rays, and a number of steps for all rays of the grid,
-    also in its reference pose.
-    """
+    """Set the first guess of Newton's method, which undistorts rays, and its steps for all rays, also at rest."""
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
 

@@ -33,8 +33,7 @@ MOST_DETAIL = 1.37
 
 
 class PlacedScene:
-    """A scene with a resolution on a device; keeps uploaded arrays until `release`, because launches may read them
-    later.
+    """A scene with a resolution on a device; keeps uploaded arrays until `release`, as launches may read them later.
 
     textures: of every object (`clsco.inputs.textures.load_scene_textures`). real: precision of the geometry. eye: view
     of a stereo pair; "left" without one. covered: True if the last channel is coverage.

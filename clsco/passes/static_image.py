@@ -31,12 +31,9 @@ class HostImage(ABC):
     """
 
     def __init__(
-        self,
-        session: Session,
-        radiance: NDArray[Any],
-        guard: int,
+        self, session: Session, radiance: NDArray[Any], guard: int,
         outside: Literal["symmetric", "constant"] = "symmetric",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.session, self.radiance, self.guard, self.outside = session, radiance, guard, outside
 
     @abstractmethod
