@@ -170,14 +170,8 @@ def meet(
     """points: their surface, own, root, x, y, w, radius; width: of the sources, px."""
     items, placed = [item for item, _ in surfaces], [place(*one) for one in surfaces]
     count, extent, radius = points["w"].size, point_spread(psf).extent, points["radius"]
-    features = {
-        "OCCLUDED": 1,
-        "POINTS": count,
-        "TAPS": TAPS,
-        "GATHER": gather,
-        "LIMITED": 1,
-        "SUBPIXELS": int(width < 1),
-    }
+    features = {"OCCLUDED": 1, "POINTS": count, "TAPS": TAPS}
+    features |= {"GATHER": gather, "LIMITED": 1, "SUBPIXELS": int(width < 1)}
     buffers = [empty(session, 4 * count * size) for size in (4, TAPS)]
     number = np.float64 if real == "double" else np.float32
     chosen = np.stack([points["surface"], points["own"], points["root"], 0 * points["own"]], axis=-1)
