@@ -15,7 +15,7 @@ from clsco.cli.check import compare
 from clsco.constants import BAND
 from clsco.opencl.buffers import download
 from clsco.opencl.program import build
-from clsco.opencl.session import Session
+from clsco.opencl.session import Program, Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
@@ -39,6 +39,11 @@ Array = NDArray[Any]
 LEFT_ALONE = 7.0
 
 
+def in_color(session: Session, psf: Psf) -> Program:
+    """A program of several tests, also of such as have no sub-pixel sources or but one channel."""
+    return build(session, FILES_OF["gather"], features(psf, 3, 2, 4.0), structs("double"), "double")
+
+
 @pytest.mark.parametrize(("columns", "items"), [(80, 8), (80, 10), (75, 10)])
 @pytest.mark.parametrize("tilt", [True, False])
 def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: bool, columns: int, items: int) -> None:
@@ -48,7 +53,7 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     coc = given.sources.radius + 1.0
     valid = RNG(48).random(coc.shape) < 0.98
     valid[-1, -8:] = True
-    program = build(session, FILES_OF["gather"], features(psf, 1, 2), structs("double"), "double")
+    program = in_color(session, psf)
     records = light_sources.records(given, coc, twin.prepare_sources(coc, valid), valid, False)
     expected = source_planes(records, tilt, True)
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
@@ -64,7 +69,7 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
 
 def test_resolve_writes_the_frame_alone(session: Session) -> None:
     given = light(Psf(), shape=(5, 70), channels=3)
-    program = build(session, FILES_OF["gather"], features(given.psf, 3, 0), structs("double"), "double")
+    program = in_color(session, given.psf)
     sums = RNG(49).integers(0, 2**40, (3, 5, 70))
     total = Amid(session, np.full((3, 5, 88), LEFT_ALONE, np.float32), LEFT_ALONE)
     planes = {"scale": 2.0**40, "pitch": 88, "pad": 8, "sums": sums, "total": total}

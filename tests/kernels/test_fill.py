@@ -281,7 +281,7 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
 def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
     """Also what no neighbor may serve: planes to write to may hold anything before."""
     rng = np.random.default_rng(73)
-    values, filled = rng.random((9, 11, 2)).astype(np.float32).astype(np.float64), rng.random((9, 11)) < 0.6
+    values, filled = rng.random((9, 11, 4)).astype(np.float32).astype(np.float64), rng.random((9, 11)) < 0.6
     planes = Planes(session, values, np.ones_like(filled), "mean_median", far=True)
     f, bounds = planes.filler.planes, np.where(rng.random((9, 11)) < 0.5, 0.0, 0.7).astype(np.float32)
     out = f.other_value, f.other_w
