@@ -26,10 +26,7 @@ class _Key:
 
 
 class Cache:
-    """A table of values with a limit on their total size; evicts the least recently used values. Threads may share it.
-
-    limit: largest total size of all values, bytes; a larger value is not cached.
-    """
+    """Values by key, up to `limit` bytes in all; evicts the least recently used. Threads may share it."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
@@ -38,23 +35,20 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
-        """The value of a key; callers must not change the value.
+        """The value of a key, which callers must not change; if it is not cached, `make` computes it.
 
-        make: computes the value if it is not cached; two threads may call it at the same time, but get the same value.
-        size: returns the size of a value in bytes.
+        size: returns the bytes of a value; one above the limit is not cached. Threads that call `make` at once get one.
         """
         place = _Key(key)
         with self._lock:
             if place in self._values:
                 self._values.move_to_end(place)
-                found: V = self._values[place][0]
-                return found
+                return self._values[place][0]
         value = make()
         needed = size(value)
         with self._lock:
             if place in self._values:
-                earlier: V = self._values[place][0]
-                return earlier
+                return self._values[place][0]
             if needed <= self.limit:
                 self._values[place] = value, needed
                 self._bytes += needed

@@ -37,13 +37,9 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     sensor_t: see `clsco.optics.sensor.sensor_values`.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
-    grid: list[Any] = [
-        (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
-    ]
-    grid += [
-        ("newton", i),
-        *_reals(real, step=(), rest_step=(), radial=three, tangential=two, reach=(), start=(START,)),
-    ]
+    names = ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height", "newton")
+    grid: list[Any] = [(name, i) for name in names]
+    grid += _reals(real, step=(), rest_step=(), radial=three, tangential=two, reach=(), start=(START,))
     lens = _reals(real, blur_scale=(), focus_power=(), radius=(), detector_power=(), sag=(), sphere=())
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)

@@ -35,17 +35,13 @@ DEVICE = "a device or a pipe"  # in errors, name for a file that is neither regu
 
 
 Kind = Literal["cache", "state"]
-_PLACES: dict[Kind, tuple[str, str]] = {
-    "cache": ("XDG_CACHE_HOME", ".cache"), "state": ("XDG_STATE_HOME", ".local/state"),
-}  # fmt: skip
+_PLACES = {"cache": ("XDG_CACHE_HOME", ".cache"), "state": ("XDG_STATE_HOME", ".local/state")}
 
 
 @cache
 def folder(name: str) -> Traversable:
-    """The shipped folder `name` ("kernels" or "examples"), installed or in a source tree.
-
-    An installed package contains it as `clsco.<name>`. In a source tree it is beside the package, and has priority over
-    an installed one. Raises FileNotFoundError if it is in neither place.
+    """The shipped folder `name` ("kernels" or "examples"): beside the package in a source tree, which has priority, or
+    installed as `clsco.<name>`. Raises FileNotFoundError if it is in neither place.
     """
     beside = Path(__file__).resolve().parent.parent / name
     if (beside.parent / "pyproject.toml").is_file() and beside.is_dir():
@@ -57,9 +53,7 @@ def folder(name: str) -> Traversable:
 
 
 def code_digest(*modules: ModuleType) -> str:
-    """SHA-256 of the source files of modules and packages, as part of cache keys: when the code changes, results cached
-    on disk are computed again.
-    """
+    """SHA-256 of the source files of modules and packages, for keys of results cached on disk."""
     digest = hashlib.sha256()
     for module in modules:
         path = Path(str(module.__file__))
@@ -79,10 +73,10 @@ class ExposedFolderError(Exception):
 def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: Kind = "cache") -> Path:
     """A folder in the user's cache or state folder that nobody else can write to, created if necessary.
 
-    names: of nested folders, outermost first. kind: "cache", or "state" for data that cannot be computed again. The
-    cache folder is XDG_CACHE_HOME, by default ~/.cache, the state folder XDG_STATE_HOME, by default ~/.local/state.
-    Raises ExposedFolderError if another user owns or may write to the folder or one of its parents created here;
-    OSError or RuntimeError if the folder cannot be created, or the user has no home.
+    names: of nested folders. kind: "cache", or "state" for data that cannot be computed again. The cache folder is
+    XDG_CACHE_HOME, by default ~/.cache, the state folder XDG_STATE_HOME, by default ~/.local/state. Raises
+    ExposedFolderError if another user owns or may write to the folder or one of its parents created here; OSError or
+    RuntimeError if the folder cannot be created, or the user has no home.
     """
     variable, default = _PLACES[kind]
     root = Path(environ.get(variable) or Path.home() / default)
@@ -96,9 +90,7 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: K
 
 
 def _exposed(root: Path, *ours: Path) -> Path | None:
-    """The topmost folder in which another user could put files, None if there is none; ours: folders created in `root`,
-    outermost first.
-    """
+    """The topmost folder in which another user could put files, or None; ours: created in `root`, outermost first."""
     if not hasattr(os, "geteuid"):
         return None
     user = os.geteuid()
@@ -116,9 +108,9 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False) -> BufferedReader:
     """Open a regular file for reading; any other file is opened only briefly, to determine its kind.
 
-    most: size limit of the file in bytes; if the file may grow while it is read, use `read_regular`. follow: True to
-    allow a symbolic link, for names from users; links among the parent folders are always followed. Raises OSError if
-    the file cannot be opened, is not regular, or is too large; `strerror` names its kind, such as "a device or a pipe".
+    most: size limit in bytes; for a file that may grow while it is read, use `read_regular`. follow: True to allow a
+    symbolic link, for names from users; links among the parent folders are always followed. Raises OSError if the file
+    cannot be opened, is not regular, or is too large; `strerror` names its kind, such as "a device or a pipe".
     """
     flags = _SAFELY & ~getattr(os, "O_NOFOLLOW", 0) if follow else _SAFELY
     try:
@@ -157,10 +149,7 @@ def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
 
 
 def temporary_folder(name: str) -> Path:
-    """A new private folder for this process and its children, which is removed when the process ends.
-
-    If the process is killed, the next call with this name removes the folder. Raises OSError.
-    """
+    """A new private folder for this process and its children, removed at its end, or after a kill by the next call."""
     base = Path(tempfile.gettempdir())
     remove_left(base, f"clsco-{name}")
     first, last = work_name(f"clsco-{name}").split(".", 1)
@@ -170,18 +159,14 @@ def temporary_folder(name: str) -> Path:
 
 
 def work_name(prefix: str, more: str = "") -> str:
-    """Name for an unfinished or temporary file or folder of this process; see `remove_left`.
-
-    more: hexadecimal digits to distinguish several names with the same prefix.
-    """
+    """Name for a temporary file or folder of this process, see `remove_left`; more: hexadecimal digits."""
     return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}{more and '-'}{more}.part"
 
 
 def remove_left(folder: Path, prefix: str = "") -> None:
-    """Remove temporary files and folders (`work_name`) of ended processes.
+    """Remove temporary files and folders (`work_name`) of ended processes, or of another machine after ABANDONED_S.
 
-    A process of another machine counts as ended if nothing has changed for ABANDONED_S. prefix: start of the names; by
-    default any name that begins with a dot.
+    prefix: start of the names; by default any name that begins with a dot.
     """
     for path in folder.glob(f"{prefix}.*.part"):
         with suppress(OSError, ValueError):
@@ -200,18 +185,24 @@ def remove_left(folder: Path, prefix: str = "") -> None:
 
 
 def process_began(process: int) -> float | None:
-    """Start time of a process, comparable with other start times on this machine; None if no such process is running.
+    """Start time of a process, comparable with others on this machine; None if no such process is running.
 
-    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems from psutil, in seconds
-    of the clock.
+    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems in seconds of the clock.
     """
-    if not (PROC / "self").exists():
-        return _began_by_psutil(process)
+    if (PROC / "self").exists():
+        try:
+            text = (PROC / str(process) / "stat").read_text("utf-8", "replace")
+        except OSError:
+            return None
+        fields = text.rpartition(")")[2].split()  # from the state on
+        return None if fields[0] in ("Z", "X") else float(fields[19])
+    import psutil
+
     try:
-        fields = _stat(process)
-    except OSError:
+        entry = psutil.Process(process)
+        return None if entry.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD) else float(entry.create_time())
+    except psutil.NoSuchProcess:
         return None
-    return None if fields[0] in ("Z", "X") else float(fields[19])
 
 
 def process_is_gone(process: int) -> bool:
@@ -224,21 +215,6 @@ def process_is_gone(process: int) -> bool:
         except OSError:  # another user's process
             return False
     return process_began(process) is None
-
-
-def _stat(process: int) -> list[str]:
-    """Fields of a process in Linux's /proc/<id>/stat, from the state on; raises OSError if there is no such process."""
-    return (PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-
-
-def _began_by_psutil(process: int) -> float | None:
-    import psutil
-
-    try:
-        found = psutil.Process(process)
-        return None if found.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD) else float(found.create_time())
-    except psutil.NoSuchProcess:
-        return None
 
 
 def read_at(file: BinaryIO, size: int, place: int) -> bytes:
@@ -275,9 +251,9 @@ def machine_bytes(*, free: bool = False) -> int:
 
 
 def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")) -> int:
-    """Number of processors that this process may use: limited by its affinity and by the quotas of its control groups.
+    """Number of processors that this process may use: limited by its affinity and the quotas of its control groups.
 
-    groups: file in which Linux lists a process's control groups; mounted: folder of their settings (version 1 or 2).
+    groups: file in which Linux lists these; mounted: folder of their settings (version 1 or 2).
     """
     if hasattr(os, "process_cpu_count"):  # Python 3.13
         bound = os.process_cpu_count()

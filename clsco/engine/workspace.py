@@ -230,10 +230,10 @@ class PlaneWorkspace(BlurWorkspace):
         return (self._warp.filler.planes,)
 
     def fill(self, job: SceneJob, _: Pass, moved: FillPlanes) -> Outputs:
-        warped = self._warp.fill(job.sample, job.events)
+        counters = self._warp.fill(job.sample, job.events)
         self._warp.note_radii(self.buffers["statistics"], job.events)
         image = self._for_blur(job, Image(moved.value, (moved.coc, moved.valid)))
-        return image, warped.counters, *((self._warp.missing(warped),) if "missing" in self.plan.truth else ())
+        return image, counters, *((self._warp.missing(),) if "missing" in self.plan.truth else ())
 
     count_missing = fill
 

@@ -27,12 +27,11 @@ BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, 
 
 
 def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
-    """The camera of a frame at the middle of its shutter, the time of its ground truth.
+    """The camera of a frame at the middle of its shutter, the time of its ground truth; scene: one with a resolution.
 
-    scene: one with a resolution. The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of
-    the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom
-    it is that at the middle of the shutter. Validated by surface points projected to the next frame and the other view,
-    against flow and disparity.
+    The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of the scene. The focal length in
+    px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom it is that at the middle of
+    the shutter. Validated by surface points projected to the next frame and the other view, against flow and disparity.
     """
     columns, rows = scene.camera.frame_size
     time = middle_time(scene.sequence, index)
@@ -53,8 +52,8 @@ def eye_of(frame: Frame) -> Eye:
 def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     """Mask of surface points that are behind the lens at the middle of the shutter `step` frames later.
 
-    scene: one with a resolution. frame: one with `depth`, `object_id`, and `flow` for step 1 or `flow_backward` for
-    step -1. Points behind the lens have flow 0, as no pixel shows them. Validated by a camera that flies past a sphere.
+    frame: one with `depth`, `object_id`, and `flow` for step 1 or `flow_backward` for step -1, which is 0 behind the
+    lens, as no pixel shows the point. Validated by a camera that flies past a sphere.
     """
     flow = frame.flow if step == 1 else frame.flow_backward
     assert flow is not None
@@ -73,10 +72,7 @@ def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]
 
 
 def frame_rate(interval: float) -> Fraction:
-    """Frames per second for an interval in s, with at most 31 bits each in numerator and denominator.
-
-    A float of 1001/30000 s gives exactly 30000/1001.
-    """
+    """Frames per second for an interval in s, such as 30000/1001 for the float 1001/30000; terms have up to 31 bits."""
     larger = max(interval, 1.0 / interval)
     fraction = Fraction(larger).limit_denominator(min(FINEST, int(2**31 / larger)))
     return fraction if interval < 1.0 else 1 / fraction
@@ -85,10 +81,9 @@ def frame_rate(interval: float) -> Fraction:
 def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any]:
     """Standard OpenEXR attributes for a frame of a scene with a resolution.
 
-    `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as for sRGB), `worldToCamera` (for row vectors, mm)
-    and `screenWindowWidth`; for moving scenes `expTime` (s) and `framesPerSecond`. The camera of OpenEXR looks along +z
-    with x to the left and y up, and its screen window is at z = 1. The world is that of `pinhole`. Validated by surface
-    points projected with these attributes.
+    `aperture` (f-number), `focus` (m), `chromaticities` (BT.709), `worldToCamera` (for row vectors, mm) and
+    `screenWindowWidth`; for moving scenes `expTime` (s) and `framesPerSecond`. The camera looks along +z, x to the left
+    and y up, its screen window is at z = 1, and the world is that of `pinhole`. Validated by projected points.
     """
     camera, lens = pinhole(scene, index, eye), camera_at(scene, middle_time(scene.sequence, index))
     matrix = np.eye(4)

@@ -23,12 +23,12 @@ def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
 
 
 def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """A frame's arrays as channels of an EXR.
+    """A frame's arrays, by name in files, as channels of an EXR.
 
-    arrays: by name in files. Channels are R G B A, Z, sharp.R, N.X, flow.u, uv.u, id, and the others by their own
-    names: coc, or coc.R, coc.G and coc.B if the lens separates colors; row_time as a time per pixel; raw.Y of a sensor,
-    or raw.R and so on of three planes; sample_00.R of sub-frames. A gray frame has R, G and B, so that every reader
-    shows it. A is the alpha if it was requested, else 1: a photograph covers all of its pixels.
+    These are R G B A, Z, sharp.R, N.X, flow.u, uv.u, id, and the others by their own names: coc, or coc.R, coc.G and
+    coc.B if the lens separates colors; row_time as a time per pixel; raw.Y of a sensor, or raw.R and so on of three
+    planes; sample_00.R of sub-frames. A gray frame has R, G and B, so that every reader shows it. A is the alpha if it
+    was requested, else 1: a photograph covers all of its pixels.
     """
     channels: dict[str, NDArray[Any]] = {}
     for name, array in arrays.items():

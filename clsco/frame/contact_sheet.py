@@ -15,10 +15,9 @@ PAPER, INK = (250, 250, 248), (20, 20, 20)
 def contact_sheet(
     rows: Sequence[Sequence[tuple[Picture, str]]], title: str = "", text: int = 12, lines: int = 1
 ) -> Picture:
-    """Draw rows of pictures (rows, columns, 3) with a label below each.
+    """Draw rows of pictures (rows, columns, 3), labels of `lines` lines with a height of `text` px below each.
 
-    rows: pictures and labels from left to right; all columns are as wide as the widest picture. title: above the rows.
-    text: height of the text, px. lines: lines of text per label.
+    All columns are as wide as the widest picture.
     """
     from PIL import Image, ImageDraw, ImageFont
 

@@ -16,11 +16,11 @@ LEAST_SIDE = 2  # px, smallest side of a frame that can be demosaiced
 
 
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
-    """Irradiance for codes (rows, columns, planes): (code - black) / (gain white), 1 = white.
+    """Irradiance for codes (rows, columns, planes): (code - black) / (gain white), 1 = white, negative by noise.
 
-    Returns float32 (rows, columns[, 3]), demosaiced if the sensor's `demosaic` is not "none". Values may be negative by
-    noise. In a color mosaic that is not demosaiced, channels that a pixel has not measured are 0; in a gray scene each
-    pixel measures the only channel. Raises MissingDependencyError if `demosaic = "menon"` lacks colour-demosaicing.
+    Float32 (rows, columns[, 3]), demosaiced unless the sensor's `demosaic` is "none": then channels that a pixel has
+    not measured are 0. In a gray scene each pixel measures the only channel. Raises MissingDependencyError if `demosaic
+    = "menon"` lacks colour-demosaicing.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
     light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])
@@ -34,10 +34,7 @@ def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.fl
 
 
 def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
-    """Value of the channel that each pixel measures, (rows, columns, planes).
-
-    values: a number per channel. size: (rows, columns).
-    """
+    """Value of the channel that each pixel measures, (rows, columns, planes); values: a number per channel."""
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
     return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)
@@ -54,16 +51,12 @@ def check_development(sensor_model: SensorModel, rows: int, columns: int) -> Non
 
 
 def sensor_truth(
-    names: Collection[str],
-    raw: NDArray[np.uint16],
-    saturated: NDArray[np.bool_],
-    light: NDArray[np.floating] | None,
-    sensor_model: SensorModel,
-) -> dict[str, NDArray[Any]]:
+    names: Collection[str], raw: NDArray[np.uint16], saturated: NDArray[np.bool_],
+    light: NDArray[np.floating] | None, sensor_model: SensorModel,
+) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Outputs of a sensor in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, (rows, columns[, 3]).
 
-    raw, saturated: (rows, columns, planes). light: irradiance, (rows, columns[, 3]), for `electrons` and `noise_sigma`;
-    without it these two are omitted.
+    raw, saturated: (rows, columns, planes). light: irradiance, without which `electrons` and `noise_sigma` are omitted.
     """
     arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:

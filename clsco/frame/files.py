@@ -178,10 +178,7 @@ def _pictures(stem: str, subframes: int) -> list[str]:
 def _truth_names(
     index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
 ) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
-    """Name of each file that `file` stands for, the eyes in it, and its arrays, as `names` of a `TruthFile`.
-
-    held: arrays that the frame has, named as in files.
-    """
+    """Names of the files that `file` stands for, the eyes in each, and its arrays, if `held`, as a `TruthFile`."""
     known = TRUTH_FORMATS[file.format]
     if known.per == "frame":
         yield known.name.format(stem=_stem(index, "")), tuple(eyes), file
@@ -197,11 +194,7 @@ def _truth_names(
 def frame_files(
     index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0, held: Collection[str] = ("color",)
 ) -> set[str]:
-    """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
-
-    subframes: number of sub-frames that are written. held: arrays that the frame has, named as in files; without
-    "color" it has no PNG.
-    """
+    """Names of a frame's files besides its JSON file; held: names in files of its arrays, without "color" no PNG."""
     eyes = ("left", "right") if stereo else ("",)
     pictured = eyes if "color" in held else ()
     names = {name for eye in pictured for name in _pictures(_stem(index, eye), subframes)}
@@ -217,21 +210,17 @@ def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[TruthFile] = (),
     about: Mapping[str, Any] | None = None, scene: Scene | None = None, color: Color = SRGB,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write the files of a frame; frame_0000.json comes last and makes the frame complete.
+    """Write the files of a frame; frame_0000.json comes last and makes the frame complete. Returns its content.
 
     views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
-    EXR holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on. bits:
-    bits of the textures, 8, 16 or 32; the PNG has 16 for 32. transfer: curve of the PNG, "srgb" or "linear"; the PNG
-    clips radiance to 0 to 1, the other files do not. truth: files to write; each holds the color and all ground truth
-    of the frame, or only the arrays that it names, linear; files written once per scene (`write_scene_files`) are
-    skipped. about: additional content of the JSON file. scene: one with a resolution; its camera gives the attributes
-    of an EXR. color: color space of the image, whose curve replaces "srgb"; unless it is sRGB, the JSON file has its
-    name, and an EXR its chromaticities.
+    EXR holds both. Sub-frames are frame_0000_sample_00.png and so on. bits: of the textures, 8, 16 or 32; the PNG has
+    16 for 32. transfer: curve of the PNG, "srgb" or "linear"; the PNG clips radiance to 0 to 1, the other files, which
+    are linear, do not. truth: files to write; those written once per scene (`write_scene_files`) are skipped. about:
+    additional content of the JSON file. scene: one with a resolution, for the attributes of an EXR. color: of the
+    image, its curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its chromaticities.
 
-    Returns the content of the JSON file: `about`, the metadata (of a stereo pair in `views`), `truth` if a ground-truth
-    file does not hold everything, and `files`, SHA-256 by file name. Raises FileError if a file cannot be written, or
-    values do not fit its format. Files are renamed when all are complete on the disk; until then an older frame stays
-    unchanged.
+    Raises FileError if a file cannot be written, or values do not fit its format. Files are renamed when all are
+    complete on the disk; until then an older frame stays unchanged.
     """
     index, stereo = views[0].index, len(views) > 1
     by_eye = {frame.eye: frame for frame in views}

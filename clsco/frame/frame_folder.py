@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -32,11 +32,10 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 
 @dataclass(frozen=True)
 class FrameFolder:
-    """Frames of one scene.
+    """Frames of one scene, with consecutive `numbers`.
 
-    numbers: frame numbers, consecutive. eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between
-    frames. transfer: curve of the PNG files, "srgb" or "linear". of: number of frames of the scene. scenes: hashes of
-    the frames' scenes (`scene_sha256`); a single one if all frames are of the same scene.
+    eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between frames. transfer: curve of the PNG
+    files. of: number of frames of the scene. scenes: `scene_sha256` of the frames, one if all are of the same scene.
     """
 
     folder: Path
@@ -53,10 +52,7 @@ class FrameFolder:
             yield read_image(self._file(number, "png", eye)).data
 
     def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
-        """An array of each frame, float32, from its NPZ or else its EXR; name: name in files, such as "coc".
-
-        Raises FileError if a frame has neither file, or the file does not hold the array with its channels.
-        """
+        """An array of each frame, float32, from its NPZ or EXR; name: in files, such as "coc". Raises FileError."""
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
             if npz.exists():
@@ -100,8 +96,7 @@ def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
 def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
     """List the frames of a folder, or those with numbers in `only`, from their JSON files.
 
-    Raises SceneError with all faults: no frames, missing numbers, an invalid JSON file, frames that differ in interval,
-    transfer or stereo, a missing PNG.
+    Raises SceneError with all faults: missing frames and PNG files, invalid JSON, another interval, transfer or stereo.
     """
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)
@@ -165,7 +160,12 @@ def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
 def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[float, str, bool, int]:
     """Interval, transfer, True for a stereo pair, number of frames; an invalid value becomes a default and a fault."""
 
-    def value(table: str, key: str, default: Any, is_right: Any) -> Any:
+    scene = content.get("scene")
+    if not isinstance(scene, dict):
+        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(scene).__name__}")
+        scene = {}
+
+    def value(table: str, key: str, default: Any, is_right: Callable[[Any], bool]) -> Any:
         inner = scene.get(table, {})
         value_of_key = inner.get(key, default) if isinstance(inner, dict) else None
         if is_right(value_of_key):
@@ -173,25 +173,10 @@ def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[f
         faults.append(f"{path}: scene.{table}.{key}: must be one of a scene; got {str(value_of_key)[:40]}")
         return default
 
-    def is_count(value_of_key: Any) -> bool:
-        return isinstance(value_of_key, int) and 0 < value_of_key <= 1_000_000
-
-    def is_time(value_of_key: Any) -> bool:
-        return (
-            isinstance(value_of_key, (int, float))
-            and not isinstance(value_of_key, bool)
-            and 0 < value_of_key < math.inf
-        )
-
-    value_of_key = content.get("scene")
-    if not isinstance(value_of_key, dict):
-        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(value_of_key).__name__}")
-    scene = value_of_key if isinstance(value_of_key, dict) else {}
-    interval = float(min(value("sequence", "interval", 1.0, is_time), 1e300))
-    transfer = value(
-        "image", "transfer", "srgb", lambda value_of_key: isinstance(value_of_key, str) and value_of_key in TRANSFERS
-    )
-    return interval, transfer, scene.get("stereo") is not None, value("sequence", "frames", 1, is_count)
+    interval = value("sequence", "interval", 1.0, lambda time: type(time) in (int, float) and 0 < time < math.inf)
+    transfer = value("image", "transfer", "srgb", lambda name: isinstance(name, str) and name in TRANSFERS)
+    count = value("sequence", "frames", 1, lambda number: isinstance(number, int) and 0 < number <= 1_000_000)
+    return float(min(interval, 1e300)), transfer, scene.get("stereo") is not None, count
 
 
 def _describe(known: tuple[float, str, bool, int]) -> str:

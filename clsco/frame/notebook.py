@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from clsco.files.transfer import encode
 LARGEST_SHOWN = 1024  # px, of the longer side; a larger image is averaged over squares of pixels
 
 
-def three_channels(image: NDArray[np.floating]) -> NDArray[np.floating]:
+def three_channels(image: NDArray[Any]) -> NDArray[Any]:
     """An image (rows, columns[, 3]) as (rows, columns, 3): gray fills all three channels."""
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
 

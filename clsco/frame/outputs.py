@@ -22,12 +22,12 @@ Group = Literal["always", "motion", "surfaces", "stereo", "readout", "lens", "se
 class Output:
     """An array of a frame.
 
-    name: attribute of `Frame`. components: numbers per pixel; 0: as many as the image has channels. unit, about: unit
-    and description. group: scenes that have the output, a key of `clsco.plan.decisions.POSSIBLE`; "always": all scenes;
-    "image": all, but only if it is requested by name. empty: value without a surface; None if the background has values
-    of its own. by_rays: True if the kernel `ground_truth` computes it. figure: tolerance of comparisons, about float32
-    rounding, for color 1/400 of an 8-bit code; measure: unit of `figure`, by default `unit`. in_file: name in files, by
-    default `name`. layer: layer in an EXR, by default the name in files; letters: channels of that layer.
+    name: attribute of `Frame`. components: numbers per pixel, 0 for as many as the image has channels. group: scenes
+    that have the output, a key of `clsco.plan.decisions.POSSIBLE`; "always": all scenes; "image": all, but only if it
+    is requested by name. empty: value without a surface; None if the background has values of its own. by_rays: True if
+    the kernel `ground_truth` computes it. figure: tolerance of comparisons, about float32 rounding, for color 1/400 of
+    an 8-bit code; measure: unit of `figure`, by default `unit`. in_file: name in files, by default `name`. layer: of an
+    EXR, by default the name in files; letters: its channels.
     """
 
     name: str
@@ -122,10 +122,9 @@ OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Attributes of the outputs besides color that a user requests.
+    """Attributes of the outputs besides color that a user requests: some of ALL_TRUTH and IMAGE_NAMES.
 
-    truth: an iterable or a comma-separated text of members of `ALL_TRUTH` or `IMAGE_NAMES`, or of their names in files;
-    "all" stands for `ALL_TRUTH`. Raises SceneError for other names.
+    truth: iterable or comma-separated text of attributes or names in files, or "all" for ALL_TRUTH. Raises SceneError.
     """
     if truth == "all":
         return ALL_TRUTH

@@ -48,12 +48,6 @@ def units(scene: Scene) -> dict[str, str]:
     return units_of_keys
 
 
-def _record_units(scene: Scene) -> dict[str, str]:
-    """Units of the entries in a frame's JSON file that are not parameters of the scene, per view for a stereo pair."""
-    places = [""] if scene.stereo is None else [f"views.{view}." for view in views(scene)]
-    return DERIVED_UNITS | {place + key: unit for place in places for key, unit in FRAME_UNITS.items()}
-
-
 def _unit(parts: Iterable[Any]) -> str:
     """The first unit in nested constraints of an annotation."""
     for part in parts:
@@ -65,14 +59,13 @@ def _unit(parts: Iterable[Any]) -> str:
 def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
     """SHA-256 in hexadecimal of all input files of scenes, by path. Raises FileError if a file cannot be read."""
     paths = [path for scene in scenes for _, item in scene.inputs for path in item.files().values()]
-    return {path: _digest(path) for path in dict.fromkeys(paths)}
-
-
-def _digest(path: str) -> str:
-    try:
-        return sha256(Path(path))
-    except OSError as error:
-        raise_file_error(Path(path), "must be a file that can be read", error, error)
+    digests = {}
+    for path in dict.fromkeys(paths):
+        try:
+            digests[path] = sha256(Path(path))
+        except OSError as error:
+            raise_file_error(Path(path), "must be a file that can be read", error, error)
+    return digests
 
 
 def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
@@ -82,7 +75,7 @@ def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
 
 
 def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
-    """SHA-256 of everything that determines the image: all parameters, and contents of input files but not their paths.
+    """SHA-256 of all that determines the image: parameters, and contents of input files but not their paths.
 
     scene: one with a resolution. digests: those of `file_digests`, if known. Raises FileError if a file cannot be read.
     """
@@ -95,10 +88,9 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 
 
 def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Entries of a frame's JSON file that come from its scene.
+    """Entries of a frame's JSON file that come from its scene, with a description in place of each array.
 
-    These are the parameters as in a scene file, with a description in place of each array, derived parameters in mm,
-    units, hashes and the version. Arguments and errors are those of `scene_sha256`.
+    Arguments and errors are those of `scene_sha256`.
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests
@@ -110,6 +102,8 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     content = dump(scene)
     for place, item in scene.inputs:
         table_at(content, place).update({key: str(array) for key, array in item.arrays().items()})
+    places = [""] if scene.stereo is None else [f"views.{view}." for view in views(scene)]
+    units_of_frame = {place + key: unit for place in places for key, unit in FRAME_UNITS.items()}
     return {
         "version": __version__,
         "scene_sha256": scene_sha256(scene, known),
@@ -118,5 +112,5 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
         "textures_sha256": of("texture"),
         "depths_sha256": of("depth"),
         **({"apertures_sha256": pupils} if (pupils := of("image")) else {}),
-        "units": units(scene) | _record_units(scene),
+        "units": units(scene) | DERIVED_UNITS | units_of_frame,
     }

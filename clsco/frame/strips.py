@@ -31,21 +31,18 @@ class Strip:
 
 
 def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
-    """Cut a frame of `rows` rows into strips; the first one is the tallest.
+    """Cut a frame of `rows` rows into strips; the first has the most rows, `tallest`, a multiple of BAND or `rows`.
 
-    tallest: largest number of rows of a strip, a multiple of BAND or `rows`. guard: rows of the apron before the first
-    and after the last row of the frame. reach: largest distance in rows at which a source may contribute to a pixel.
-    step: source grids begin at multiples of this many rows.
+    guard: rows of the apron before and after the frame. reach: largest distance in rows at which a source may
+    contribute to a pixel. step: source grids begin at multiples of this many rows.
     """
     tops = range(0, rows, tallest)
     return tuple(make_strip(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)
 
 
 def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
-    """The strip from row `top` to before row `end`; the other arguments as for `cut_strips`.
-
-    Its pixels equal those of the whole frame, bit by bit, if `top` is a multiple of BAND, and `end` is such a multiple
-    or `rows`.
+    """The strip from row `top` to before row `end`; it has the bits of the frame if both are multiples of BAND or
+    `rows`.
     """
     above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
     return Strip(top, end - top, above + (top + guard - above) % step, below)
@@ -56,7 +53,7 @@ def with_apron(
 ) -> NDArray[Any]:
     """The part of an image (rows, columns[, channels]) on the source grid of a strip, (height, width[, channels]).
 
-    guard: width of the apron beyond the image's border, px; the apron holds the mirror image, or 0.
+    guard: px of the apron beyond the image's border, which holds the mirror image, or 0.
     """
     begin, end = strip.top - strip.above, strip.top + strip.rows + strip.below
     first, last = max(begin, 0), min(end, len(plane))
@@ -66,16 +63,13 @@ def with_apron(
 
 @dataclass(frozen=True)
 class Grid:
-    """Sizes for which buffers are allocated: a frame or its tallest strip, and the apron around its source grid.
-
-    rows, columns: of the frame or strip, px. guard: width of the apron, px. height: rows of the tallest source grid.
-    """
+    """Sizes in px for which buffers are allocated: a frame or its tallest strip, with the apron of its source grid."""
 
     rows: int
     columns: int
     guard: int
     channels: int
-    height: int
+    height: int  # rows of the tallest source grid
 
     @classmethod
     def of(cls, strips: Sequence[Strip], columns: int, guard: int, channels: int) -> Self:

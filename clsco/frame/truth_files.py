@@ -29,9 +29,8 @@ FLOATS = ("float32", "float16")  # types of an array of floats
 class TruthFile:
     """Ground-truth file that a user asks for; in some formats, one file per array.
 
-    format: key of `clsco.frame.files.TRUTH_FORMATS`. names: its arrays, named as in files; () for all. float16: arrays
-    stored as float16 (11 significant bits, values up to 65504); ("all",) for all arrays. compressed: also compress
-    floats.
+    format: key of `clsco.frame.files.TRUTH_FORMATS`. names: of its arrays in files; () for all. float16: arrays stored
+    with 11 significant bits, up to 65504; ("all",) for all arrays. compressed: also compress floats.
     """
 
     format: str
@@ -54,10 +53,7 @@ class TruthFile:
 
 
 def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
-    """Convert an array of floats to float16; other arrays and times (one axis) are returned unchanged.
-
-    where: begins messages. Raises FileError for values beyond the range of float16.
-    """
+    """Convert floats, but not times (one axis), to float16; beyond its range FileError, which begins with `where`."""
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
     with np.errstate(over="ignore"):  # values that become infinite are rejected next
@@ -68,10 +64,9 @@ def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Content of a file of ground truth.
+    """Content of a file of ground truth: a frame, or both views of a stereo pair, or () for a file of a whole scene.
 
-    views: a frame, or both views of a stereo pair; () for a file of a whole scene. scene: one with a resolution, if
-    known. color: color space of the radiance.
+    scene: one with a resolution, if known. color: color space of the radiance.
     """
 
     views: tuple[Frame, ...]
@@ -85,10 +80,9 @@ class TruthFormat:
 
     name: pattern of file names, such as "{stem}_{array}.flo", or the folder of files of a whole scene. write: takes a
     path, the content, and the file that a user asked for, with a single name if `per` is "array". per: content of one
-    file: both views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: names in
-    files of the arrays that it can hold. besides: other attributes of a frame that it needs, to mark known pixels.
-    options: "compressed" if its floats can be compressed, "float16" if they can have 16 bits. needs: a module, and the
-    extra of clsco that installs it.
+    file: both views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: that it can
+    hold, by their names in files. besides: other attributes of a frame that it needs, to mark known pixels. options:
+    some of "compressed" and "float16". needs: a module, and the extra of clsco that installs it.
     """
 
     name: str
@@ -103,8 +97,7 @@ class TruthFormat:
 def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
     """Names in files of requested arrays, in their fixed order: "blur_radius" becomes "coc".
 
-    truth: attributes or names in files, an iterable or a comma-separated text; "all" stands for all ground truth.
-    Raises SceneError for other names.
+    truth: attributes or names in files, an iterable or a comma-separated text, or "all". Raises SceneError.
     """
     attributes = attributes_of(ALL_TRUTH if truth == ALL else truth, [*OUTPUTS])
     return tuple(name for name, attribute in ATTRIBUTES.items() if attribute in attributes)
@@ -141,7 +134,7 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
     truth: such as "depth,coc"; "all", or "" with formats, means every array that the formats can hold. formats: names
     and options, such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as for `parse_types`. Raises
-    SceneError for unknown words, an array that no format can hold, and a format that can hold none of the arrays.
+    SceneError for unknown words, an array that no format can hold, and a format that can hold none.
     """
     if not (truth or formats):
         if types:
@@ -160,9 +153,7 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
-    """File of the format `text`, such as "npz+compressed", with the arrays in `names` that it can hold; halves: names
-    of arrays to store as float16.
-    """
+    """File of a format with options, such as "npz+compressed", of the `names` that it holds; halves: as float16."""
     form, *options = text.split("+")
     if form not in known:
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")

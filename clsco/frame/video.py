@@ -18,6 +18,7 @@ from clsco.files.transfer import TRANSFERS, encode
 from clsco.files.video import PRESETS, parse_rate, preset_for, rate_of, write_clip
 from clsco.frame.frame import GREEN, Frame
 from clsco.frame.frame_folder import FrameFolder
+from clsco.frame.notebook import three_channels
 from clsco.frame.views import VIEWS
 
 VIEW_NAMES = ("color", "sharp", *VIEWS, "compare")
@@ -125,21 +126,14 @@ class Playing:
 
 
 def write_folder_clip(
-    target: Path,
-    frames: FrameFolder,
-    eye: str,
-    view: str,
-    preset: str,
-    playing: Playing,
+    target: Path, frames: FrameFolder, eye: str, view: str, preset: str, playing: Playing,
     advance: Callable[[], object] = lambda: None,
-) -> list[str]:
-    """Write the frames of a folder as a clip.
+) -> list[str]:  # fmt: skip
+    """Write the frames of a folder as a clip; returns notes for users: the rate, the scale of colors, changes.
 
-    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color (the PNG files), sharp, compare (sharp and color
-    side by side), or depth, coc or flow as colors on one scale for the clip. advance: called after each frame.
-
-    Returns notes for users: the rate, the scale of colors, and changes made by `write_clip`. Raises FileError as
-    `write_clip`, and if files are missing or damaged.
+    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color (the PNG files), sharp, compare (both side by
+    side), or depth, coc or flow as colors on one scale for the clip. advance: called after each frame. Raises FileError
+    as `write_clip`, and if files are missing or damaged.
     """
     where = str(frames.folder)
     facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]
@@ -165,9 +159,7 @@ def write_folder_clip(
 
 
 def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
-    """The array `name` of each frame. Blur radii (those of green if there are several colors) become +inf without a
-    surface if the folder also has the depth.
-    """
+    """The array `name` of each frame; blur radii (of green, if several) are +inf where the depth, if known, is."""
     arrays = frames.arrays(name, eye)
     if name == "coc":
         arrays = (radius if radius.ndim == 2 else radius[..., GREEN] for radius in arrays)
@@ -193,7 +185,7 @@ def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[A
         raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     left = encode(left, 8 * right.dtype.itemsize, transfer)
     if left.ndim != right.ndim:
-        left, right = (each if each.ndim == 3 else np.repeat(each[..., None], 3, axis=2) for each in (left, right))
+        left, right = map(three_channels, (left, right))
     return np.concatenate([left, right], axis=1)
 
 

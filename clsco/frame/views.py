@@ -28,9 +28,8 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 class FrameView:
     """Display of an output in colors.
 
-    array: name of the output in files. extent: takes an array, returns one or more numbers; their maxima over all
-    arrays of a clip are the scale. paint: takes an array and the scale, returns 8-bit RGB. label: returns a text that
-    states the scale.
+    array: name in files. extent: returns one or more numbers of an array; their maxima over all arrays of a clip are
+    the scale. paint: takes an array and the scale, returns 8-bit RGB. label: states the scale.
     """
 
     array: str
@@ -56,10 +55,10 @@ def _depth_extent(depth: NDArray[Any]) -> tuple[float, ...]:
     return (-float(seen.min()), float(seen.max())) if seen.size else (-np.inf, -np.inf)
 
 
-def _paint_depth(depth: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Colors of depth: near is dark, far is bright; black without a surface."""
-    seen = np.isfinite(depth)
-    painted = viridis(np.where(seen, depth, 0.0), -scale[0], scale[1])
+def _paint(values: NDArray[Any], scale: tuple[float, ...]) -> Picture:
+    """Colors of depth or blur radii: dark near the camera, bright far from it; black without a surface."""
+    seen = np.isfinite(values)
+    painted = viridis(np.where(seen, values, 0.0), -scale[0], scale[-1])
     return np.where(seen[..., None], painted, np.uint8(0))
 
 
@@ -74,35 +73,24 @@ def _radius_extent(radius: NDArray[Any]) -> tuple[float, ...]:
     return (float(np.abs(seen).max(initial=0.0)),)
 
 
-def _paint_radius(radius: NDArray[Any], scale: tuple[float, ...]) -> Picture:
-    """Colors of blur radii: dark in front of the focus, bright behind it; black without a surface."""
-    seen = np.isfinite(radius)
-    painted = viridis(np.where(seen, radius, 0.0), -scale[0], scale[0])
-    return np.where(seen[..., None], painted, np.uint8(0))
-
-
 def _flow_extent(flow: NDArray[Any]) -> tuple[float, ...]:
     known = _require(flow, "flow", np.inf).all(axis=-1)  # flow may be inf with a rolling shutter
     return (float(np.hypot(*flow[known].T).max(initial=0.0)),)
 
 
+def _radius_label(scale: tuple[float, ...]) -> str:
+    ends = f"{0.0 - scale[0]:.6g} px (dark, near) to {scale[0]:.6g} px (bright, far)"
+    return f"coc: viridis from {ends}; nothing is black"
+
+
+def _flow_label(scale: tuple[float, ...]) -> str:
+    return f"flow: Middlebury color wheel, white for none to full color for {scale[0]:.6g} px"
+
+
 VIEWS = {
-    "depth": FrameView("depth", _depth_extent, _paint_depth, _depth_label),
-    "coc": FrameView(
-        "coc",
-        _radius_extent,
-        _paint_radius,
-        lambda scale: (
-            f"coc: viridis from {0.0 - scale[0]:.6g} px (dark, near) to {scale[0]:.6g} px (bright, far); "
-            "nothing is black"
-        ),
-    ),
-    "flow": FrameView(
-        "flow",
-        _flow_extent,
-        lambda flow, scale: flow_colors(flow, scale[0]),
-        lambda scale: f"flow: Middlebury color wheel, white for none to full color for {scale[0]:.6g} px",
-    ),
+    "depth": FrameView("depth", _depth_extent, _paint, _depth_label),
+    "coc": FrameView("coc", _radius_extent, _paint, _radius_label),
+    "flow": FrameView("flow", _flow_extent, lambda flow, scale: flow_colors(flow, scale[0]), _flow_label),
 }
 """Displays by name of the view."""
 
@@ -121,10 +109,10 @@ def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
 
 
 def flow_colors(flow: NDArray[Any], longest: float) -> Picture:
-    """Colors of displacements, (rows, columns, 2) to (rows, columns, 3).
+    """Colors of displacements, (rows, columns, 2), x right, y down, px, to (rows, columns, 3).
 
-    x right, y down, px: the hue shows the direction, full color is reached at `longest`, and pixels that are not finite
-    are black. Validated against a transcription of Middlebury's C++ (tests/frame/test_views.py).
+    The hue shows the direction, full color is reached at `longest`, and pixels that are not finite are black. Validated
+    against a transcription of Middlebury's C++ (tests/frame/test_views.py).
     """
     known = np.isfinite(flow).all(axis=2, keepdims=True)
     x, y = np.moveaxis(np.where(known, flow, 0.0).astype(np.float64), 2, 0) / (longest if longest > 0 else 1.0)

@@ -19,10 +19,10 @@ MOST_CHANNELS = 16
 def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[Any]], Callable[[NDArray[Any]], Any]]:
     """The session for a user's arrays, the arrays as NumPy arrays, and a function that converts a result to their kind.
 
-    arrays: by their names in messages, of any shape. If any is a pyopencl array, the session works in the queue of the
-    first such array, and results become pyopencl arrays; else the session is on `device`, and results stay NumPy
-    arrays. Masked arrays stay masked. Raises DeviceError if the first pyopencl array has no queue or `device` is
-    unknown, and ArgumentError for pyopencl arrays that are not contiguous.
+    arrays: by their names in messages. If any is a pyopencl array, the session works in the queue of the first such
+    array, and results become pyopencl arrays; else the session is on `device`. Masked arrays stay masked. Raises
+    DeviceError if the first pyopencl array has no queue or `device` is unknown, ArgumentError for others than
+    contiguous ones.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:

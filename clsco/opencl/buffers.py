@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import numpy as np
@@ -20,42 +20,31 @@ from clsco.opencl.session import Session
 def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
     """A read-only buffer with the contents of `array`, in C order.
 
-    If the device uses host memory and the array is aligned and C-ordered, the buffer uses the array's memory. The
-    buffer keeps the array alive; until the last kernel that reads it has ended, the caller must neither write to the
-    array nor drop the buffer. Otherwise the array is copied. Raises DeviceError if the array is larger than the device
-    allows for one buffer, or memory is short.
+    If the device uses host memory and the array is aligned and C-ordered, the buffer uses the array's memory and keeps
+    it alive: until the last kernel that reads it has ended, the caller must neither write to the array nor drop the
+    buffer. Raises DeviceError if the array is larger than the device allows for one buffer, or memory is short.
     """
     packed = np.ascontiguousarray(array)
-    _check_size(session, packed.nbytes)
     if packed.nbytes == 0:
         return empty(session, 0)
     in_place = session.device.unified_memory and packed.ctypes.data % session.device.alignment == 0
     flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
-    try:
+    with _allocating(session, packed.nbytes):
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | flags, hostbuf=packed)
-    except cl.Error as error:
-        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
 
 
 def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """A read-only buffer with the contents of a C-ordered array, for a short time.
-
-    If the device uses host memory, the buffer uses the memory of the array, however aligned, so the array must not
-    change while kernels run; otherwise the array is copied. Raises DeviceError as `upload`.
+    """`upload` of a C-ordered array for a short time, in place on devices with host memory even if it is not aligned:
+    the array must not change while kernels run.
     """
     if not session.device.unified_memory or array.nbytes == 0:
         return upload(session, array)
-    _check_size(session, array.nbytes)
-    try:
+    with _allocating(session, array.nbytes):
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
-    except cl.Error as error:
-        raise failure(session.device, f"have memory for a buffer of {array.nbytes} bytes", error) from error
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
-    """`upload` of an array that never changes, cached in the session; place: cache key. A new array with the same key
-    replaces the previous one.
-    """
+    """`upload` of an array that never changes, cached in the session; it replaces an earlier one with its `place`."""
     key = ("array", place)
     for _ in range(2):
         buffer, owner = session.cache.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
@@ -75,22 +64,17 @@ def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
             cl.enqueue_copy(session.queue, buffer, packed)
         return buffer
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR  # faster than a command in the queue
-    try:
+    with _allocating(session, packed.nbytes):
         return cl.Buffer(session.context, flags, hostbuf=packed)
-    except cl.Error as error:
-        raise failure(session.device, f"have memory for a buffer of {packed.nbytes} bytes", error) from error
 
 
 def empty(session: Session, size: int) -> cl.Buffer:
     """An uninitialized read-write buffer of `size` bytes. Raises DeviceError as `upload`."""
-    _check_size(session, size)
     flags = cl.mem_flags.READ_WRITE
-    try:
+    with _allocating(session, size):
         if session.device.unified_memory and size >= SMALLEST and sys.platform == "linux":
             return cl.Buffer(session.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=shared_pages().take(size))
         return cl.Buffer(session.context, flags, max(size, 1))  # OpenCL has no empty buffers
-    except (cl.Error, OSError) as error:
-        raise failure(session.device, f"have memory for a buffer of {size} bytes", error) from error
 
 
 class Refilled:
@@ -101,9 +85,7 @@ class Refilled:
         self._copy: cl.Event | None = None
 
     def fill(self, array: NDArray[Any]) -> cl.Buffer:
-        """Enqueue a copy of an array to the buffer, and return the buffer; waits for the previous copy. The caller must
-        not change the array before the copy has ended.
-        """
+        """Enqueue a copy of an array, which must not change until it ends; waits for the previous copy."""
         queue, packed = self.session.queue, np.ascontiguousarray(array)
         # pyopencl waits for a copy before it frees the event of the copy.
         self._copy = cl.enqueue_copy(queue, self.buffer, packed, is_blocking=False) if packed.nbytes else None
@@ -123,10 +105,7 @@ def filled_with(session: Session, size: int, value: float = 0.0) -> cl.Buffer:
 
 
 def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
-    """Wait for all enqueued commands, and copy the buffer's beginning to a new array.
-
-    shape, dtype: those of the returned array. Raises DeviceError if the device fails.
-    """
+    """Wait for all enqueued commands, and copy the buffer's beginning to a new array. May raise DeviceError."""
     array = np.empty(tuple(shape), dtype)
     download_into(session, buffer, array)
     return array
@@ -135,33 +114,33 @@ def download(session: Session, buffer: cl.Buffer, shape: Sequence[int], dtype: D
 def download_into(session: Session, buffer: cl.Buffer, array: NDArray[Any]) -> None:
     """Wait for all enqueued commands, and copy the buffer's beginning to a C-ordered array. Raises as `download`."""
     if array.nbytes:
-        try:
+        with _reporting(session, "give results back"):
             cl.enqueue_copy(session.queue, array, buffer, is_blocking=True)
-        except cl.Error as error:
-            raise failure(session.device, "give results back", error) from error
 
 
 @contextmanager
 def mapped(session: Session, buffer: cl.Buffer, shape: Sequence[int]) -> Iterator[NDArray[np.float32]]:
-    """Wait for all enqueued commands, and map the buffer's beginning as an array; a processor does not copy it.
-
-    shape: shape of the array, which is valid only in the `with` block. Raises as `download`.
-    """
-    try:
-        flags = cl.map_flags.READ
-        array, _ = cl.enqueue_map_buffer(
-            session.queue, buffer, flags, 0, tuple(shape), np.dtype(np.float32), is_blocking=True
-        )
-    except cl.Error as error:
-        raise failure(session.device, "give results back", error) from error
+    """Map a buffer's beginning as an array in the block, without a copy on processors. Waits for all commands."""
+    args = cl.map_flags.READ, 0, tuple(shape), np.dtype(np.float32)
+    with _reporting(session, "give results back"):
+        array, _ = cl.enqueue_map_buffer(session.queue, buffer, *args, is_blocking=True)
     try:
         yield array
     finally:
         array.base.release(session.queue)
 
 
-def _check_size(session: Session, size: int) -> None:
-    if size > session.device.max_alloc:
-        raise DeviceError(
-            f"device {session.device}: a buffer must be at most {session.device.max_alloc} bytes; got {size}"
-        )
+@contextmanager
+def _reporting(session: Session, task: str) -> Iterator[None]:
+    """Convert errors in the block, which does `task`, to DeviceError."""
+    try:
+        yield
+    except (cl.Error, OSError) as error:
+        raise failure(session.device, task, error) from error
+
+
+def _allocating(session: Session, size: int) -> AbstractContextManager[None]:
+    """Check the size of a buffer, and convert errors of its allocation in the block to DeviceError."""
+    if size > (most := session.device.max_alloc):
+        raise DeviceError(f"device {session.device}: a buffer must be at most {most} bytes; got {size}")
+    return _reporting(session, f"have memory for a buffer of {size} bytes")

@@ -39,16 +39,13 @@ class Device:
     kind: Literal["gpu", "cpu", "accelerator"]
     has_fp64: bool
     has_int64_atomics: bool
-    correctly_rounded: bool
-    """True if an option of the compiler makes float32 division and square root correctly rounded, as in NumPy."""
-    unified_memory: bool
-    """True if the device uses the host's memory, so that an aligned array needs no copy."""
+    correctly_rounded: bool  # an option of the compiler rounds float32 division and square root as NumPy does
+    unified_memory: bool  # the device uses the host's memory, so that an aligned array needs no copy
     alignment: int
     max_alloc: int
     global_mem: int
     compute_units: int
-    vector_width: int
-    """Number of floats in the widest vector that the device computes at once."""
+    vector_width: int  # number of floats in the widest vector that the device computes at once
     max_work_group: int
     handle: cl.Device = field(repr=False)
 
@@ -104,12 +101,11 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
 
 
 def choose(name: str | None = None, source: str = "device") -> Device:
-    """The device to use, by the first of: `name`, CLSCO_DEVICE, PYOPENCL_CTX, a GPU, PoCL, another processor, any
-    device.
+    """The device by the first of: `name`, CLSCO_DEVICE, PYOPENCL_CTX, a GPU, PoCL, another processor, any device.
 
     Never prompts. `name` is compared without regard to case, first with the kind ("gpu" or "cpu") and the whole name of
-    a device, then with parts of its platform's name or version, then with parts of its name; source: where `name` comes
-    from, for messages. Raises DeviceError if there is no device or none matches.
+    a device, then with parts of its platform's name or version, then with parts of its name; source: of `name`, for
+    messages. Raises DeviceError if there is no device or none matches.
     """
     chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
@@ -118,17 +114,10 @@ def choose(name: str | None = None, source: str = "device") -> Device:
 
 
 def pick(
-    devices: Sequence[Device],
-    name: str | None,
-    environ: Mapping[str, str],
-    by_pyopencl: Callable[[str], cl.Device],
+    devices: Sequence[Device], name: str | None, environ: Mapping[str, str], by_pyopencl: Callable[[str], cl.Device],
     origin: str = "device",
-) -> Choice:
-    """Choose from a list of devices by the rule of `choose`.
-
-    environ: environment variables; by_pyopencl: returns the device for a value of PYOPENCL_CTX; origin: where `name`
-    comes from, for messages.
-    """
+) -> Choice:  # fmt: skip
+    """Choose by the rule of `choose`; by_pyopencl: the device for a value of PYOPENCL_CTX; origin: of `name`."""
     if not devices:
         return Choice(None, NO_DEVICE)
     for source, text in ((origin, name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
@@ -171,8 +160,8 @@ def _match_device(devices: Sequence[Device], source: str, text: str) -> Device:
     part = text.lower()
 
     def likeness(device: Device) -> int:
-        """Rank of a match: 0 for the device's kind or whole name, 1 for a part of the platform's name or version, 2 for
-        a part of the device's name, which drivers of other vendors may share, 3 for no match.
+        """0 for the kind or whole name, 1 for a part of the platform's name or version, 2 for a part of the device's
+        name, which drivers of other vendors may share, 3 for no match.
         """
         name, platform = device.name.lower(), (device.platform.lower(), device.platform_version.lower())
         if part in (device.kind, name):

@@ -42,10 +42,7 @@ class Pace:
         return self._rates.get(key, UNIT) * work
 
     def record_launch(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
-        """Record a launch of `work` units, and wait if the host is too far ahead of the device.
-
-        events: of the launch's pieces; seconds: expected time of the launch.
-        """
+        """Record a launch of `work` units, expected to take `seconds`; wait if the host is too far ahead."""
         if untimed := self._untimed.get(key, 0):
             self._untimed[key] = untimed - 1
         elif key not in self._pending:

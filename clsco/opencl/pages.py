@@ -26,10 +26,7 @@ CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger
 class Pages:
     """Pool of memory blocks; a block returns to the pool when its array is freed. Threads may share a pool.
 
-    Parameters
-    ----------
-    limit : int
-        Memory limit of unused blocks, bytes; beyond it, those unused for the longest time are returned to the system.
+    limit: bytes of unused blocks, beyond which those unused for the longest time return to the system.
     """
 
     def __init__(self, limit: int = SPARE_BYTES) -> None:
@@ -40,10 +37,7 @@ class Pages:
         self._bytes = 0
 
     def take(self, size: int) -> NDArray[np.uint8]:
-        """An uninitialized array of `size` bytes, whose memory returns to the pool when the array is freed.
-
-        From LARGE on, it is in pages of 2 MiB if the system has these. Raises OSError if there is not enough memory.
-        """
+        """An uninitialized array of `size` bytes, whose memory returns to the pool when it is freed. Raises OSError."""
         bytes_ = block_size(size)
         with self._lock:
             self._take_back()
@@ -86,17 +80,10 @@ class Pages:
             self._bytes = 0
 
 
-def in_pages(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy of an array, in C order, in pages of its own: devices that use host memory read it in place, and its pages
-    return to the system when it is freed.
-    """
-    copy = np.frombuffer(_cleared(array.nbytes), array.dtype).reshape(array.shape)
-    copy[...] = array
-    return copy
-
-
 def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays concatenated along their first axis, in pages as from `in_pages`."""
+    """Arrays concatenated along their first axis in C order, in pages of their own: devices that use host memory read
+    them in place, and the pages return to the system when the result is freed.
+    """
     shape = (sum(len(array) for array in arrays), *arrays[0].shape[1:])
     size = sum(array.nbytes for array in arrays)
     if size == 0:
@@ -106,7 +93,7 @@ def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def is_in_pages(array: NDArray[Any]) -> bool:
-    """True for an array from `in_pages` or `joined_in_pages`."""
+    """True for an array from `joined_in_pages`."""
     return array.ctypes.data % mmap.PAGESIZE == 0
 
 

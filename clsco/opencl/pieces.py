@@ -13,42 +13,15 @@ FIRST = 8  # the first piece is at most 1 / FIRST of a launch, as units may take
 
 
 def in_pieces(
-    session: Session,
-    key: Hashable,
-    units: int,
-    work: float,
-    expected: float,
-    enqueue: Callable[[int, int], cl.Event],
+    session: Session, key: Hashable, units: int, work: float, expected: float, enqueue: Callable[[int, int], cl.Event]
 ) -> list[cl.Event]:
-    """Enqueue a launch piece by piece.
+    """Enqueue a launch piece by piece; returns the events in order. Raises CanceledError before a piece.
 
-    Parameters
-    ----------
-    session : Session
-    key : hashable
-        Key shared by all launches that take the same time per unit of work.
-    units : int
-        Number of parts into which the launch can be cut.
-    work : float
-        Total work of all parts, in units of `clsco.opencl.pace`.
-    expected : float
-        Expected seconds of the whole launch.
-    enqueue : callable
-        enqueue(first, end) enqueues the parts from `first` up to but not including `end`, and returns the event.
-
-    Returns
-    -------
-    list of Event
-        Events of the pieces, in order.
-
-    Raises
-    ------
-    CanceledError
-        The work was canceled before a piece.
+    key: shared by all launches that take the same time per unit of work. units: number of parts into which the launch
+    can be cut. work: of all parts, in units of `clsco.opencl.pace`. expected: seconds of the whole launch.
+    enqueue(first, end): enqueues the parts from `first` up to but not including `end`, and returns the event.
     """
-    progress = session.progress
-    events: list[cl.Event] = []
-    begin, end = 0, 0
+    events, begin, end = list[cl.Event](), 0, 0
     size = max(1, min(units // FIRST, int(units * pace.PIECE / expected)))
     while end < units:
         session.go_on()
@@ -57,7 +30,7 @@ def in_pieces(
         if len(events) > 1:  # one piece is enqueued while the previous one runs
             events[-2].wait()
             size = pace.next_size(before, pace.event_seconds(events[-2]))
-        if progress is not None:
-            progress.share = end / units
+        if session.progress is not None:
+            session.progress.share = end / units
     session.pace.record_launch(key, work, events, pace.PIECE)
     return events

@@ -33,19 +33,14 @@ LOCK = "clsco.lock"
 LIST = "clsco.json"
 MOST_LIST = 2**26  # largest size of the list of checksums, bytes
 ROOM = 16 * 2**20  # free disk space required for compilation, bytes; the largest program takes some 2 MB
-_LARGEST = 64 * 2**20
-"""Bytes; a larger cache is emptied, because PoCL never removes files of older versions of the kernels."""
-
-_SETTLED = 2 * 10**9
-"""Time in ns between two changes of a folder after which they have different times of change on any file system."""
-
-_AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-"""Flags with which opening a pipe does not block."""
+_LARGEST = 64 * 2**20  # bytes of a cache beyond which it is emptied, as PoCL never removes files of older kernels
+_SETTLED = 2 * 10**9  # ns between two changes of a folder that have different times of change on any file system
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # opening a pipe does not block
 
 _Sums = dict[str, list[int]]
 _Listing = tuple[int, list[str], list[str]]  # time of a folder's last change, names of files, names of subfolders
+# By path: checking whether a folder has changed takes a tenth of the time of reading it.
 _listings: dict[str, _Listing] = {}
-"""Listings of folders by path: checking whether a folder has changed takes a tenth of the time of reading it."""
 
 
 def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
@@ -53,8 +48,8 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
 
     The folder is `clsco/pocl-<versions>` in the user's cache folder. If clsco cannot write to that, or others can, PoCL
     gets a temporary folder, which is removed at exit. A POCL_CACHE_DIR set by the user stays unchanged. Unless the user
-    sets POCL_WORK_GROUP_SPECIALIZATION, PoCL compiles each kernel only once: its variants for small grids and for an
-    offset are not faster.
+    sets POCL_WORK_GROUP_SPECIALIZATION, PoCL compiles no variants for small grids and for an offset, which save no
+    time.
     """
     environ.setdefault(SPECIALIZATION, "0")
     if environ.get(VARIABLE):
@@ -89,7 +84,7 @@ def has_room(folder: Path | None = None) -> bool:
 
 
 def check() -> int:
-    """Remove each compiled program with a file that differs from its recorded checksum, and return their number.
+    """Remove each program with a file that differs from its recorded checksum, and return their number.
 
     A cache above its size limit is emptied. Does nothing in a folder that the user has set.
     """
@@ -127,20 +122,6 @@ def exclusive() -> Iterator[None]:
         finally:
             if _is_ours(folder):
                 _write_record(folder)
-
-
-def wipe_cache() -> Path | None:
-    """Remove all compiled kernels from PoCL's cache folder; returns the folder, None if it does not exist.
-
-    Other files in the folder stay.
-    """
-    prepare()
-    folder = _folder()
-    if not folder.is_dir():
-        return None
-    with _lock(folder):
-        _wipe(folder)
-    return folder
 
 
 def _folder() -> Path:
@@ -182,7 +163,7 @@ def _lock(folder: Path) -> Iterator[None]:
 def _names(folder: Path) -> Iterator[tuple[str, bool]]:
     """Names of all compiled files, each with True if its folder is unchanged since this process last read the folder.
 
-    Names are plain strings, because this runs after every compilation, and `Path` takes ten times as long.
+    Names are plain strings, as this runs after every compilation, and `Path` takes ten times as long.
     """
     waiting = [""]
     while waiting:
@@ -203,11 +184,8 @@ def _list_folder(path: str) -> tuple[_Listing, bool]:
         return cached, True
     with os.scandir(path) as entries:
         inside = [(entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries]
-    listing = (
-        changed,
-        [name for name, is_folder in inside if not is_folder],
-        [name for name, is_folder in inside if is_folder],
-    )
+    files, folders = ([name for name, is_folder in inside if is_folder == kind] for kind in (False, True))
+    listing = changed, files, folders
     if time.time_ns() - changed > _SETTLED:
         _listings[path] = listing
     return listing, False
@@ -262,11 +240,3 @@ def _write_record(folder: Path) -> None:
     for leftover in folder.glob("tempfile_*"):
         with suppress(OSError):
             leftover.unlink()
-
-
-def _wipe(folder: Path) -> None:
-    for path in folder.iterdir():
-        if path.is_dir() and len(path.name) == 2 and path.name.isupper():
-            shutil.rmtree(path, ignore_errors=True)
-        elif path.name == LIST or path.name.startswith("tempfile_"):
-            path.unlink(missing_ok=True)

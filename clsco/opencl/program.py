@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from math import prod
-from typing import Any, Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -22,7 +22,8 @@ from clsco.opencl.features import FEATURES
 from clsco.opencl.pieces import in_pieces
 from clsco.opencl.self_test import require_right_arguments
 from clsco.opencl.session import Program, Session
-from clsco.opencl.source_text import without_output
+from clsco.opencl.source_text import Structs, without_output
+from clsco.records import Real
 from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
@@ -33,14 +34,9 @@ BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu
 
 
 def build(
-    session: Session,
-    sources: Sequence[str],
-    features: Mapping[str, int | bool],
-    structs: Mapping[str, np.dtype[Any]],
-    real: Literal["double", "float"],
+    session: Session, sources: Sequence[str], features: Mapping[str, int | bool], structs: Structs, real: Real
 ) -> Program:
-    """Build kernel files, with the files that they include, into a program; equal requests share a program, even if
-    files have changed since.
+    """Build kernel files with all that they include; equal requests share a program, even if files have changed since.
 
     sources: names of files in kernels/, such as "trace/trace.cl". features: small integers or bools by names from
     `clsco.opencl.features.FEATURES`, by default 0; not for values that often change, as each text is compiled anew.
@@ -57,22 +53,16 @@ def build(
         if not session.programs and not session.device.is_pocl:
             require_right_arguments(session)
         if request not in session.requests:
-            session.requests[request] = _program(session, sources, features, structs, real)
+            macros = dict.fromkeys(FEATURES, 0) | {name: int(value) for name, value in features.items()}
+            session.requests[request] = _program(session, sources, macros, structs, real)
         return session.requests[request]
 
 
-def _program(
-    session: Session,
-    sources: Sequence[str],
-    features: Mapping[str, int | bool],
-    structs: Mapping[str, np.dtype[Any]],
-    real: Literal["double", "float"],
-) -> Program:
+def _program(session: Session, sources: Sequence[str], macros: dict[str, int], structs: Structs, real: Real) -> Program:
     """`build` without the cache of requests; equal texts still share a program."""
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
-    macros = dict.fromkeys(FEATURES, 0) | {name: int(value) for name, value in features.items()}
     files = [*[POCL_DECLARATIONS] * device.is_pocl * (device.kind == "cpu"), BUILTINS, *sources]
     facts = device.has_fp64, device.has_int64_atomics, macros | definitions(), device.kind == "cpu"
     text = source_text.program_text(files, structs, real, *facts)
@@ -101,22 +91,16 @@ def kernel(program: Program, name: str) -> cl.Kernel:
 
 
 def launch(
-    session: Session,
-    kernel: cl.Kernel,
-    global_size: tuple[int, ...],
-    local_size: tuple[int, ...],
-    *args: Argument,
-    work: float = 1.0,
-    origin: tuple[int, ...] = (),
-) -> list[cl.Event]:
+    session: Session, kernel: cl.Kernel, global_size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
+    work: float = 1.0, origin: tuple[int, ...] = (),
+) -> list[cl.Event]:  # fmt: skip
     """Enqueue a kernel over at least `global_size` work-items; returns the events of its pieces, in order.
 
     Long launches are cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on the number
     of groups. global_size is rounded up to whole groups of local_size, so the kernel must ignore work-items beyond it.
-    Use one local_size per kernel, as the driver compiles the kernel again for each. args: buffers or None, NumPy
-    scalars or scalars of a structured dtype, in the kernel's order. work: units of work per work-item, 1 for about the
-    usual work of a pixel. origin: number of the first work-item along each axis, by default 0. Raises DeviceError if
-    the device cannot run the kernel, and CanceledError before a piece if the work is canceled.
+    Use one local_size per kernel, as the driver compiles the kernel again for each. args: in the kernel's order. work:
+    units of work per work-item, 1 for about the usual work of a pixel. origin: number of the first work-item along each
+    axis, by default 0. Raises DeviceError if the device cannot run the kernel, and CanceledError before a piece.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
@@ -141,10 +125,7 @@ def launch_whole(
     session: Session, kernel: cl.Kernel, size: tuple[int, ...], local_size: tuple[int, ...], *args: Argument,
     offset: tuple[int, ...] | None = None,
 ) -> cl.Event:  # fmt: skip
-    """Enqueue a kernel in one piece over `size` work-items, a multiple of local_size; returns its event.
-
-    offset: number of the first work-item along each axis, by default 0. Other arguments and errors as for `launch`.
-    """
+    """Enqueue a kernel in one piece over `size` work-items, a multiple of local_size, from work-item `offset` on."""
     # PoCL compiles a kernel at its first launch with a local size, and again for small grids and for an offset if the
     # user has enabled these variants (clsco.opencl.pocl_cache).
     shape = (kernel, local_size, max(size) < 2**16, offset is None)

@@ -30,12 +30,10 @@ class Check:
 @dataclass(frozen=True)
 class _Probe:
     name: str
-    body: str
-    """Statements of work-item i of 64, which read `in` (floats, in[i] = i) and write to `out` (longs, zeros before)."""
+    body: str  # statements of work-item i of 64; `in`: floats, in[i] = i; `out`: longs, zeros before
     expected: Callable[[NDArray[np.int64]], NDArray[np.int64]]
     needs: str | None = None
-    functions: str = ""
-    """Functions that `body` calls."""
+    functions: str = ""  # that `body` calls
 
 
 # (1 + i e)^2 - (1 + 2 i e) = i^2 e^2 with e = 2^-23: exact when fused, 0 when the square is rounded first,
@@ -50,11 +48,7 @@ _ARGUMENTS = _Probe(
 )
 _PROBES = (
     _Probe("float32 addition", "out[i] = (long)(in[i] + 1.0f);", lambda i: i + 1),
-    _Probe(
-        "int32 atomics",
-        "atomic_add((volatile __global int *)out, i);",
-        lambda i: np.where(i == 0, i.sum(), 0),
-    ),
+    _Probe("int32 atomics", "atomic_add((volatile __global int *)out, i);", lambda i: np.where(i == 0, i.sum(), 0)),
     _Probe(
         "int64 atomics",
         "atom_max(out, (long)i << 40);",

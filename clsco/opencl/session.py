@@ -36,14 +36,8 @@ Program: TypeAlias = dict[str, cl.Kernel]
 class Progress:
     """Progress of a rendering, readable by another thread.
 
-    Attributes
-    ----------
-    doing : str
-        Current step: the kind of a pass, or "compiling" and names of files or of a kernel.
-    share : float
-        Fraction of the latest launch that is done, 0 to 1.
-    done, total : int
-        Numbers of time samples, added up over all strips: finished, and of the whole frame.
+    doing: kind of a pass, or "compiling" and names of files or of a kernel. share: fraction of the latest launch that
+    is done. done, total: numbers of time samples over all strips, finished and of the whole frame.
     """
 
     doing: str = ""
@@ -53,31 +47,26 @@ class Progress:
 
 
 class Session:
-    """A context and an in-order queue with profiling on one device, and the programs built in the context; released by
-    `close` or `with`.
+    """A context and an in-order queue with profiling on one device, and the programs built in the context.
 
-    queue: queue to use; if it is out of order or has no profiling, the session opens another one in its context;
-    context: context to use; by default a new one. Threads may share a session, but no session works after a fork: PoCL
-    would hang, so it raises DeviceError. Start processes by spawning. Raises DeviceError if the device refuses a
-    context.
+    queue, context: to use, by default new ones; instead of a queue that is out of order or has no profiling, the
+    session opens another one in its context. Threads may share a session, but no session works after a fork: PoCL would
+    hang, so it raises DeviceError. Start processes by spawning. Raises DeviceError if the device refuses a context.
     """
 
     def __init__(self, device: Device, queue: cl.CommandQueue | None = None, context: cl.Context | None = None) -> None:
         check_not_forked()
         self.device = device
         self.lock = threading.RLock()
-        self.cache = Cache(CACHE_BYTES)
-        """Buffers that are filled once, such as textures, tables and ray hits, by keys that describe their content."""
-        self.canceled = threading.Event()
-        """Set this to cancel the work of the session at the next call of `go_on`."""
+        self.cache = Cache(CACHE_BYTES)  # buffers that are filled once, by keys that describe their content
+        self.canceled = threading.Event()  # set this to cancel the session's work at the next call of `go_on`
+        # For another thread to read; if set, the host is at most one time sample ahead of the device.
         self.progress: Progress | None = None
-        """Progress for another thread to read; if set, the host is at most one time sample ahead of the device."""
+        # Programs by their texts and the compiler's options, and by arguments of `program.build` that lead to one text.
         self.programs: dict[Hashable, Program] = {}
-        """Programs built in this session, by their texts and the compiler's options."""
         self.requests: dict[Hashable, Program] = {}
-        """The same programs by the arguments of `program.build`; several arguments may lead to one text."""
+        # Kernels and launch shapes that the driver has compiled.
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
-        """Kernels and launch shapes that the driver has compiled, recorded by `program.launch_whole`."""
         self.pace = Pace()
         if device.is_pocl:
             poclcache.prepare()  # the user may have opened a queue before clsco listed devices
@@ -208,7 +197,7 @@ def session_in(context: cl.Context) -> Session:
 
 
 def session_for(device: DeviceLike) -> Session:
-    """The session for a user's argument `device`. Raises DeviceError if no device matches."""
+    """The session for a user's argument `device`. Raises DeviceError."""
     if device is None or isinstance(device, str):
         return session_on(choose(device))
     if isinstance(device, cl.CommandQueue):

@@ -14,13 +14,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from clsco.errors import KernelError
+from clsco.records import Real
 from clsco.resources import folder
+
+Structs = Mapping[str, np.dtype[Any]]
 
 _C_TYPES = {
     "f4": "float", "f8": "double",
@@ -30,18 +33,13 @@ _C_TYPES = {
 
 
 def program_text(
-    sources: Sequence[str],
-    structs: Mapping[str, np.dtype[Any]],
-    real: Literal["double", "float"],
-    has_fp64: bool,
-    has_int64_atomics: bool,
-    macros: Mapping[str, float] | None = None,
-    on_cpu: bool = False,
-) -> str:
+    sources: Sequence[str], structs: Structs, real: Real, has_fp64: bool, has_int64_atomics: bool,
+    macros: Mapping[str, float] | None = None, on_cpu: bool = False,
+) -> str:  # fmt: skip
     """The whole text of a program for the compiler, with #line directives so that the compiler's errors name files.
 
-    sources, structs, real: as for `clsco.opencl.program.build`; macros: values of names in the preprocessor's
-    conditions, such as features; on_cpu: True to use the files for processors. Raises KernelError for a missing file.
+    macros: values of names in the preprocessor's conditions, such as features; on_cpu: True to use the files for
+    processors; others as for `clsco.opencl.program.build`. Raises KernelError for a missing file.
     """
     lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c is rounded twice, as in NumPy; only fma() is fused
     # PoCL prints the number of warnings. This one, on passing wide vectors, is irrelevant because every function is
@@ -68,8 +66,8 @@ def program_text(
 class _Condition:
     """State of an #if that is not closed yet.
 
-    active: True while the current branch is included; done: True once a branch has been included; deferred: True if the
-    condition is left to the compiler, because it has an unknown name.
+    active: the current branch is included; done: a branch has been included; deferred: the condition is left to the
+    compiler, because it has an unknown name.
     """
 
     active: bool
@@ -79,19 +77,14 @@ class _Condition:
 
 @dataclass
 class _Preprocessor:
-    """Preprocessor of kernel files: evaluates conditions on known macros, and includes each file once.
-
-    macros: values of macros by name; on_cpu: True to prefer files in folders `cpu`; files_read: files read so far.
-    """
+    """Evaluates conditions on known macros in kernel files, and includes each once, or with on_cpu that of `cpu`."""
 
     macros: dict[str, float]
     on_cpu: bool
     files_read: set[str] = field(default_factory=set)
 
     def text(self, source: str) -> str:
-        """Text of a file and of the files that it includes, with blank lines for excluded text; empty if the file has
-        been read before.
-        """
+        """Text of a file and of those it includes, with blank lines for excluded text; empty if it has been read."""
         name = _cpu_form(source) if self.on_cpu else source
         if name in self.files_read:
             return ""
@@ -115,11 +108,7 @@ class _Preprocessor:
         return "".join([*pieces, text[end:]])
 
     def _decide(self, word: str, condition: str, line: str, conditionals: list[_Condition], active: bool) -> str:
-        """Process a directive such as #if or #endif; returns its line for the compiler, empty if it is evaluated here.
-
-        word: the directive's name; conditionals: open conditionals, updated; active: True if the line is in included
-        text.
-        """
+        """Line of a directive for the compiler, empty if it is evaluated here; active: it is in included text."""
         if word.startswith("if"):
             value = self._value(condition) if word == "if" and active else None
             deferred = active and value is None
@@ -172,12 +161,12 @@ def _read(source: str) -> str:
         raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
 
 
-def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:
+def struct_text(name: str, dtype: np.dtype[Any], structs: Structs) -> str:
     """The C typedef `name` of an aligned structured dtype, with a compile-time check of its size.
 
-    Fields are scalars, arrays of scalars, or dtypes in `structs`. `np.dtype(..., align=True)` has the layout that
-    OpenCL C prescribes, so equal sizes mean equal offsets. pyopencl's match_dtype_to_c_struct would query the device by
-    a kernel for each struct, which takes 35 ms each from a warm cache, and 0.3 s from a cold one.
+    `np.dtype(..., align=True)` has the layout that OpenCL C prescribes, so equal sizes mean equal offsets. pyopencl's
+    match_dtype_to_c_struct would query the device by a kernel for each struct, 0.3 s from a cold cache, 35 ms from a
+    warm.
     """
     if dtype.fields is None or not dtype.isalignedstruct:
         raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")

@@ -16,19 +16,9 @@ from clsco.records import structs
 
 
 class FrameSum:
-    """Weighted sum of planes, which is a frame or a strip; each plane has one weight per row, or per column.
+    """Weighted sum of planes, a frame or a strip; each plane has a weight per row, or with `by_columns` per column.
 
-    Parameters
-    ----------
-    session : Session
-    sizes : dict
-        Sizes of the buffers, by `clsco.plan.buffers.sum_buffers`.
-    by_columns : bool
-        True if weights are per column, False if they are per row.
-
-    Notes
-    -----
-    Validated against sums by NumPy (tests/kernels/test_accumulate.py).
+    sizes: of `clsco.plan.buffers.sum_buffers`. Validated against sums by NumPy (tests/kernels/test_accumulate.py).
     """
 
     def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:
@@ -48,8 +38,8 @@ class FrameSum:
     ) -> Plane:
         """Add a plane to the sum, and return the sum so far.
 
-        weights: (rows,) or (columns,) of the plane; top: row of the sum to which the plane's first row is added; rows:
-        number of rows of the sum, by default that of the plane.
+        weights: per row or column of the plane; top: row of the sum for its first row; rows: of the sum, if not the
+        plane's.
         """
         height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]
         if self.begins and plane.rows < height:

@@ -15,16 +15,9 @@ from clsco.scene.model import Scene
 
 
 class Bends:
-    """Planes that trace/bend.cl fills, cached while they do not change.
+    """Planes that trace/bend.cl fills, cached while they do not change; `target` has the kernels that cast rays.
 
-    If the lens never changes and the frame has one strip, the session caches them; else only the latest planes are
-    kept.
-
-    Parameters
-    ----------
-    target : Target
-        Target with the kernels that cast rays.
-    scene : Scene
+    If the lens never changes and the frame has one strip, the session caches them; else only the latest are kept.
     """
 
     def __init__(self, target: Target, scene: Scene) -> None:

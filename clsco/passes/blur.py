@@ -49,22 +49,7 @@ MAPS: tuple[Maps, ...] = ("none", "wide", "float")
 
 
 def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict[str, int]:
-    """Features that the blur's kernels are compiled for; scenes with the same features share a program.
-
-    Parameters
-    ----------
-    spec : BlurSpec
-    channels : int
-    fp64 : bool
-        True if the device has double precision.
-    maps : Maps
-        Kind of map from which sources are made.
-
-    Returns
-    -------
-    dict
-        Features for `clsco.opencl.program.build`.
-    """
+    """Features that the blur's kernels are compiled for; scenes with the same features share a program."""
     method, psf = spec.method, spec.psf
     return psf_features(psf) | {
         "CHANNELS": channels,
@@ -111,15 +96,10 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
 
 @dataclass(frozen=True)
 class Image:
-    """An image with guard band on the device, and its blur radii.
+    """An image with guard band on the device, float (channels, height, width), and its blur radii.
 
-    Attributes
-    ----------
-    value : Buffer
-        float (channels, height, width), radiance.
-    maps : tuple of Buffer
-        Signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R as
-        float; empty for an image with a single radius.
+    maps: signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R as
+    float; empty for an image with a single radius.
     """
 
     value: cl.Buffer
@@ -130,23 +110,11 @@ class Image:
 class Sources:
     """Sources of one time sample on the device, in the layout of trace.cl.
 
-    Attributes
-    ----------
-    source : Buffer, optional
-        Planes of sources in frame and guard band (sources.clh); None for "convolve" and "none".
-    value : Buffer
-        Radiance of the sources.
-    sub_source, sub_value : Buffer, optional
-        Sub-pixel sources in slots for `capacity` pixels, and their radiance.
-    lens, surfaces, group, depth, sub_depth : optional
-        lens_t, surface_t of all objects, group_t with the occluders, and inverse depths of sources and of sub-pixel
-        sources; None if no light is hidden.
-    radius : float
-        |R| of all sources in px, for "convolve" only.
-    label : Buffer, optional
-        Labels of the ray hits, if rays were cast.
-    bends : Buffer, optional
-        Plane of `clsco.passes.bend.Bends`, if blurs are ellipses.
+    source: planes of sources in frame and guard band (sources.clh), None for "convolve" and "none"; value: their
+    radiance. sub_source, sub_value: sub-pixel sources in slots for `capacity` pixels, and their radiance. lens,
+    surfaces (of all objects), group (with the occluders), depth, sub_depth (inverse depths of both kinds of sources):
+    None if no light is hidden. radius: |R| of all sources in px, for "convolve" only. label: of the ray hits, if rays
+    were cast. bends: plane of `clsco.passes.bend.Bends`, if blurs are ellipses.
     """
 
     source: cl.Buffer | None
@@ -172,20 +140,9 @@ def prepare_sources(
     target: Target, grid: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events,
     rims: tuple[object, ...] = (),
 ) -> None:  # fmt: skip
-    """Enqueue the kernel that turns a map of signed radii into sources.
+    """Enqueue the kernel that turns a map of signed radii, as `Image.maps`, into the planes `source`.
 
-    Parameters
-    ----------
-    target : Target
-    grid, psf : numpy.void
-        grid_t of the map, and psf_t of the blur that will add the sources.
-    maps : tuple of Buffer
-        As `Image.maps`.
-    source : Buffer
-        Buffer for the planes of sources.
-    events : list
-    rims : tuple, optional
-        lens_t and a buffer for inverse depths, if rims cut the light of sources.
+    psf: of the blur that will add the sources. rims: lens_t and a buffer for inverse depths, if rims cut their light.
     """
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source, *rims)
@@ -193,18 +150,9 @@ def prepare_sources(
 
 @dataclass(frozen=True)
 class Plane:
-    """An image on the device, as part of a larger array.
+    """An image of `rows` and `columns` on the device, as part of a larger array of floats.
 
-    Attributes
-    ----------
-    buffer : Buffer
-        The array, of floats.
-    shape : tuple of int
-        Channels, rows and columns of the array.
-    rows, columns : int
-        Size of the image.
-    top, left : int
-        Row and column of the array with the first pixel of the image.
+    shape: channels, rows and columns of the array. top, left: its row and column with the first pixel of the image.
     """
 
     buffer: cl.Buffer
@@ -216,9 +164,7 @@ class Plane:
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """Kernel arguments: buffer, offset between channels, offset of the first pixel, and offset between rows, in
-        floats.
-        """
+        """Kernel arguments: buffer, and in floats the offsets between channels, of the first pixel, between rows."""
         _, height, pitch = self.shape
         return self.buffer, np.int32(height * pitch), np.int32(self.top * pitch + self.left), np.int32(pitch)
 
@@ -243,16 +189,8 @@ def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
 class BlurredPlane(ABC):
     """The blurred image of a time sample; base class of all methods of blur.
 
-    Parameters
-    ----------
-    target : Target
-    spec : BlurSpec
-    tallest : Grid
-        Grid of the frame, or the tallest of its strips.
-    grid : numpy.void
-        grid_t of the first strip; `begin` changes it.
-    sizes : dict
-        Sizes of the buffers, by `clsco.plan.buffers.blur_buffers`.
+    tallest: grid of the frame, or of the tallest of its strips. grid: grid_t of the first strip; `begin` changes it.
+    sizes: of `clsco.plan.buffers.blur_buffers`.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
@@ -305,7 +243,7 @@ class BlurredPlane(ABC):
 
 
 class TableBlur(BlurredPlane):
-    """A blur of sources with different radii, by weights from tables; arguments as for `BlurredPlane`."""
+    """A blur of sources with different radii, by weights from tables."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)

@@ -13,14 +13,7 @@ FLOAT = 4  # size in bytes
 
 
 class JoinedColors:
-    """A plane with all color channels, and a last channel of coverage if `channels` exceeds `colors`.
-
-    Parameters
-    ----------
-    session : Session
-    channels, colors : int
-        Number of all channels, and of color channels.
-    """
+    """A plane with all color channels, and a last channel of coverage if `channels` exceeds `colors`."""
 
     def __init__(self, session: Session, channels: int, colors: int) -> None:
         self.session, self.channels, self.colors = session, channels, colors

@@ -27,10 +27,9 @@ Layout = tuple[cl.Buffer | None, int, int, int]  # buffer, offset of a plane, of
 
 
 class Convolve(BlurredPlane):
-    """The blur of sources that all have one radius; arguments as for `BlurredPlane`, but the target needs no program.
+    """The blur of sources that all have one radius, up to `spec.largest`; the target needs no program.
 
-    The PSF is computed for the radius of the sources, up to `spec.largest`. Validated against sums over rectangles
-    (tests/kernels/test_convolve.py).
+    Validated against sums over rectangles (tests/kernels/test_convolve.py).
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
@@ -85,9 +84,7 @@ class Convolve(BlurredPlane):
         self, step: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
         target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
-        """Enqueue one convolution; step: stencil and its tables; share: weight of sums over rectangles; target: buffer,
-        offset of pixel (0, 0), pitch.
-        """
+        """Enqueue a convolution; share: weight of sums over rectangles; target: buffer, offset of pixel 0, pitch."""
         stencil, (runs, weights, pairs) = step
         args = (
             *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(stencil.runs)), weights,

@@ -38,24 +38,13 @@ CHAPTER5 = MeanMedian()
 class FillPlanes:
     """Buffers of fill.cl, with guard band; the caller writes `value` to `object` before the filling.
 
-    Attributes
-    ----------
-    value : Buffer
-        float (CHANNELS, height, width), radiance.
-    w, coc : Buffer
-        real: inverse depth in 1/mm, and signed R in px.
-    valid, status : Buffer
-        uchar: as in `clsco.passes.warp.Warped`.
-    object : Buffer, optional
-        uchar: number of the visible object, for scenes with several objects.
-    indices : (Buffer, Buffer)
-        Lists of missing pixels before and after a sweep, an int per pixel; used only during the filling.
-    spans, grown, counters : Buffer
-        First and last valid pixel of each line, before and after a sweep; numbers of pixels.
-    far : tuple of Buffer
-        Bounds on the depth of neighbors, if holes are filled from the far side.
-    done, sums, other_value, other_w : Buffer, optional
-        Buffers of mean/median filling.
+    value: float (CHANNELS, height, width), radiance. w, coc: real, inverse depth in 1/mm and signed R in px. valid:
+    uchar, 1 if known or filled, else 0 (value, w and coc are then 0). status: uchar, 0 known or not missing, 1 filled,
+    2 missing and not filled. object: uchar, number of the visible object, 255 for none and in the mirror image around a
+    depth map; None if the scene has a single object. indices: lists of missing pixels before and after a sweep, an int
+    per pixel; used only during the filling. spans, grown: first and last valid pixel of each line, before and after a
+    sweep. counters: numbers of pixels. far: bounds on the depth of neighbors, if holes are filled from the far side.
+    done to other_w: of mean/median filling, else None.
     """
 
     value: cl.Buffer
@@ -91,25 +80,8 @@ class FillPlanes:
 class Filler:
     """Fills missing pixels of planes on one device (4.3.5, chapter 5).
 
-    Parameters
-    ----------
-    target : Target
-        Target with the kernels of fill.cl, and for mean/median filling of score.cl and fill_mean_median.cl.
-    grid : numpy.void
-        grid_t of the planes.
-    lens : numpy.void
-        lens_t, which determines the radii of filled pixels.
-    features : dict
-        Features of the program.
-    sizes : dict
-        Sizes of the buffers, by `clsco.plan.buffers.fill_buffers`.
-
-    Raises
-    ------
-    DeviceError
-
-    Notes
-    -----
+    target: has the kernels of fill.cl, and for mean/median filling of score.cl and fill_mean_median.cl, in a program
+    built for `features`. lens: determines the radii of filled pixels. sizes: of `clsco.plan.buffers.fill_buffers`.
     Validated against `clsco.reference.inpainting.fill`.
     """
 
@@ -124,8 +96,8 @@ class Filler:
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
 
-        surfaces: buffer of `count` surface_t; with domain "surface", only pixels whose rays hit one of these surfaces
-        are filled. brightest: largest radiance. Waits for the device once per sweep.
+        surfaces: `count` surface_t; with domain "surface", only pixels whose rays hit one of them are filled.
+        brightest: largest radiance. Waits for the device once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
         source, remaining = self.planes.indices
@@ -159,10 +131,10 @@ class Filler:
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels on the device; returns the counters."""
-        chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.grid, self.planes.valid)
-        self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
-        args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
-        self._run("mark_missing", events, chunks, (1, *LINES), *args)
+        p, lines, chunks = self.planes, (self.rows + self.columns,), (-(-self.columns // FILL_CHUNK), self.rows)
+        self.target.run("find_spans", lines, LINES, events, self.grid, p.valid, p.spans, p.grown)
+        args = (*placed, p.spans, p.status, source, p.counters, *self._depths())
+        self.target.run("mark_missing", chunks, (1, *LINES), events, *args)
         return self._read_counters()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
@@ -170,19 +142,17 @@ class Filler:
         return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
-        """Fill those of the `count` missing pixels in the list `source` that have at least `minimum` known neighbors;
-        wins: as returned by `_score`.
-        """
+        """Fill those of `count` missing pixels, listed in `source`, that have at least `minimum` known neighbors."""
         p = self.planes
         objects = () if p.object is None else (p.object,)
         planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *objects)
         head = (self.grid, self.lens, source, np.int32(count))
         if self.interpolates:
             rule = (minimum,) if self.is_far else ()
-            self._run("fill_ait", events, (count,), LISTED, *head, *rule, *planes)
+            self.target.run("fill_ait", (count,), LISTED, events, *head, *rule, *planes)
         else:
             vectors = (-(-count // FILL_LANES),)
-            self._run("fill_mean_median", events, vectors, LINES, *head, wins, minimum, *planes)
+            self.target.run("fill_mean_median", vectors, LINES, events, *head, wins, minimum, *planes)
 
     def _settle(
         self, placed: tuple[Any, ...], source: cl.Buffer, remaining: cl.Buffer, count: int, events: Events
@@ -193,16 +163,16 @@ class Filler:
         lines = (p.spans, p.grown)
         args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, remaining, p.counters)
         done = (p.done,) if self.smooths else ()
-        self._run("settle_sweep", events, (-(-count // FILL_CHUNK),), LINES, *args, *done)
+        self.target.run("settle_sweep", (-(-count // FILL_CHUNK),), LINES, events, *args, *done)
         grown = (*placed, *lines, p.status, remaining, p.counters, *self._depths())
-        self._run("mark_grown", events, (self.rows + self.columns,), LISTED, *grown)
+        self.target.run("mark_grown", (self.rows + self.columns,), LISTED, events, *grown)
         return self._read_counters()
 
     def _score(self, brightest: float, events: Events) -> int:
         """Bits k of the counts of known neighbors for which the median is a better estimator than the mean."""
         scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
         args = (self.grid, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
-        self._run("score_mean_median", events, (scored,), OWNERS, *args)
+        self.target.run("score_mean_median", (scored,), OWNERS, events, *args)
         score = score_of_sums(download(self.session, self.planes.sums, (scored, SCORE_SUMS), np.int64), scale)
         return bits_of(score.median_wins())
 
@@ -214,12 +184,9 @@ class Filler:
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
         vectors, head = (-(-count // FILL_LANES),), (self.grid, self.lens, p.done, np.int32(count), *p.far, p.valid)
         for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
-            self._run("smooth_median", events, vectors, LINES, *head, *current, *next_, p.coc)
+            self.target.run("smooth_median", vectors, LINES, events, *head, *current, *next_, p.coc)
             current, next_ = next_, current
 
     def _read_counters(self) -> list[int]:
         counts: list[int] = download(self.session, self.planes.counters, (COUNTERS,), np.int32).tolist()
         return counts
-
-    def _run(self, name: str, events: Events, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
-        self.target.run(name, size, local, events, *args)

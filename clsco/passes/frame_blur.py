@@ -10,27 +10,10 @@ from clsco.plan.buffers import blur_buffers
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Struct
 
-METHODS: dict[Blur, type[BlurredPlane]] = {
-    "gather": Gather, "scatter": Scatter, "tiles": Tiles, "convolve": Convolve,
-}  # fmt: skip
+METHODS: dict[Blur, type[BlurredPlane]] = {"gather": Gather, "scatter": Scatter, "tiles": Tiles, "convolve": Convolve}
 
 
 def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> BlurredPlane:
-    """The object that blurs the time samples of a frame or its strips.
-
-    Parameters
-    ----------
-    target : Target
-        Target from `clsco.passes.blur.blur_target`.
-    spec : BlurSpec
-    tallest : Grid
-        Grid of the frame, or the tallest of its strips.
-    grid : numpy.void
-        grid_t of the first strip.
-
-    Returns
-    -------
-    BlurredPlane
-    """
+    """The object that blurs the time samples of a frame or its strips; target: from `blur_target`."""
     sizes = blur_buffers(spec, tallest, target.session.device)
     return METHODS[spec.method](target, spec, tallest, grid, sizes)

@@ -26,9 +26,7 @@ INT2 = cl.cltypes.int2
 
 
 class Gather(TableBlur):
-    """Method "gather": each work-item gathers the sources that reach its band of rows; the number of bands that run at
-    a time limits the scratch memory.
-    """
+    """Method "gather": each work-item gathers what reaches its band of rows; few bands at a time save memory."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)

@@ -23,15 +23,8 @@ Surfaces = tuple[PlacedSurface | None, ...]  # surface of every object, None for
 class Job:
     """The part of an image that passes process.
 
-    Attributes
-    ----------
-    strip : Strip
-    grid : numpy.void
-        grid_t of the strip.
-    events : list
-        List to which names of kernels and events of their launches are appended.
-    bounds : tuple of LayerBounds, optional
-        Bounds of depth layers, if they were computed from all strips: one entry for all colors, or one per color.
+    grid: of the strip. events: list to which names of kernels and events of their launches are appended. bounds: of
+    depth layers, if they were computed from all strips: one entry for all colors, or one per color.
     """
 
     strip: Strip
@@ -44,22 +37,9 @@ class Job:
 class TimeSample:
     """The objects of a scene at one time.
 
-    Attributes
-    ----------
-    time : float
-        Time in s since the reference pose.
-    camera : Camera
-        The camera with its lens at that time.
-    poses : tuple of Pose
-        Pose of each object relative to the camera, which may also move.
-    placed : tuple of PlacedSurface or None
-        The surface of each object in its pose, None for a depth map.
-    packed : ndarray
-        surface_t of each object.
-    surfaces : Buffer
-        `packed` on the device.
-    light : tuple of numpy.void
-        light_t in a tuple; empty if the scene has no light.
+    time: in s since the reference pose. camera: with its lens at that time. poses: of each object relative to the
+    camera, which may also move. packed: surface_t of each object; surfaces: the same on the device. light: light_t in a
+    tuple; empty if the scene has no light.
     """
 
     time: float
@@ -75,17 +55,10 @@ class TimeSample:
 class SceneJob(Job):
     """The part of a scene's frame at a time sample that passes process.
 
-    Attributes
-    ----------
-    sample : TimeSample
-    weights : ndarray of float64, (rows,) or (columns,)
-        Weights of the time sample in the rows of `strip`, or in all columns of the frame.
-    is_first : bool
-        True for the first time sample of the whole strip, which begins the sum.
-    whole_strip : Strip
-        The strip of the frame; `strip` is the part of it in which the time sample has a weight.
-    noise_stream : int, optional
-        `clsco.optics.sensor.camera_word` of the frame in the last time sample of the whole strip, else None.
+    weights: of the time sample in the rows of `strip`, or in all columns of the frame. is_first: True for the first
+    time sample of the whole strip, which begins the sum. whole_strip: of the frame; in its part `strip` the time sample
+    has a weight. noise_stream: `clsco.optics.sensor.camera_word`, but None before the last time sample of the whole
+    strip.
     """
 
     sample: TimeSample

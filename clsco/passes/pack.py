@@ -15,7 +15,7 @@ from clsco.inputs.mipmaps import level_sizes
 from clsco.optics.distortion import Distortion, distortion_of
 from clsco.optics.lens import Lens, ray_step
 from clsco.optics.light import PlacedLight
-from clsco.optics.motion import Pose
+from clsco.optics.motion import Pose, rest_center
 from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
@@ -32,25 +32,9 @@ def grid_struct(
     rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0,
     rest_step: float | None = None,
 ) -> Struct:  # fmt: skip
-    """grid_t of a frame with a guard band.
+    """grid_t of a frame of `rows` and `columns`, or of its strip, with a guard band in px.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Size of the frame, px.
-    guard : int
-        Width of the guard band, px.
-    real : {"double", "float"}
-    strip : Strip, optional
-        Strip of the frame; by default the whole frame.
-    step : float
-        Slope between the rays of neighboring pixels, if rays are cast.
-    rest_step : float, optional
-        `step` in the reference pose; by default `step`.
-
-    Returns
-    -------
-    numpy.void
+    step: slope between the rays of neighboring pixels, if rays are cast; rest_step: in the reference pose.
     """
     part = strip or Strip(0, rows, guard, guard)
     values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
@@ -62,9 +46,7 @@ def grid_struct(
 def camera_grid(
     camera: Camera, guard: int, real: Real, strip: Strip | None = None, reference: Camera | None = None
 ) -> Struct:
-    """grid_t of a camera with a resolution; guard, strip: as for `grid_struct`; reference: camera of the reference
-    pose, by default `camera`.
-    """
+    """grid_t of a camera with a resolution; reference: camera of the reference pose, by default `camera`."""
     columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
     grid = grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
     if (distortion := distortion_of(camera)) is not None:
@@ -83,9 +65,7 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set the fields of grid_t for Newton's method, which undistorts rays: coefficients of the first guess, and a
-    number of steps that is enough for all rays of the grid, also in its reference pose.
-    """
+    """Set the first guess of Newton's method, which undistorts rays, and its steps for all rays, also at rest."""
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
 
@@ -102,62 +82,36 @@ def lens_struct(lens: Lens, real: Real) -> Struct:
 
 
 def surface_structs(
-    items: Sequence[Object], surfaces: Sequence[PlacedSurface], real: Real, textures: Sequence[int] | None = None
+    items: Sequence[Object], surfaces: Sequence[PlacedSurface | None], real: Real, textures: Sequence[int] | None = None
 ) -> NDArray[np.void]:
-    """surface_t of each object, (objects,); surfaces: the objects as placed in front of the camera; textures: number of
-    each object's texture, by default 0.
+    """surface_t of each object, (objects,), as placed in front of the camera; textures: their numbers, by default 0.
+
+    That of a depth map, which has no surface, holds only the center of rotation and the texture.
     """
-    numbers = textures or [0] * len(items)
-    placed = [_surface_struct(*fields, real) for fields in zip(items, surfaces, numbers, strict=True)]
-    return np.array(placed, structs(real)["surface_t"])
+    numbers, array = textures or [0] * len(items), np.zeros(len(items), structs(real)["surface_t"])
+    for k, fields in enumerate(zip(items, surfaces, numbers, strict=True)):
+        array[k] = _surface_struct(*fields, real)
+    return array
 
 
-def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Real) -> Struct:
-    shape = surface.canonical
+def _surface_struct(item: Object, surface: PlacedSurface | None, texture: int, real: Real) -> Struct:
+    if surface is None:
+        return filled("surface_t", real, {"rest": rest_center(item), "texture": texture})
+    shape, extent = surface.canonical, surface.extent
     low, high = np.array(cutting_bounds(item) or EVERYWHERE, dtype=np.float64).T
-    return filled(
-        "surface_t",
-        real,
-        {
-            "turn": surface.turn.ravel(),
-            "body_turn": surface.body_turn.ravel(),
-            "own_turn": surface.own_turn.ravel(),
-            "offset": surface.offset,
-            "body_offset": surface.body_offset,
-            "own_offset": surface.own_offset,
-            "rest": surface.rest,
-            "q": shape.q,
-            "l": shape.l,
-            "bounds_low": low,
-            "bounds_high": high,
-            "k": shape.k,
-            "at_lens": surface.constant,
-            "radius": shape.radius,
-            "nappe": shape.nappe,
-            "texture": texture,
-            "near_x": surface.extent.x,
-            "near_y": surface.extent.y,
-            "near_w": surface.extent.w[1],
-            "width": surface.width,
-        },
-    )
+    names = ("turn", "body_turn", "own_turn", "offset", "body_offset", "own_offset", "rest")
+    values: dict[str, Any] = {name: getattr(surface, name).ravel() for name in names}
+    values |= {name: getattr(shape, name) for name in ("q", "l", "k", "radius", "nappe")}
+    values |= {"bounds_low": low, "bounds_high": high, "at_lens": surface.constant, "texture": texture}
+    values |= {"near_x": extent.x, "near_y": extent.y, "near_w": extent.w[1], "width": surface.width}
+    return filled("surface_t", real, values)
 
 
 def texture_map_structs(
     maps: Sequence[TextureMap | None], bases: Sequence[int], psf: PointSpread, covered: float, real: Real
 ) -> NDArray[np.void]:
-    """texture_map_t of each object, (objects,).
-
-    Parameters
-    ----------
-    maps : sequence of TextureMap or None
-        Mapping of each object's texture to its surface; None for a projected texture.
-    bases : sequence of int
-        For each object, index of the first float of its mipmap.
-    psf : PointSpread
-    covered : float
-        Value of the last channel outside of a texture's image: 1 if that channel is coverage, else 0.
-    real : {"double", "float"}
+    """texture_map_t of each object, (objects,); maps: None for a projected texture; bases: index of the first float of
+    each mipmap; covered: value of the last channel outside of a texture's image, 1 if that channel is coverage, else 0.
     """
     packed = []
     for texture, base in zip(maps, bases, strict=True):
@@ -190,38 +144,26 @@ def group_struct(group: OcclusionGroup, objects: int) -> Struct:
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
     """psf_t of a PSF; table, subpixel: its tables for pixels, and for sub-pixel sources if there are any."""
-    values: dict[str, Any] = {
-        "first": table.first,
-        "count": table.count,
-        "low": table.low,
-        "end": table.end,
-        "reach": max(table.reach, subpixel.reach if subpixel else 0),
-        "key": psf.key,
-        "minimum_blur": MINIMUM_BLUR,
-        "octaves_from": octaves_from(psf),
-        "steps": table_steps(psf, False),
-        "sub_steps": table_steps(psf, True),
-        "lens_extent": psf.extent,
-    }
+    names = ("first", "count", "low", "end", "stride")
+    values: dict[str, Any] = {name: getattr(table, name) for name in names}
+    values |= {"reach": max(table.reach, subpixel.reach if subpixel else 0), "key": psf.key, "lens_extent": psf.extent}
+    values |= {"minimum_blur": MINIMUM_BLUR, "octaves_from": octaves_from(psf)}
+    values |= {"steps": table_steps(psf, False), "sub_steps": table_steps(psf, True)}
     values["fine_steps"], values["fine_until"] = sampled_steps(psf)
     none = [0.0] * (MOST_RIMS - len(psf.rims))
     values |= {"rim_distance": [*(rim.distance for rim in psf.rims), *none]}
     values |= {"rim_radius": [*(rim.radius for rim in psf.rims), *none]}
     if psf.varying is not None:
         (across, down), (columns, rows) = psf.varying.cells, psf.varying.frame
-        values |= {"across": across, "down": down, "stride": table.stride}
+        values |= {"across": across, "down": down}
         values |= {"per_column": across / max(columns - 1, 1), "per_row": down / max(rows - 1, 1)}
     if subpixel:
-        values |= {"sub_first": subpixel.first, "sub_count": subpixel.count}
-        values |= {"sub_low": subpixel.low, "sub_end": subpixel.end, "sub_stride": subpixel.stride}
+        values |= {f"sub_{name}": getattr(subpixel, name) for name in names}
     return filled("psf_t", real, values)
 
 
 def texture_planes(radiances: Sequence[NDArray[np.float32]], channels: int) -> NDArray[np.float32]:
-    """Channel planes (textures, channels, rows, columns) of textures; with 3 channels, gray textures are repeated.
-
-    A single texture with a single channel is returned without a copy.
-    """
+    """Channel planes (textures, channels, rows, columns); gray textures are repeated; a single one is not copied."""
     planes = [radiance[None] if radiance.ndim == 2 else np.moveaxis(radiance, -1, 0) for radiance in radiances]
     if len(planes) == channels == 1:
         return planes[0][None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,13 @@ from clsco.opencl.session import Session
 from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.light import place_light
-from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
+from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place
 from clsco.optics.texture_mapping import texture_map
-from clsco.passes.job import Surfaces, TimeSample
+from clsco.passes.job import TimeSample
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
-from clsco.records import Real, structs
+from clsco.records import Real
 from clsco.scene.model import Camera, Scene
 
 # Largest ratio of a source to the brightest texel: 1 + 4 c, with c < 0.0901 (kernels/trace/footprint.clh).
@@ -32,37 +33,16 @@ MOST_DETAIL = 1.37
 
 
 class PlacedScene:
-    """A scene with a resolution on a device.
+    """A scene with a resolution on a device; keeps uploaded arrays until `release`, as launches may read them later.
 
-    Parameters
-    ----------
-    session : Session
-    scene : Scene
-    psf : PointSpread
-    textures : sequence of Texture
-        Texture of every object (`clsco.inputs.textures.load_scene_textures`).
-    real : {"double", "float"}
-        Precision of the geometry.
-    eye : {"left", "right"}
-        View of a stereo pair; "left" without one.
-    covered : bool
-        True if the last channel is coverage.
-
-    Notes
-    -----
-    Uploaded arrays are kept until `release`, because launches that read them may run later.
+    textures: of every object (`clsco.inputs.textures.load_scene_textures`). real: precision of the geometry. eye: view
+    of a stereo pair; "left" without one. covered: True if the last channel is coverage.
     """
 
     def __init__(
-        self,
-        session: Session,
-        scene: Scene,
-        psf: PointSpread,
-        textures: Sequence[Texture],
-        real: Real,
-        eye: Eye = "left",
-        covered: bool = False,
-    ) -> None:
+        self, session: Session, scene: Scene, psf: PointSpread, textures: Sequence[Texture], real: Real,
+        eye: Eye = "left", covered: bool = False,
+    ) -> None:  # fmt: skip
         self.session, self.scene, self.psf, self.real, self.eye = session, scene, psf, real, eye
         self.textures, self.covered = tuple(textures), covered
         self.bits = max(texture.bits for texture in textures)
@@ -74,8 +54,6 @@ class PlacedScene:
         self.stack = sorted(dict.fromkeys(projected), key=lambda texture: repr(texture.content))
         self.texture_of = [self.stack.index(texture) if item.mapped is None else 0 for texture, item in pairs]
         self.mapped = list(dict.fromkeys(texture for texture, item in pairs if item.mapped is not None))
-        self._texture: cl.Buffer | None = None
-        self._maps: cl.Buffer | None = None
         self._held: list[cl.Buffer] = []
         self._samples: dict[tuple[float, Eye], TimeSample] = {}
 
@@ -92,49 +70,41 @@ class PlacedScene:
         key += ("mapped", *(texture.content for texture in self.mapped)) if self.mapped else ()
         return None if None in key else key
 
-    @property
+    @cached_property
     def texture(self) -> cl.Buffer:
         """Projected textures, float (textures, channels, rows, columns), then mipmaps of the other textures."""
-        if self._texture is None:
-            key, cache = self.content, self.session.cache
-            self._texture = self._planes() if key is None else cache.get(key, self._planes, lambda planes: planes.size)
-        return self._texture
+        key, cache = self.content, self.session.cache
+        return self._planes() if key is None else cache.get(key, self._planes, lambda planes: planes.size)
 
     def _planes(self) -> cl.Buffer:
         radiances, channels = [texture.radiance for texture in self.stack], self.channels
         if not self.mapped:
             return upload(self.session, texture_planes(radiances, channels))
-        sizes = [self._mipmap_floats(texture) for texture in self.mapped]
-        base = sum(channels * image.shape[0] * image.shape[1] for image in radiances)
-        planes = empty_image((base + sum(sizes),))
+        starts = self._mipmap_starts
+        planes = empty_image((starts[-1],))
         if radiances:
-            planes[:base] = texture_planes(radiances, channels).ravel()
-        for texture, size in zip(self.mapped, sizes, strict=True):
-            texture.mipmap(planes[base : base + size], channels)
-            base += size
+            planes[: starts[0]] = texture_planes(radiances, channels).ravel()
+        for texture, (start, end) in zip(self.mapped, pairwise(starts), strict=True):
+            texture.mipmap(planes[start:end], channels)
         return upload(self.session, planes)
 
-    def _mipmap_floats(self, texture: Texture) -> int:
-        rows, columns = texture.radiance.shape[:2]
-        return mipmap_floats(columns, rows, self.channels, len(texture.images))
-
     @property
+    def _mipmap_starts(self) -> list[int]:
+        """Index in `texture` of the first float of each mipmap, and the number of floats."""
+        base = sum(self.channels * texture.radiance.shape[0] * texture.radiance.shape[1] for texture in self.stack)
+        sizes = [(*reversed(texture.radiance.shape[:2]), len(texture.images)) for texture in self.mapped]
+        floats = [mipmap_floats(columns, rows, self.channels, images) for columns, rows, images in sizes]
+        return [*accumulate(floats, initial=base)]
+
+    @cached_property
     def texture_maps(self) -> tuple[cl.Buffer, ...]:
         """A buffer with texture_map_t of each object; an empty tuple if no texture is on a surface."""
-        if not self.mapped:
-            return ()
-        if self._maps is None:
-            self._maps = upload(self.session, self.packed_maps)
-        return (self._maps,)
+        return (upload(self.session, self.packed_maps),) if self.mapped else ()
 
     @cached_property
     def packed_maps(self) -> NDArray[np.void]:
         """texture_map_t of each object, on the host."""
-        base = sum(self.channels * texture.radiance.shape[0] * texture.radiance.shape[1] for texture in self.stack)
-        bases = {}
-        for texture in self.mapped:
-            bases[texture] = base
-            base += self._mipmap_floats(texture)
+        bases = dict(zip(self.mapped, self._mipmap_starts, strict=False))
         maps = [
             None if item.mapped is None else texture_map(item, *reversed(texture.radiance.shape[:2]))
             for item, texture in zip(self.scene.objects, self.textures, strict=True)
@@ -159,7 +129,7 @@ class PlacedScene:
         """The objects in these poses relative to `camera`, by default the camera of the reference pose."""
         pairs = zip(self.scene.objects, poses, strict=True)
         placed = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
-        packed = self._surface_structs(placed)
+        packed = surface_structs(self.scene.objects, placed, self.real, self.texture_of)
         return TimeSample(time, camera or reference_camera(self.scene), tuple(poses), placed, packed, self.hold(packed))
 
     def poses(self, sample: TimeSample) -> cl.Buffer:
@@ -175,14 +145,3 @@ class PlacedScene:
         """Release the uploaded arrays; call this after all launches that read them have ended."""
         self._held.clear()
         self._samples.clear()
-
-    def _surface_structs(self, placed: Surfaces) -> NDArray[np.void]:
-        """surface_t of each object; that of a depth map has only the center of rotation and the texture."""
-        items, analytic = self.scene.objects, [k for k, surface in enumerate(placed) if surface is not None]
-        array = np.zeros(len(items), structs(self.real)["surface_t"])
-        surfaces = [surface for surface in placed if surface is not None]
-        array[analytic] = surface_structs([items[k] for k in analytic], surfaces, self.real)
-        for k in set(range(len(items))) - set(analytic):
-            array["rest"][k] = rest_center(items[k])
-        array["texture"] = self.texture_of
-        return array

@@ -24,16 +24,9 @@ RECIPROCALS = reciprocals_of_counts()
 
 @dataclass(frozen=True)
 class Codes:
-    """Codes of a sensor on the device, with rows padded to whole vectors.
+    """Codes of a sensor on the device, and 1 for saturated pixels: ushort and uchar of `shape`.
 
-    Attributes
-    ----------
-    code, saturated : Buffer
-        Codes as ushort, and 1 for saturated pixels as uchar, both of `shape`.
-    shape : tuple of int
-        Planes, rows, and columns with padding.
-    columns : int
-        Columns of the image.
+    shape: planes, rows, and columns with padding to whole vectors; columns: without padding.
     """
 
     code: cl.Buffer
@@ -50,15 +43,6 @@ class Codes:
 class FrameSensor:
     """The sensor of a scene on the device; reads out a frame or its strips.
 
-    Parameters
-    ----------
-    session : Session
-    sensor_model : SensorModel
-    sizes : dict
-        Sizes of the buffers, by `clsco.plan.buffers.sensor_buffers`.
-
-    Notes
-    -----
     Validated against `clsco.reference.sensor.sensor.sense`, with equal bits (tests/kernels/test_sensor.py).
     """
 
@@ -70,9 +54,7 @@ class FrameSensor:
         self.struct = filled("sensor_t", "float", sensor_values(sensor_model))
 
     def expose(self, strip: Strip, plane: Plane, camera: int, events: Events) -> Codes:
-        """Enqueue the conversion of a strip's irradiance `plane` to codes; camera: word from
-        `clsco.optics.sensor.camera_word`, which selects the noise of the frame.
-        """
+        """Enqueue the conversion of a strip's irradiance to codes; camera: `clsco.optics.sensor.camera_word`."""
         padded = padded_columns(plane.columns)
         counts = upload_cached(self.target.session, RECIPROCALS, "reciprocals of counts")
         head = (np.int32(n) for n in (plane.rows, plane.columns, strip.top, padded))

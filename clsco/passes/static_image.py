@@ -25,25 +25,15 @@ Array = NDArray[np.float64]
 
 
 class HostImage(ABC):
-    """An image and its signed radii, in host memory.
+    """An image (rows, columns[, channels]) and its signed radii, in host memory.
 
-    Parameters
-    ----------
-    session : Session
-    radiance : ndarray (rows, columns[, channels])
-    guard : int
-        Width of the guard band around the frame, px.
-    outside : {"symmetric", "constant"}
-        Image and radii in the guard band: "symmetric" for mirror images, as of textures, "constant" for 0.
+    guard: px of the guard band, which holds mirror images, as of textures, or 0 with outside = "constant".
     """
 
     def __init__(
-        self,
-        session: Session,
-        radiance: NDArray[Any],
-        guard: int,
+        self, session: Session, radiance: NDArray[Any], guard: int,
         outside: Literal["symmetric", "constant"] = "symmetric",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.session, self.radiance, self.guard, self.outside = session, radiance, guard, outside
 
     @abstractmethod
@@ -53,8 +43,7 @@ class HostImage(ABC):
     def image(self, job: Job, buffers: Mapping[str, cl.Buffer]) -> Image:
         """Upload the image of a strip to the buffers "value", "coc" and "valid".
 
-        If `buffers` lacks one of them, kernels read the host's array in place. Buffer "valid" stays unchanged if
-        `radii` returns no mask.
+        Without a buffer, kernels read the host's array in place; "valid" stays unchanged if `radii` returns no mask.
         """
         value = self._send(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
         uploaded = {name: self._send(buffers.get(name), array) for name, array in self.radii(job.strip).items()}
@@ -74,21 +63,8 @@ class HostImage(ABC):
 class StaticMap(HostImage):
     """Image and depth map of a static scene; seen from the original viewpoint, its pixels are the pinhole image.
 
-    Parameters
-    ----------
-    session : Session
-    camera : Camera
-    lens : Lens
-    radiance : ndarray of float32 (rows, columns[, channels])
-    inverse_depth : ndarray of float64 (rows, columns)
-        1/mm, 0 without a surface.
-    guard : int
-        Width of the guard band, px.
-    real : {"double", "float"}
-
-    Notes
-    -----
-    Validated against `clsco.reference.render`, which moves every pixel.
+    radiance: (rows, columns[, channels]). inverse_depth: (rows, columns), 1/mm, 0 without a surface. Validated against
+    `clsco.reference.render`, which moves every pixel.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ import numpy as np
 from clsco import constants
 from clsco.cache import Cache
 from clsco.files.array_cache import ArrayCache, user_cache
-from clsco.opencl.pages import SMALLEST, in_pages, is_in_pages, joined_in_pages, trim
+from clsco.opencl.pages import SMALLEST, is_in_pages, joined_in_pages, trim
 from clsco.opencl.session import Session
 from clsco.optics import point_spread, psf_blocks, psf_grid, pupils
 from clsco.optics.point_spread import PointSpread
@@ -30,14 +30,9 @@ R = TypeVar("R", PsfTable, WeightBlock)
 
 
 class TableStore:
-    """PSF tables of this process. Threads may share it.
+    """PSF tables of this process, with blocks of weights also on `disk`. Threads may share it.
 
-    Parameters
-    ----------
-    disk : ArrayCache
-        Cache for blocks of weights.
-    limit : int
-        Memory limit of tables in bytes; the least recently used tables are evicted, except the latest two.
+    limit: of the memory of tables in bytes; the least recently used are evicted, except the latest two.
     """
 
     def __init__(self, disk: ArrayCache, limit: int = CACHE_BYTES) -> None:
@@ -51,8 +46,8 @@ class TableStore:
         """The table of `clsco.optics.psf_tables.psf_table`, cut from a cached table if that includes the radii.
 
         A PSF's cached table of up to JOINED_BYTES is extended to include new radii. Of its larger tables only the
-        latest is cached, so that a series of renderings with wide blur does not fill the memory. A sampled disc has
-        one table for each range of radii instead. go_on: called before each block is computed; it may raise an error.
+        latest is cached, so that a series of renderings with wide blur does not fill the memory. go_on: called before
+        each block is computed; may raise.
         """
 
         def block(psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
@@ -63,11 +58,12 @@ class TableStore:
         large = _size(psf, span, subpixel) > JOINED_BYTES
         place = _key(psf, subpixel), large
         # Each range of a sampled disc has its own table.
-        key: Hashable = (place, span.start, span.stop) if _is_disc(psf, subpixel) else place
+        key: Hashable = (place, span.start, span.stop) if psf.layout == "disc" and not subpixel else place
         with self._lock:
             table = self._tables.get(key)
-            if table is None or not _holds(table, span):
-                wider = span if table is None else range(min(span.start, table.first), max(span.stop, _end(table)))
+            first, end = (table.first, table.first + table.count) if table else (span.start, span.start)
+            if table is None or not first <= span.start <= span.stop <= end:
+                wider = range(min(span.start, first), max(span.stop, end))
                 if _size(psf, wider, subpixel) <= JOINED_BYTES:
                     span = wider
                 built = table_of(psf, span, subpixel, block, joined_in_pages)
@@ -132,19 +128,6 @@ def _key(psf: PointSpread, subpixel: int) -> str:
     return f"{psf!r} {subpixel}"
 
 
-def _end(table: PsfTable) -> int:
-    return table.first + table.count
-
-
-def _holds(table: PsfTable, span: range) -> bool:
-    return table.first <= span.start and span.stop <= _end(table)
-
-
-def _is_disc(psf: PointSpread, subpixel: int) -> bool:
-    """True if the table is that of a sampled disc."""
-    return psf.layout == "disc" and not subpixel
-
-
 @lru_cache(maxsize=256)
 def _size(psf: PointSpread, span: range, subpixel: int) -> int:
     """Size of the table for a range of intervals, bytes."""
@@ -155,7 +138,7 @@ def _in_pages(record: R) -> R:
     """A copy of a table or block with large arrays in pages of their own, so that freeing them leaves no gaps."""
     arrays = {name: value for name, value in vars(record).items() if isinstance(value, np.ndarray)}
     large = {name: array for name, array in arrays.items() if array.nbytes >= SMALLEST and not is_in_pages(array)}
-    placed: dict[str, Any] = {name: in_pages(array) for name, array in large.items()}
+    placed: dict[str, Any] = {name: joined_in_pages([array]) for name, array in large.items()}
     return replace(record, **placed)
 
 

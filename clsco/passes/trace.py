@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -46,24 +46,11 @@ class HitKey(NamedTuple):
     textures: Hashable
 
 
-class Hits(Protocol):
-    """Interface of a cache of ray hits that several lenses share."""
-
-    def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        """The planes with the hits of an occlusion group; on a cache miss, `cast` fills them.
-
-        Parameters
-        ----------
-        sizes : dict
-            Sizes of the planes, by `clsco.plan.buffers.hit_buffers`.
-        key : HitKey
-        cast : callable
-            Enqueues the kernel that casts rays and fills planes.
-        """
-
-
 class LatestHits:
-    """Cache of each occlusion group's hits at the latest time sample, for the lenses of a sweep."""
+    """Cache of each occlusion group's hits at the latest time sample, for the lenses of a sweep.
+
+    `planes` returns the planes with the hits; on a cache miss, `cast` enqueues the kernel for them.
+    """
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -97,21 +84,16 @@ class CachedHits:
         return self.session.cache.get(("hits", key), cast_new, lambda _: sum(sizes.values()))
 
 
+Hits = LatestHits | CachedHits
+
+
 @dataclass(eq=False)
 class Tracer:
     """Casts the rays of a plan.
 
-    Attributes
-    ----------
-    plan : Plan
-    scene : PlacedScene
-    buffers : dict
-        Buffers named as in `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
-        colors; those of slots are replaced if more slots are needed.
-    psf : numpy.void
-        psf_t of the blur that will add the sources.
-    hits : Hits, optional
-        Ray hits shared with other lenses; by default, rays are cast for this lens alone.
+    buffers: named as in `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
+    colors; those of slots are replaced if more slots are needed. psf: psf_t of the blur that will add the sources.
+    hits: shared with other lenses; by default, rays are cast for this lens alone.
     """
 
     plan: Plan
@@ -204,9 +186,7 @@ class Tracer:
         return self.buffers["pixels"].size // 4
 
     def _assign_slots(self, job: SceneJob, sources: Sources) -> int:
-        """Assign slots to the pixels that need sub-pixel sources, and allocate more slots if these are too few; returns
-        the number of slots used. Waits for the device.
-        """
+        """Assign slots to pixels that need sub-pixel sources, and add slots if needed; returns their number. Waits."""
         session, statistics = self.target.session, self.buffers["statistics"]
         runs = -(-int(job.grid["width"]) // TAP_LANES), int(job.grid["height"])
         first_slot = np.zeros(1, np.int32)

@@ -37,15 +37,7 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Computes the outputs of a plan besides color.
-
-    Attributes
-    ----------
-    plan : Plan
-    scene : PlacedScene
-    pixels : ForwardWarp or StaticMap, optional
-        Origin of pixels in the reference pose; None if rays are cast.
-    """
+    """Computes the outputs of a plan besides color; `pixels`: of the reference pose, None if rays are cast."""
 
     plan: Plan
     scene: PlacedScene
@@ -99,12 +91,10 @@ class GroundTruth:
         self._clear_background(out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
-        return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._still_outputs() | out
-
-    def _still_outputs(self) -> Arrays:
-        """Outputs that are 0 everywhere if the scene is static, so that they need no rays."""
-        shape = self.plan.rows, self.plan.columns
-        return {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
+        # Flow and hidden are 0 everywhere if the scene is static, and need no rays.
+        shape = plan.rows, plan.columns
+        zeros = {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
+        return {"filled": np.zeros(shape, np.uint8)} | zeros | out
 
     def _arguments(
         self, reference: TimeSample, sample: TimeSample, after: TimeSample, other_view: TimeSample | None = None,
@@ -112,8 +102,8 @@ class GroundTruth:
     ) -> tuple[Any, ...]:  # fmt: skip
         """Kernel arguments, between the grid and the outputs, for a frame or one of its lines.
 
-        reference: the objects in the reference pose; sample: in this frame; after, earlier: in the next and the
-        previous frame; other_view: in the other view of a stereo pair, None if it is not needed.
+        Objects: in the reference pose, in this frame, in the next frame, in the other view of a stereo pair, None if
+        not needed, and in the previous frame.
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
@@ -172,10 +162,7 @@ class GroundTruth:
         return out
 
     def _split_colors(self, outputs: Arrays, times: NDArray[np.float64]) -> None:
-        """Replace blur radii in `outputs` by one radius per color if the lens separates colors.
-
-        times: one time, or the time of each line as an array that broadcasts over the frame, s.
-        """
+        """Replace R by one per color if the lens separates them; times: in s, one, or one per line that broadcasts."""
         if not self.plan.scene.separates_colors or "blur_radius" not in outputs:
             return
         sizes, shifts, steps = np.empty((*times.shape, 3)), np.empty((*times.shape, 3)), np.empty(times.shape)

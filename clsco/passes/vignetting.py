@@ -25,20 +25,8 @@ def _share(camera: Camera, kind: Kind) -> NDArray[np.float32]:
 
 
 class Vignetting:
-    """Multiplies planes by the vignetting of the lens, in place.
+    """Multiplies planes by the vignetting of the lens, in place, but not a channel of coverage after the `colors`.
 
-    Parameters
-    ----------
-    session : Session
-    kind : {"natural"} or tuple of float
-        Value of the scene's key lens.vignetting.
-    colors : int
-        Number of color channels; a channel of coverage after them is not changed.
-    pixels : int
-        Number of pixels in the frame.
-
-    Notes
-    -----
     Validated against `clsco.optics.vignetting.throughput`.
     """
 
@@ -50,9 +38,7 @@ class Vignetting:
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as in `FrameSum`
 
     def darken(self, plane: Plane, camera: Camera, top: int, events: Events) -> Plane:
-        """Darken a plane in place, and return it; camera: camera with the frame's resolution; top: row of the frame
-        with the plane's first row.
-        """
+        """Darken a plane in place, and return it; top: row of the frame with the plane's first row."""
         share = _share(camera, self.kind)
         if share is not self._filled:
             self._buffer.fill(share)

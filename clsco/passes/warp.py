@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from clsco.opencl.program import build
 from clsco.optics.lens import Lens
 from clsco.optics.lens_path import reference_camera
 from clsco.passes.blur import PIXELS, Events, Target
-from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
+from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler, FillPlanes
 from clsco.passes.job import TimeSample
 from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene
@@ -34,32 +33,11 @@ BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
 
 
-@dataclass(frozen=True)
-class Warped:
-    """Planes of one time sample on the device, (height, width) with guard band; the next sample overwrites them.
-
-    value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed blur radius in
-    px; valid: uchar, 1 if known or filled, else 0 (value, w and coc are then 0); status: uchar, 0 known or not missing,
-    1 filled, 2 missing and not filled; object: uchar, number of the visible object, 255 for none and in the mirror
-    image around a depth map, or None instead of a plane if the scene has a single object; counters: as returned by
-    `Filler.fill`.
-    """
-
-    value: cl.Buffer
-    w: cl.Buffer
-    coc: cl.Buffer
-    valid: cl.Buffer
-    status: cl.Buffer
-    object: cl.Buffer | None
-    counters: dict[str, int]
-
-
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
-    """Features that warp.cl and fill.cl are compiled for; owned: as for `ForwardWarp`.
+    """Features that warp.cl and fill.cl are compiled for.
 
-    In a scene with a depth map, whose outline rays cannot find, domain "surface" is replaced by "span". Holes are
-    filled from their far side (FILL_FAR) if their sides may be at different depths: with several objects, or a depth
-    map.
+    In a scene with a depth map, whose outline rays cannot find, domain "surface" is replaced by "span". FILL_FAR: holes
+    are filled from their far side, as with several objects or a depth map their sides may be at different depths.
     """
     fill, mapped = plan.scene.fill, not plan.scene.is_analytic
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
@@ -77,24 +55,10 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
 class ForwardWarp:
     """Moves the pixels of a scene's reference pose to their positions at a time, and fills missing pixels.
 
-    Parameters
-    ----------
-    plan : Plan
-    scene : PlacedScene
-        The scene on the device that runs the warp.
-    maps : sequence of ndarray of float64 (rows, columns) or None
-        Inverse depth in 1/mm of every object that is a depth map, 0 without a surface; None for other objects.
-    owned : bool, optional
-        True for the depth test in which each work-item owns a band of the image, False for the one by atomics; both
-        give the same bits. By default True on processors.
-
-    Raises
-    ------
-    DeviceError, KernelError
-
-    Notes
-    -----
-    Validated against `clsco.reference.warp.warp` and `clsco.reference.inpainting.fill`.
+    maps: inverse depth (rows, columns) in 1/mm of every object that is a depth map, 0 without a surface; None for
+    others. owned: True for the depth test in which each work-item owns a band of the image, False for the one by
+    atomics; both give the same bits. By default True on processors. Validated against `clsco.reference.warp.warp` and
+    `clsco.reference.inpainting.fill`.
     """
 
     def __init__(
@@ -125,27 +89,20 @@ class ForwardWarp:
         members = np.uint64(sum(1 << k for k, surface in enumerate(reference.placed) if surface is not None))
         count = np.int32(len(reference.placed))
         args = (self.grid, self.rest_surfaces, count, members, *self.maps, self.rest, *self.object)
-        self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
+        self.kernels.run("reproject_rest", (plan.columns, plan.rows), PIXELS, [], *args)
 
-    def warp(self, sample: TimeSample, events: Events) -> Warped:
+    def warp(self, sample: TimeSample, events: Events) -> FillPlanes:
         """Move the pixels of the reference pose to a time sample, and fill missing pixels as the scene specifies.
 
-        Parameters
-        ----------
-        sample : TimeSample
-        events : list
-            List to which events of launches are appended.
-
-        Returns
-        -------
-        Warped
+        Returns the planes, (height, width) with guard band; the next sample overwrites them.
         """
         self.nearest(sample, events)
         self.gather(events)
-        return self.fill(sample, events)
+        self.fill(sample, events)
+        return self.filler.planes
 
-    def fill(self, sample: TimeSample, events: Events) -> Warped:
-        """Fill missing pixels after `gather`; arguments and result as for `warp`."""
+    def fill(self, sample: TimeSample, events: Events) -> dict[str, int]:
+        """Fill missing pixels after `gather`; returns the counters of `Filler.fill`."""
         planes, plan = self.filler.planes, self.plan
         counters = self.filler.fill(sample.surfaces, len(sample.placed), events, self.scene.brightest)
         if self.maps:
@@ -153,59 +110,47 @@ class ForwardWarp:
             objects = () if planes.object is None else (planes.object,)
             if self.filler.fills:
                 self._per_line("fill_entered", events, *out, planes.status, *objects)
-            self._per_pixel("extend_border", events, (plan.width, plan.height), self.grid, *out)
-        return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
+            self.kernels.run("extend_border", (plan.width, plan.height), PIXELS, events, self.grid, *out)
+        return counters
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
-        """Enqueue the depth test, which computes the target of each pixel of the reference pose, and the winner of each
-        target: the nearest of the pixels that are moved to it. Arguments as for `warp`.
-        """
+        """Enqueue the depth test: the target of each pixel of the reference pose, and the nearest source of each."""
         scene, real = self.plan.scene, self.scene.real
         if scene.lens_moves or self.plan.only is not None:
             self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)
             self.grid = self.filler.grid = camera_grid(sample.camera, self.plan.guard_px, real, reference=scene.camera)
         poses = self.scene.poses(sample)
         args = (self.grid, self.rest_surfaces, poses, self.rest, self.target, self.moved, *self.object)
-        if self.owned:
-            self._test_in_bands(args, events)
-        else:
-            self._test_by_atomics(args, events)
+        (self._test_in_bands if self.owned else self._test_by_atomics)(args, events)
 
     def gather(self, events: Events) -> None:
-        """Enqueue kernels that copy the winners of the depth test to the planes of `filler`, without filling. Arguments
-        as for `warp`.
-        """
+        """Enqueue kernels that copy the winners of the depth test to the planes of `filler`, without filling."""
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
-            chunks = (-(-plan.width // (OWNED_PIXELS if self.owned else 1)), plan.height)
-            gaps = (self.grid, self.depth, self.winner, planes.valid)
-            self.kernels.run("reproject_gaps", chunks, (1, *LINES) if self.owned else PIXELS, events, *gaps)
+            self._per_chunk("reproject_gaps", events, self.depth, self.winner, planes.valid)
         head = (self.grid, self.lens, self.scene.texture, self.moved, self.winner)
         several = (self.rest_surfaces, *self.object) if self.object else ()
         objects = () if planes.object is None else (planes.object,)
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *objects)
-        self._per_pixel("reproject_gather", events, (plan.width, plan.height), *head, *several, *out)
+        self.kernels.run("reproject_gather", (plan.width, plan.height), PIXELS, events, *head, *several, *out)
         if self.maps:
             self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
 
     def note_radii(self, statistics: cl.Buffer, events: Events) -> None:
         """Include |R| of the warped pixels in the largest and smallest |R| of `statistics`."""
-        chunks = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
-        planes = (self.filler.planes.coc, self.filler.planes.valid, statistics)
-        self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.grid, *planes)
+        self._per_chunk("note_radii", events, self.filler.planes.coc, self.filler.planes.valid, statistics)
 
-    def missing(self, warped: Warped) -> NDArray[np.bool_]:
+    def missing(self) -> NDArray[np.bool_]:
         """Mask (rows, columns) of pixels of the frame that were missing, whether they have been filled or not."""
-        return self._frame(warped.status, np.uint8) > 0
+        return self._frame(self.filler.planes.status, np.uint8) > 0
 
     def truth(self, sample: TimeSample, names: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
         """The arrays in `names` that the warp has, (rows, columns[, channels]), float32 unless stated otherwise.
 
-        "sharp": radiance after the move; "filled": uint8, as `Warped.status`. For a scene with a depth map, which rays
-        cannot hit, also properties of the surface in each known or filled pixel: "depth" in mm, +inf without a surface,
-        float64 because normals are computed from its differences; "blur_radius" in px, 0 without a surface; "mask",
-        bool; "object_id", int32, -1 without a surface. They are values of the source that was moved to the pixel, which
-        is up to half a pixel from the pixel's center.
+        "sharp": radiance after the move; "filled": `FillPlanes.status`, uint8. For a scene with a depth map, which rays
+        cannot hit, also the surface in each known or filled pixel, as of the source that was moved to it, up to half a
+        pixel from its center: "depth" in mm, +inf without a surface, float64 as normals are computed from its
+        differences; "blur_radius" in px, 0 without a surface; "mask", bool; "object_id", int32, -1 without a surface.
         """
         plan = self.plan
         available = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
@@ -223,9 +168,7 @@ class ForwardWarp:
             w = self._frame(warped.w, real).astype(np.float64)
             arrays["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
             arrays["blur_radius"] = self._frame(warped.coc, real).astype(np.float32)
-            numbers = np.zeros(valid.shape, np.int32)
-            if warped.object is not None:
-                numbers = self._frame(warped.object, np.uint8).astype(np.int32)
+            numbers = 0 if warped.object is None else self._frame(warped.object, np.uint8).astype(np.int32)
             arrays["object_id"] = np.where(valid, numbers, -1).astype(np.int32)
         return {name: array for name, array in arrays.items() if name in available & set(names)}
 
@@ -262,5 +205,7 @@ class ForwardWarp:
         for first, end in ((0, rows), (rows, lines)):
             self.kernels.run(name, (end - first,), LINES, events, self.grid, np.int32(first), np.int32(end), *args)
 
-    def _per_pixel(self, name: str, events: Events, size: tuple[int, int], *args: Any) -> None:
-        self.kernels.run(name, size, PIXELS, events, *args)
+    def _per_chunk(self, name: str, events: Events, *args: Any) -> None:
+        """Run a kernel for all pixels, of OWNED_PIXELS per work-item if these own bands."""
+        size = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
+        self.kernels.run(name, size, (1, *LINES) if self.owned else PIXELS, events, self.grid, *args)

@@ -40,27 +40,29 @@ class Counter:
         return len(self.names) > self.fails_at >= 0
 
 
+def counted(note: Callable[[str], None], name: str, function: Any) -> Any:
+    """The function, whose calls are noted before."""
+
+    def call(*args: Any, **options: Any) -> Any:
+        note(name)
+        return function(*args, **options)
+
+    return call
+
+
 @contextmanager
 def failing(counter: Counter) -> Iterator[Counter]:
     """Count all calls in the block; the one that `counter` names raises."""
-
-    def counted(name: str, function: Any) -> Any:
-        def call(*args: Any, **options: Any) -> Any:
-            counter.call(name)
-            return function(*args, **options)
-
-        return call
-
     with pytest.MonkeyPatch.context() as patch:
         for name in CALLS:
             original = getattr(cl, name)
             if isinstance(original, type):
-                made = counted(name, original.__init__)  # type: ignore[misc]
+                made = counted(counter.call, name, original.__init__)  # type: ignore[misc]
                 patch.setattr(cl, name, type(name, (original,), {"__init__": made}))
             else:
-                patch.setattr(cl, name, counted(name, original))
-        patch.setattr(cl.Program, "build", counted("build", cl.Program.build))
-        patch.setattr(cl.Kernel, "__call__", counted("launch", cl.Kernel.__call__))
+                patch.setattr(cl, name, counted(counter.call, name, original))
+        patch.setattr(cl.Program, "build", counted(counter.call, "build", cl.Program.build))
+        patch.setattr(cl.Kernel, "__call__", counted(counter.call, "launch", cl.Kernel.__call__))
         finish = cl.CommandQueue.finish
 
         def finished(queue: cl.CommandQueue) -> None:

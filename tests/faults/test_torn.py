@@ -25,6 +25,7 @@ from clsco.frame.files import read_complete
 from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl.device import choose
 from clsco.opencl.session import session_on
+from tests.faults.opencl import counted
 
 SCENE = """
 [camera]
@@ -85,18 +86,11 @@ def failing(disk: Disk) -> Iterator[None]:
         disk.call("open")
         return Written(open(path, mode), disk)  # type: ignore[arg-type]
 
-    def counted(name: str, function: Any) -> Any:
-        def call(*args: Any, **options: Any) -> Any:
-            disk.call(name)
-            return function(*args, **options)
-
-        return call
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(files, "open", opened, raising=False)
-        patch.setattr(os, "fsync", counted("fsync", os.fsync))
+        patch.setattr(os, "fsync", counted(disk.call, "fsync", os.fsync))
         for name in ("replace", "mkdir", "touch"):
-            patch.setattr(Path, name, counted(name, getattr(Path, name)))
+            patch.setattr(Path, name, counted(disk.call, name, getattr(Path, name)))
         yield
 
 
@@ -118,9 +112,8 @@ def test_the_disk_fails_at_every_call(tmp_path: Path, truth: tuple[str, str]) ->
     def render(out: Path, disk: Disk) -> Any:
         session_on.cache_clear()  # the kernels' cache is looked at each time
         with failing(disk):
-            return CliRunner().invoke(
-                main, ["render", str(tmp_path / "scene.toml"), "-o", str(out), *truth, "--resume"]
-            )
+            words = ["render", str(tmp_path / "scene.toml"), "-o", str(out), *truth, "--resume"]
+            return CliRunner().invoke(main, words)
 
     assert render(tmp_path / "compiled", Disk()).exit_code == 0
     count = Disk()
@@ -131,9 +124,8 @@ def test_the_disk_fails_at_every_call(tmp_path: Path, truth: tuple[str, str]) ->
         result = render(out, Disk(number))
         recorded = result.stderr.splitlines()
         assert result.exception is None or isinstance(result.exception, SystemExit), (number, repr(result.exception))
-        if (
-            count.names[number] == "mkdir" and result.exit_code == 0
-        ):  # of the kernels' cache, which works without a lock
+        # Of the kernels' cache, which works without a lock.
+        if count.names[number] == "mkdir" and result.exit_code == 0:
             assert check_folder(out) == 2
             continue
         assert (result.exit_code, len(recorded)) == (1, 1), (number, count.names[number], recorded)

@@ -42,7 +42,7 @@ from clsco.scene.model import (
     Quadric,
     Sphere,
 )
-from tests.kernels.numbers import whole
+from tests.kernels.launches import whole
 from tests.scenes import scene_of
 from tests.slow import mostly_slow
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import kernel, launch
 from clsco.opencl.session import Program, Session
+from clsco.records import REAL, Real
 from clsco.resources import folder
 
 Array = NDArray[Any]
@@ -93,3 +94,20 @@ def parameters(name: str) -> tuple[str, ...]:
         forms = re.findall(rf"#define {macro}\b((?:\\\n|[^\n])*)", _text())
         lines = lines.replace(macro, max(forms, key=len).replace("\\\n", " "))
     return tuple(re.findall(r"\w+", each)[-1] for each in lines.split(","))
+
+
+def whole(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], real: Real) -> Array:
+    """Download real numbers as float64 (...)."""
+    return download(session, buffer, shape, REAL[real]).astype(np.float64)
+
+
+def held(values: Array) -> Array:
+    """Numbers near `values`, float64, that both precisions hold exactly."""
+    return np.asarray(values, dtype=np.float32).astype(np.float64)
+
+
+def filled(session: Session, fill: Any, image: Array, missing: Array) -> Array:
+    """The image with the values that a method finds."""
+    result = image.copy()
+    result[missing] = fill(session, image, missing)
+    return result

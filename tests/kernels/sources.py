@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.frame.strips import Grid
 from clsco.inputs.pupils import load_point_spread
-from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import PointSpread
@@ -126,16 +125,9 @@ def on_device(session: Session, given: Light, weight: float) -> spread.Sources:
             np.moveaxis(np.where(sub.hit[..., None], sub.radiance, 0.0), -1, 0) / given.samples**2 * weight
         )
         held = (upload(session, records_by_slot), copied(session, value), capacity)
-    value = copied(session, flat(sources.radiance * weight, np.float32))
+    radiance = copied(session, flat(sources.radiance * weight, np.float32))
     planes = source_planes(source, given.psf.tilt, given.samples > 0)
-    return spread.Sources(upload(session, planes), value, *held)
-
-
-def copied(session: Session, array: Array) -> Any:
-    """A buffer of its own, for kernels to write to."""
-    buffer = empty(session, array.nbytes)
-    cl.enqueue_copy(session.queue, buffer, array)
-    return buffer
+    return spread.Sources(upload(session, planes), radiance, *held)
 
 
 def features(

@@ -11,7 +11,7 @@ from clsco.opencl.buffers import empty
 from clsco.opencl.session import Session
 from clsco.records import REAL, Real
 from clsco.resources import folder
-from tests.kernels.numbers import held, whole
+from tests.kernels.launches import held, whole
 
 SOURCE = """
 __kernel void angles(__global const real *y, __global const real *x, const int count, __global real *out)

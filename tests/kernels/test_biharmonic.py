@@ -15,18 +15,12 @@ from clsco.opencl.buffers import copied, download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.records import structs
+from tests.kernels.launches import filled
 
 Array = NDArray[Any]
 # The residual ends at 1e-4 of its beginning in the preconditioner's norm, which is the energy's up to a factor; a value
 # far from all that is known has little energy, and errs most: 2e-3 where five pixels are all that is.
 FIGURE = 5e-3
-
-
-def filled(session: Session, fill: Any, image: Array, missing: Array) -> Array:
-    """The image with the values that a method finds."""
-    result = image.copy()
-    result[missing] = fill(session, image, missing)
-    return result
 
 
 def picture(rows: int, columns: int, channels: int) -> Array:

@@ -19,23 +19,12 @@ from clsco.passes.blur import FILES_OF
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import source_bytes
 from clsco.plan.methods import Blur
-from clsco.records import flat
+from clsco.records import flat, structs
 from clsco.reference.blur import blur as twin
 from clsco.scene.model import Psf
+from tests.kernels import sources as light_sources
 from tests.kernels.conftest import download_sources
-from tests.kernels.sources import (
-    FIGURE,
-    RNG,
-    ROUNDING,
-    SMOOTH,
-    STRUCTS,
-    assert_close,
-    blurred,
-    features,
-    light,
-    records,
-    renormalized,
-)
+from tests.kernels.sources import FIGURE, RNG, ROUNDING, SMOOTH, assert_close, blurred, features, light
 from tests.slow import combined, mostly_slow
 from tests.spreads import PSFS, name_of, spec_of
 
@@ -186,7 +175,7 @@ def test_renormalized_borders(session: Session, samples: int, method: Blur) -> N
 def test_renormalize_divides_by_what_stays(session: Session) -> None:
     """The kernel itself: values after it against the twin's radiance."""
     given = light(Psf(border="renormalize"), shape=(24, 31), guard=0, channels=3, samples=2)
-    value = download(session, renormalized(session, given, "gather").value, (3, 24, 31), np.float32)
+    value = download(session, light_sources.renormalized(session, given, "gather").value, (3, 24, 31), np.float32)
     scaled, _ = twin.renormalize(spec_of(given.psf), given.sources, given.sub, given.shape, 0)
     assert given.sub is not None
     own = given.sources.lit.copy()
@@ -265,13 +254,13 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 23), guard=2)
     coc, valid = given.sources.radius, given.sources.lit
     table = psf_table(point_spread(psf), 0.0, given.largest)
-    program = build(session, FILES_OF["gather"], features(given.psf, 1, 0), STRUCTS, "double")
+    program = build(session, FILES_OF["gather"], features(given.psf, 1, 0), structs("double"), "double")
     struct, out = psf_struct(point_spread(psf), table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
     target = spread.Target(session, program, "double")
     spread.prepare_sources(target, given.grid(), struct, maps, out, [])
     found = download_sources(session, out, coc.shape, tilt, False)
-    expected = records(given, coc, twin.prepare_sources(coc, valid), valid, False)
+    expected = light_sources.records(given, coc, twin.prepare_sources(coc, valid), valid, False)
     assert np.abs(expected[..., 1:3]).max() > 1.0
     assert (found[~valid][:, :3] == [-1, 0, 0]).all()
     np.testing.assert_allclose(found[..., 0], expected[..., 0], rtol=2.0**-23)  # rounded to the other side at most

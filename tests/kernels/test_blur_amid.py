@@ -15,7 +15,7 @@ from clsco.cli.check import compare
 from clsco.constants import BAND
 from clsco.opencl.buffers import download
 from clsco.opencl.program import build
-from clsco.opencl.session import Session
+from clsco.opencl.session import Program, Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
@@ -23,34 +23,25 @@ from clsco.passes.blur import FILES_OF, PIXELS
 from clsco.passes.pack import psf_struct
 from clsco.plan import buffers
 from clsco.plan.buffers import by_columns, column_bytes, margin
+from clsco.records import structs
 from clsco.reference.blur import blur as twin
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import tilt_slope
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
+from tests.kernels import sources as light_sources
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid, run
-from tests.kernels.sources import (
-    FIGURE,
-    RNG,
-    ROUNDING,
-    SMOOTH,
-    STRUCTS,
-    Light,
-    assert_close,
-    blurred,
-    features,
-    gather,
-    gather_alone,
-    light,
-    on_device,
-    records,
-    renormalized,
-)
+from tests.kernels.sources import FIGURE, RNG, ROUNDING, SMOOTH, Light, assert_close, blurred, features, light
 from tests.spreads import spec_of
 
 Array = NDArray[Any]
 LEFT_ALONE = 7.0
+
+
+def in_color(session: Session, psf: Psf) -> Program:
+    """A program of several tests, also of such as have no sub-pixel sources or but one channel."""
+    return build(session, FILES_OF["gather"], features(psf, 3, 2, 4.0), structs("double"), "double")
 
 
 @pytest.mark.parametrize(("columns", "items"), [(80, 8), (80, 10), (75, 10)])
@@ -62,15 +53,12 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     coc = given.sources.radius + 1.0
     valid = RNG(48).random(coc.shape) < 0.98
     valid[-1, -8:] = True
-    program = build(session, FILES_OF["gather"], features(psf, 1, 2), STRUCTS, "double")
-    expected = source_planes(records(given, coc, twin.prepare_sources(coc, valid), valid, False), tilt, True)
+    program = in_color(session, psf)
+    records = light_sources.records(given, coc, twin.prepare_sources(coc, valid), valid, False)
+    expected = source_planes(records, tilt, True)
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
     out = Amid(session, np.full_like(expected, LEFT_ALONE), LEFT_ALONE)
-    planes = {
-        "grid": given.grid(),
-        "psf": psf_struct(point_spread(psf), given.table(), None, "double"),
-        "source": out,
-    }
+    planes = {"grid": given.grid(), "psf": psf_struct(point_spread(psf), given.table(), None, "double"), "source": out}
     planes |= {"coc": Amid(session, coc, 9.0), "valid": Amid(session, valid.astype(np.uint8), 1)}
     run(session, program, "prepare_sources", (items, coc.shape[0]), (items, 1), **planes)
     found = out.now()
@@ -81,7 +69,7 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
 
 def test_resolve_writes_the_frame_alone(session: Session) -> None:
     given = light(Psf(), shape=(5, 70), channels=3)
-    program = build(session, FILES_OF["gather"], features(given.psf, 3, 0), STRUCTS, "double")
+    program = in_color(session, given.psf)
     sums = RNG(49).integers(0, 2**40, (3, 5, 70))
     total = Amid(session, np.full((3, 5, 88), LEFT_ALONE, np.float32), LEFT_ALONE)
     planes = {"scale": 2.0**40, "pitch": 88, "pad": 8, "sums": sums, "total": total}
@@ -101,7 +89,8 @@ def test_renormalized_subpixel_sources(session: Session) -> None:
     gradient = np.where(edge[:, None, None, None], -40.0, given.sub.gradient)
     given = replace(given, sub=replace(given.sub, radius=radius, gradient=gradient))
     assert given.sub is not None
-    untouched, sources = on_device(session, given, 1.0), renormalized(session, given, "scatter")
+    untouched = light_sources.on_device(session, given, 1.0)
+    sources = light_sources.renormalized(session, given, "scatter")
     assert untouched.sub_value is not None
     assert sources.sub_value is not None
     shape = (3, sources.capacity, 2, 2)
@@ -127,20 +116,15 @@ def test_subpixel_sources_in_focus(session: Session) -> None:
 
 
 def gathered(
-    session: Session,
-    given: Light,
-    part_rows: int,
-    start: int,
-    kept: dict[str, int],
-    scratch: dict[str, Any],
+    session: Session, given: Light, part_rows: int, start: int, kept: dict[str, int], scratch: dict[str, Any],
     part: Amid,
-) -> Array:
+) -> Array:  # fmt: skip
     """The frame (channels, rows, columns) after two work-items, from band `start` on; kept: features for `scratch`."""
     pad, pitch = margin(given.shape[1], given.guard, given.table().reach)
     total = Amid(session, np.zeros((given.channels, given.shape[0], pitch), np.float32), LEFT_ALONE)
-    sources = on_device(session, given, 1.0)
+    sources = light_sources.on_device(session, given, 1.0)
     planes = {"source": sources.source, "value": sources.value, "total": total, "part": part}
-    gather(
+    light_sources.gather(
         session, given, 2, kept, part_rows=part_rows, start=start, position=np.zeros(2, np.int32), **planes, **scratch
     )
     return total.now()[..., pad : pad + given.shape[1]]
@@ -229,7 +213,7 @@ def test_memory_of_wide_gaussians(
     sources = replace(given.sources, radiance=brightness * given.sources.radiance)
     given = replace(given, sources=sources)
     expected = summed(given)
-    np.testing.assert_allclose(gather_alone(session, given), expected, rtol=2e-5)
+    np.testing.assert_allclose(light_sources.gather_alone(session, given), expected, rtol=2e-5)
 
 
 def test_subpixel_sources_of_the_first_slot(session: Session) -> None:

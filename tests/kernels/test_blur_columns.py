@@ -19,18 +19,8 @@ from clsco.passes.pack import grid_struct
 from clsco.plan.methods import BlurSpec
 from clsco.records import structs
 from clsco.scene.model import Aperture, Psf
-from tests.kernels.sources import (
-    RNG,
-    ROUNDING,
-    Signed,
-    assert_close,
-    blur_of,
-    blurred,
-    features,
-    gather_alone,
-    light,
-    on_device,
-)
+from tests.kernels import sources as light_sources
+from tests.kernels.sources import RNG, ROUNDING, assert_close, blur_of, blurred, features, light, on_device
 from tests.kernels.test_pupils import APERTURES
 from tests.slow import combined
 
@@ -101,7 +91,7 @@ def test_only_memory_of_its_own(session: Session, name: str, psf: Psf, channels:
     given = light(
         psf, shape=(9, 40), guard=6, largest=15.0, steepest=GENTLE, channels=channels, aperture=OPENINGS[name]
     )
-    assert_close(gather_alone(session, given), blurred(session, given, "scatter"), ROUNDING)
+    assert_close(light_sources.gather_alone(session, given), blurred(session, given, "scatter"), ROUNDING)
 
 
 @pytest.mark.parametrize(("model", "edge"), [("pillbox", "area"), ("gaussian", "sampled")])
@@ -126,7 +116,7 @@ def test_nothing_is_added_behind_the_last_row(session: Session) -> None:
     """Not even 0, which would be lost light where another work-item adds to the same place."""
     given = light(DISCS, shape=(1, 301), guard=5, largest=21.0)
     owner = blur_of(session, given, "gather")
-    total = Signed(session, (1, owner.pitch))
+    total = light_sources.Signed(session, (1, owner.pitch))
     owner.total = total.buffer
     sources = on_device(session, given, 1.0)  # kept until the device is done
     owner.add(replace(sources, radius=given.largest), [])

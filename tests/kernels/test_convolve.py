@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid
-from clsco.opencl.buffers import download, empty
+from clsco.opencl.buffers import copied, download
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
@@ -57,8 +56,7 @@ class Convolver:
         blur = make_blur(Target(session, {}, "double"), spec, grid, strip)
         assert isinstance(blur, Convolve)
         self.blur = blur
-        self.session, self.radius, self.value = session, size, empty(session, 4 * light.size)
-        cl.enqueue_copy(session.queue, self.value, flat(light, np.float32))
+        self.session, self.radius, self.value = session, size, copied(session, flat(light, np.float32))
 
     def __call__(self) -> Array:
         self.blur.clear()

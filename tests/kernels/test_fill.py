@@ -23,6 +23,7 @@ from clsco.passes import fill
 from clsco.passes.blur import Target
 from clsco.passes.fill import Filler
 from clsco.passes.pack import camera_grid, lens_struct, surface_structs
+from clsco.passes.warp import KERNELS
 from clsco.plan.buffers import COUNTERS, fill_buffers
 from clsco.records import REAL, Real, flat, structs
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
@@ -31,8 +32,7 @@ from clsco.reference.inpainting.fill_mean_median import smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Sphere
-from tests.kernels.launches import parameters
-from tests.kernels.numbers import whole
+from tests.kernels.launches import parameters, whole
 from tests.slow import combined, mostly_slow
 
 Array = NDArray[Any]
@@ -58,17 +58,10 @@ class Planes:
         of_camera = camera_grid(self.camera, guard, real), lens_struct(Lens.of(self.camera), real)
         self.placed = place(BALL, pose_at(BALL.motion, 0.0, "euler"))
         self.surface = upload(session, surface_structs([BALL], [self.placed], real))
-        features = dict.fromkeys(("LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
-        features |= {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
+        features = {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
         features |= {"SEVERAL": int(far), "FILL_FAR": int(far)}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
-        self.program = build(
-            session,
-            ["inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl"],
-            features,
-            structs(real),
-            real,
-        )
+        self.program = build(session, KERNELS[1:], features, structs(real), real)
         sizes = fill_buffers(Grid.whole(rows, columns, guard, self.channels), far, far, method == "mean_median")
         self.filler = Filler(Target(session, self.program, real), *of_camera, features, sizes)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
@@ -288,7 +281,7 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
 def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
     """Also what no neighbor may serve: planes to write to may hold anything before."""
     rng = np.random.default_rng(73)
-    values, filled = rng.random((9, 11, 2)).astype(np.float32).astype(np.float64), rng.random((9, 11)) < 0.6
+    values, filled = rng.random((9, 11, 4)).astype(np.float32).astype(np.float64), rng.random((9, 11)) < 0.6
     planes = Planes(session, values, np.ones_like(filled), "mean_median", far=True)
     f, bounds = planes.filler.planes, np.where(rng.random((9, 11)) < 0.5, 0.0, 0.7).astype(np.float32)
     out = f.other_value, f.other_w

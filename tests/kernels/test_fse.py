@@ -17,15 +17,9 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.records import structs
 from clsco.reference.inpainting import fse as reference
+from tests.kernels.launches import filled
 
 Array = NDArray[Any]
-
-
-def filled(session: Session, fill: Any, image: Array, missing: Array) -> Array:
-    """The image with the values that a method finds."""
-    result = image.copy()
-    result[missing] = fill(session, image, missing)
-    return result
 
 
 def picture(rows: int, columns: int, channels: int) -> Array:

@@ -1,4 +1,4 @@
-"""geometry.clh on the device against its twin; the ray-surface solution itself: test_ray_surface.py."""
+"""geometry.clh on the device against its twin, also roots within bounds; the solution itself: test_ray_surface.py."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
-from clsco.optics.quadrics import place
+from clsco.optics.quadrics import PlacedSurface, place
 from clsco.passes.pack import camera_grid, lens_struct, psf_struct, surface_structs
 from clsco.records import REAL, Real
 from clsco.reference.common import geometry as twin
-from clsco.scene.model import Camera, Cone, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric
-from tests.kernels.numbers import held, whole
+from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric
+from tests.kernels.launches import held, whole
 
 Array = NDArray[Any]
 Run = Callable[..., None]
@@ -87,22 +87,45 @@ __kernel void small(const psf_t psf, __global const real *a, __global const real
     spread[i] = spread_by;
     mirrored[i] = mirror_index(i - 50, 7);
 }
+
+// Ray i, of components in `rays` one after the other, and surface i, or the only one.
+__kernel void roots(__constant surface_t *surfaces, const int single, const int only, __global const real *rays,
+                    const int count, __global real *w, __global uchar *label)
+{
+    const int i = get_global_id(0);
+    if (i >= count)
+        return;
+    const real3 ray = (real3)(rays[i], rays[count + i], rays[2 * count + i]);
+    uchar found;
+    w[i] = solve_root(surfaces + (single ? 0 : i), ray, only, &found);
+    label[i] = found;
+}
 """
 
 
 CURVED = clsco.Lens(field_curvature=-1 / 30, focus_surface="sphere")
 DISTORTED = clsco.Lens(distortion=(-2.0, 1.0, 0.5), tangential=(0.02, -0.03))
 MOTION = ObjectMotion(velocity=(2.0, 1.0, 5.0), angular_velocity=(10.0, -15.0, 30.0))
+# Features of all programs; those whose code does not meet go together, so that few are compiled.
+NAPPE, FIELD, IMAGE = {"NAPPE": 1, "FILTER": 1}, {"CURVED": 3, "SAMPLED": 1}, {"CURVED": 7, "FILTER": 2}
+BOUNDED = {"LINEAR": 1, "BOUNDED": 1}
+FLAT = {"QUADRATIC": 0}
+SLOPED = Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION)
+BODY = Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION)
 ITEMS: list[tuple[Object, dict[str, int]]] = [
-    (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0}),
-    (Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION), {}),
-    (Cone(half_angle=40.0, apex=(1.0, 2.0, 250.0), motion=MOTION), {"NAPPE": 1}),
-    (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0, "CURVED": 3}),
-    (Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION), {"CURVED": 3}),
-    (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0, "CURVED": 4}),
-    (Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION), {"CURVED": 7}),
-    (Quadric(coefficients=(1.0, -0.5, 0.0, 0, 0, 0, 0, 0, -40.0, 0), motion=MOTION), {"LINEAR": 1}),
+    (SLOPED, FLAT | BOUNDED),
+    (BODY, {}),
+    (Cone(half_angle=40.0, apex=(1.0, 2.0, 250.0), motion=MOTION), NAPPE),
+    (SLOPED, FLAT | {"CURVED": 3}),
+    (BODY, FIELD),
+    (SLOPED, FLAT | {"CURVED": 4}),
+    (BODY, IMAGE),
+    (Quadric(coefficients=(1.0, -0.5, 0.0, 0, 0, 0, 0, 0, -40.0, 0), motion=MOTION), BOUNDED),
 ]
+
+
+def moved(item: Object) -> PlacedSurface:
+    return place(item, pose_at(MOTION, 0.6, "euler"))
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
@@ -112,8 +135,7 @@ def test_what_follows_from_a_hit(
     session: Session, run_source: Run, item: Object, features: dict[str, int], size: tuple[int, int], real: Real
 ) -> None:
     camera = Camera(resolution=size, pixel_pitch=0.08 * 65 / size[0])
-    surface = place(item, pose_at(MOTION, 0.6, "euler"))
-    count = 800
+    surface, count = moved(item), 800
     row, column = held(RNG(8).uniform([[-0.16], [-0.12]], [[1.14], [1.1]], (2, count)) * np.array(size[::-1])[:, None])
     w, out = empty(session, 8 * count), empty(session, 88 * count)
     placed = surface_structs([item], [surface], real)
@@ -163,7 +185,7 @@ def test_texture_filters(session: Session, run_source: Run, name: twin.Filter, r
     row[:40], column[:40] = rng.integers(-20, 30, (2, 40))  # exactly on texels
     row[40:44], column[40:44] = [2e6, -3e7, np.nan, 3.0], [1.0, 2.0, 3.0, np.inf]  # nowhere: taken as 0
     out = empty(session, 4 * row.size)
-    features = {"FILTER": ("nearest", "bilinear", "bicubic").index(name)}
+    features = {"nearest": {}, "bilinear": NAPPE, "bicubic": IMAGE}[name]
     grid = camera_grid(Camera(resolution=(17, 13)), 0, real)
     with np.errstate(invalid="ignore"):
         rows_columns = row.astype(REAL[real]), column.astype(REAL[real])
@@ -203,7 +225,7 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
     sizes = (8, 4, 4, 8, 8, 8, 4)
     out = [empty(session, size * count) for size in sizes]
     struct = psf_struct(point_spread(psf), main, sub, real)
-    features = {"SAMPLED": int(psf.edge == "sampled")}
+    features = FIELD if psf.edge == "sampled" else {}
     numbers = (v.astype(REAL[real]) for v in (radius, b, c, d))
     run_source(SOURCE, "small", real, features, count, struct, *numbers, np.int32(count), *out)
     difference, spread = (whole(session, out[k], (count,), real) for k in (0, 5))
@@ -244,3 +266,90 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
     exact = twin.difference_of_products(radius, b, c, d)
     assert (np.abs(difference - exact) <= 4 * UNIT[real] * np.abs(exact))[usual].all()  # 1.5 units each
     assert (np.abs(exact) < (1e-8 if real == "double" else 1e-6) * np.abs(radius * b))[usual].mean() > 0.9
+
+
+# Roots of a quadric that count: within bounds, as near to them as arithmetic can tell, and of one root.
+
+BOX = ((4.0, 30.0), (-30.0, 30.0), (-40.0, 22.0))
+
+
+def rays_to(count: int, width: float) -> Array:
+    """Rays (count, 3) that both precisions hold exactly."""
+    slopes = RNG(21).uniform(-width, width, (count, 2))
+    return held(np.concatenate([slopes, np.ones((count, 1))], axis=1))
+
+
+def solved(
+    session: Session, run_source: Run, items: list[Object], rays: Array, real: Real, only: int = 0, quadratic: int = 1
+) -> tuple[Array, Array]:
+    """Inverse depths and labels (count,) of a surface for each ray, or of one for all."""
+    count = len(rays)
+    w, label = empty(session, 8 * count), empty(session, count)
+    placed = surface_structs(items, [moved(item) for item in items], real)
+    numbers = np.int32(len(items) == 1), np.int32(only), rays.T.ravel().astype(REAL[real]), np.int32(count)
+    run_source(SOURCE, "roots", real, BOUNDED | {"QUADRATIC": quadratic}, count, placed, *numbers, w, label)
+    return whole(session, w, (count,), real), download(session, label, (count,), np.uint8)
+
+
+SOLIDS: list[Object] = [
+    BODY.model_copy(update={"bounds": BOX}),
+    # The same with the other sign: the root with +sqrt is the farther one.
+    Quadric(
+        coefficients=(-1.0, -1.5, -0.5, 0.3, 0.1, 0.2, 0, 0, 0, 900.0), center=(0, 0, 300), motion=MOTION, bounds=BOX
+    ),
+]
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("item", SOLIDS, ids=lambda item: str(item.shape))
+def test_one_sheet_or_both_within_bounds(session: Session, run_source: Run, item: Object, real: Real) -> None:
+    rays, surface = rays_to(4000, 0.1), moved(item)
+    assert (surface.constant < 0) == isinstance(item, Quadric)
+    found_labels = []
+    for only in range(3):
+        w, label = solved(session, run_source, [item], rays, real, only)
+        expected_w, expected = twin.solve_quadric(surface, item.bounds, rays, only)
+        np.testing.assert_array_equal(label, expected)
+        np.testing.assert_allclose(w, expected_w, rtol=1e-9 if real == "double" else 1e-6, atol=0)
+        found_labels.append(label)
+    both, plus, minus = found_labels
+    # Each is seen alone, and the farther one through the part of the nearer one that the bounds take away.
+    for one, other, alone in ((plus, minus, 1), (minus, plus, 2)):
+        assert set(np.unique(one)) == {0, alone}
+        assert ((one > 0) & (other == 0)).sum() > 50
+        assert ((one > 0) & (both == alone)).sum() > 50
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("axis", range(3))
+def test_bounds_close_to_the_surface(session: Session, run_source: Run, axis: int, real: Real) -> None:
+    """Each ray has a surface of its own, with a bound just before or behind where the ray meets it."""
+    item = Cylinder(center=(3.0, -5.0, 310.0), radius=40.0, motion=MOTION)
+    rays, surface = rays_to(240, 0.08), moved(item)
+    w, label = twin.solve_quadric(surface, None, rays)
+    assert label.all()
+    along = surface.body_offset[axis] * w, twin.turned(surface.body_turn, rays)[:, axis]
+    position, step = sum(along) / w, (1e-10 if real == "double" else 4e-6) * sum(np.abs(part) for part in along) / w
+    items: list[Object] = []
+    for i in range(len(rays)):
+        within, low = i % 2, i // 2 % 2
+        bound = position[i] + step[i] * (1 if bool(within) != bool(low) else -1)
+        box = [(-1e4, 1e4)] * 3
+        box[axis] = (bound, 1e4) if low else (-1e4, bound)
+        items.append(item.model_copy(update={"bounds": tuple(box)}))
+    # The near root is the one that is cut.
+    _, near = solved(session, run_source, items, rays, real, only=int(label[0]))
+    assert (label == label[0]).all()
+    np.testing.assert_array_equal(near > 0, np.arange(len(rays)) % 2 == 1)
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("quadratic", [0, 1])
+def test_bounds_that_touch_the_surface_take_nothing_away(
+    session: Session, run_source: Run, real: Real, quadratic: int
+) -> None:
+    """A plane lies at depth 0 of its own frame: a box that begins there holds all of it."""
+    item = Plane(distance=250.0, motion=MOTION, bounds=((-1e4, 1e4), (-1e4, 1e4), (0.0, 1e4)))
+    rays = rays_to(2000, 0.3)
+    _, label = solved(session, run_source, [item], rays, real, quadratic=quadratic)
+    assert label.all()

@@ -28,6 +28,7 @@ from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered import layered as twin
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
+from tests.kernels.sources import assert_close
 from tests.spreads import spec_of
 
 Array = NDArray[Any]
@@ -107,12 +108,6 @@ class Device:
 
     def read(self, name: str, dtype: Any) -> Array:
         return download(self.session, self.clusters.buffers[name], self.view.coc.shape, dtype)
-
-
-def assert_close(found: Array, expected: Array, limit: float = FIGURE) -> None:
-    error = np.abs(found - expected)
-    worst = np.unravel_index(int(error.argmax()), error.shape)
-    assert error.max() < limit, f"{error.max():.2e} at {worst}: {found[worst]} for {expected[worst]}"
 
 
 VIEWS = {
@@ -249,7 +244,7 @@ def test_one_layer_is_plain_scattering_to_the_bit(session: Session, method: Blur
     device = Device(session, view, method)
     found, count = device.image()
     assert count == 1
-    assert_close(found, view.expected()[0])
+    assert_close(found, view.expected()[0], FIGURE)
     plain = Device(session, view, method).blur
     plain.clear()
     value = upload(session, flat(view.radiance, np.float32))

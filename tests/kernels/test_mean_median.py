@@ -13,18 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS
 from clsco.inpainting import mean_median
-from clsco.inpainting.mean_median import (
-    KERNELS,
-    NEVER,
-    OWNERS,
-    VECTORS,
-    Holes,
-    Layout,
-    Stages,
-    blend_border,
-    dilated,
-    score_image,
-)
+from clsco.inpainting.mean_median import KERNELS, Holes, Layout, score_image
 from clsco.inpainting.rules import MeanMedian, bits_of, most_sweeps, score_of_sums
 from clsco.opencl import source_text
 from clsco.opencl.buffers import copied, download, upload
@@ -71,7 +60,7 @@ def check_sheet(
     missing, inside = sheet_of(masks)
     image = np.random.default_rng(5).random((*missing.shape, channels)).astype(np.float32)
     holes = Holes(session, program(session, channels), Sheet(missing, inside), image)
-    sweeps = holes.fill(np.int32(bits_of(wins)), minimum, NEVER, lambda share: None)
+    sweeps = holes.fill(np.int32(bits_of(wins)), minimum, mean_median.NEVER, lambda share: None)
     values = np.where((inside & ~missing)[..., None], image, np.float32(0))
     expected, taken = plain_sweeps(values, inside & ~missing, missing, wins, minimum, masks.shape[0])
     assert expected.dtype == np.float32
@@ -232,7 +221,7 @@ def test_a_lone_pixel_is_filled_by_one_launch_and_smoothed(session: Session, mon
         shares.append(share)
         assert shares == [1.0]
 
-    assert holes.fill(np.int32(bits_of(NO_WINS)), 4, NEVER, tell) == 1
+    assert holes.fill(np.int32(bits_of(NO_WINS)), 4, mean_median.NEVER, tell) == 1
     filled: Array = image.copy()
     filled[missing] = holes.values()
     smoothed = smooth_median(filled, missing, np.ones_like(missing))
@@ -248,15 +237,15 @@ def test_the_border_is_its_twin(
     image, missing = rng.random((*shape, channels)).astype(np.float32), rng.random(shape) < 0.3
     missing[0, 0] = False
     built, layout = program(session, channels), Layout(missing)
-    stages = Stages(layout.pixels, layout.border)
+    stages = mean_median.Stages(layout.pixels, layout.border)
     stages.smoothed = rng.random((layout.pixels.size, channels)).astype(np.float32)
     whole: Array = image.copy()
     whole[missing] = stages.smoothed
     steepness, blended = twin.blend_border(whole, twin.border_pixels(missing))
-    assert ((dilated(missing) & ~missing) == twin.border_pixels(missing)).all()
+    assert ((mean_median.dilated(missing) & ~missing) == twin.border_pixels(missing)).all()
     for values in (mean_median.BAND_VALUES, 100):
         monkeypatch.setattr(mean_median, "BAND_VALUES", values)
-        blend_border(session, built, layout.border, image, missing, stages, lambda share: None)
+        mean_median.blend_border(session, built, layout.border, image, missing, stages, lambda share: None)
         assert (stages.gradients == np.sqrt(steepness.astype(np.float64))).all()
         assert (stages.blended == blended).all()
 
@@ -268,7 +257,7 @@ def test_a_group_writes_its_own_border_pixels_only(session: Session, count: int)
     entries, outputs = np.flatnonzero(border), [copied(session, np.full(90, -1, np.float32)) for _ in range(2)]
     given = upload(session, entries.astype(np.int32)), np.int32(count), upload(session, image)
     blend, grid = kernel(program(session, 1), "blend_border"), grid_struct(9, 10, 0, "float")
-    launch(session, blend, VECTORS, VECTORS, grid, *given, *outputs)
+    launch(session, blend, mean_median.VECTORS, mean_median.VECTORS, grid, *given, *outputs)
     for output, expected in zip(outputs, twin.blend_border(image, border.reshape(9, 10)), strict=True):
         found, own = download(session, output, (90,), np.float32), min(count, 8 * FILL_LANES)
         assert (found[:own] == expected.ravel()[:own]).all()
@@ -292,7 +281,7 @@ def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: py
     )
     buffers = *(upload(session, plane) for plane in planes), sums
     score = kernel(program(session, 1, codes=True), "score_mean_median")
-    launch(session, score, (rows,), OWNERS, grid, np.float32(256), *buffers)
+    launch(session, score, (rows,), mean_median.OWNERS, grid, np.float32(256), *buffers)
     found = download(session, sums, (rows + 1, SCORE_SUMS), np.int64)
     assert score_of_sums(found[:rows], 256.0) == score_mean_median(image.astype(np.float64), ~missing, 256.0)
     assert (found[rows:] == -1).all()

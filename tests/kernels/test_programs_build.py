@@ -32,20 +32,14 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
-GENERAL = {
-    "GENERAL": (0, 0, 1),
-    "EDGES": (0, 0, 6),
-    "WAVES": (0, 0, 1),
-    "FIELD": (0, 0, 1),
-}  # not with what is alike in all octants
-
-BLUR = (
-    *("SAMPLED", "TILT", "GATHER", "SCATTER", "RENORMALIZE"),
-    *("DISC", "SEPARABLE", "LIMITED"),
-)
+# Not with what is alike in all octants.
+GENERAL = {"GENERAL": (0, 0, 1), "EDGES": (0, 0, 6), "WAVES": (0, 0, 1), "FIELD": (0, 0, 1)}
 # Files of programs that can test what hides a source: by one object, or any other number up to all but one.
 OCCLUSION = (TRACE_FILES, FILES_OF["gather"], FILES_OF["scatter"])
-ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": ON_OR_OFF}
+BLUR = dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SCATTER", "RENORMALIZE", "DISC", "SEPARABLE", "LIMITED"), ON_OR_OFF)
+BLUR |= {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2, 4, 7), "PREPARE": (0, 1, 2)}
+BLUR |= {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": ON_OR_OFF, **GENERAL}
+BLUR |= {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
 GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
@@ -54,20 +48,10 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2), "RAYS": (0,)}
     | {"CUT_CHORDS": ON_OR_OFF, "BORDERS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1)}
     | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
-    GATHER: dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": ON_OR_OFF, "CURVED": (0, 3, 1, 2, 4, 7)}
-    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "ELLIPSES": (0, 0, 1)}
-    | {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF, "SEPARABLE": (0, 0, 1)}
-    | ROOMS
-    | {"PREPARE": (0, 1, 2)}
-    | GENERAL,
-    SCATTER: dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2, 4, 7)}
-    | dict.fromkeys(("GATHER", "BY_COLUMNS", "RING"), (0,))
-    | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
-    | ROOMS
-    | {"PREPARE": (0, 1, 2)}
-    | GENERAL,
+    GATHER: BLUR
+    | {"BY_COLUMNS": ON_OR_OFF, "GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "ELLIPSES": (0, 0, 1)}
+    | {"SEPARABLE": (0, 0, 1)},
+    SCATTER: BLUR | dict.fromkeys(("GATHER", "BY_COLUMNS", "RING"), (0,)) | {"ELLIPSES": ON_OR_OFF},
     ("blur/tiles.cl",): dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
     | GENERAL,
@@ -165,13 +149,8 @@ def test_every_feature_is_known() -> None:
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
 LONG = (*OCCLUSION, FORWARD)
 # What hardly any feature of the geometry changes.
-PLAIN_FILES = tuple(
-    (f"{name}.cl",)
-    for name in (
-        *("blur/accumulate", "blur/vignetting", "sensor/sensor", "blur/convolve"),
-        *("inpainting/fse", "inpainting/biharmonic"),
-    )
-)
+PLAIN_NAMES = "blur/accumulate blur/vignetting sensor/sensor blur/convolve inpainting/fse inpainting/biharmonic"
+PLAIN_FILES = tuple((f"{name}.cl",) for name in PLAIN_NAMES.split())
 
 
 # In single precision all features are built for a device with less, too.

@@ -106,13 +106,7 @@ def test_layers_of_depth(name: str) -> None:
 
 OBJECTS = [
     {"shape": "sphere", "center": [-3.0, 1.0, 190.0], "radius": 7.0, "texture": "bricks"},
-    {
-        "shape": "cylinder",
-        "center": [3.0, 0.0, 270.0],
-        "radius": 9.0,
-        "axis": [0.2, 1.0, 0.0],
-        "texture": "siemens_star",
-    },
+    {"shape": "cylinder", "center": [3, 0, 270], "radius": 9, "axis": [0.2, 1, 0], "texture": "siemens_star"},
     {"shape": "plane", "distance": 380.0, "texture": "checkerboard"},
 ]
 CAMERA = {"camera": {"focus_distance": 250.0, "pixel_pitch": 0.04, "resolution": [40, 28]}}
@@ -121,9 +115,7 @@ PENTAGON = CAMERA | {"aperture": {"shape": "polygon", "blades": 5, "rotation": 8
 
 SCENES = combined(
     APERTURES, ("visibility", "layered"), METHODS[:2],
-    kept=[
-        ("ring", "visibility", "gather"), ("pentagon", "layered", "gather"),
-    ],
+    kept=[("ring", "visibility", "gather"), ("pentagon", "layered", "gather")],
 )  # fmt: skip
 
 
@@ -136,10 +128,9 @@ def test_scenes_of_several_objects(name: str, occlusion: str, method: str) -> No
 
 def test_convolution_takes_a_ring_and_refuses_what_turns_over() -> None:
     image = np.zeros((16, 16), np.float32)
+    rule = r"^method: convolve needs an aperture that blurs alike for R and -R; got "
     for name in SIGNED:
-        with pytest.raises(
-            SceneError, match=r"^method: convolve needs an aperture that blurs alike for R and -R; got "
-        ):
+        with pytest.raises(SceneError, match=rule):
             defocus(image, np.full(image.shape, 5.0), aperture=APERTURES[name], method="convolve")
     with pytest.raises(SceneError, match=r"got 5 blades$"):
         make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1, Request(method="convolve"))

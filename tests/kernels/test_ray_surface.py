@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.records import REAL, Real, structs
-from tests.kernels.numbers import held, whole
+from tests.kernels.launches import held, whole
 
 Array = NDArray[Any]
 Solve = Callable[[Real, dict[str, int], Array, Array, Array], tuple[Array, Array]]

@@ -147,10 +147,7 @@ SCENES: dict[str, Scene] = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "method"),
-    combined(SCENES, ("gather", "scatter"), kept=[("objects", "gather")]),
-)
+@pytest.mark.parametrize(("name", "method"), combined(SCENES, ("gather", "scatter"), kept=[("objects", "gather")]))
 def test_scenes_are_those_of_the_twin(name: str, method: str) -> None:
     wanted = SCENES[name]
     (found,), (exact,) = clsco.render(wanted, truth=(), method=method), reference.render(wanted)

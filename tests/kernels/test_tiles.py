@@ -118,26 +118,19 @@ def test_a_sum_of_a_thousand_chunks_is_rounded_once(session: Session) -> None:
     np.testing.assert_allclose(found[..., 0], expected, rtol=4 * 2.0**-24)
 
 
+COLORS = np.random.default_rng(8).random((30, 45, 3))
 BALL = {
     "camera": {"resolution": [45, 30], "pixel_pitch": 0.1, "aperture_diameter": 30.0},
     "psf": {"silhouette_samples": 2},
-    "object": [
-        {
-            "shape": "sphere",
-            "center": [0.0, 0.0, 280.0],
-            "radius": 30.0,
-            "texture": np.random.default_rng(8).random((30, 45, 3)),
-        }
-    ],
+    "object": [{"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 30.0, "texture": COLORS}],
 }  # R up to 2.2 px, in color
 
 
 @pytest.fixture
 def on_a_gpu(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """PoCL taken for a graphics card; gives the names of the kernels of the blur that are launched."""
-    monkeypatch.setattr(
-        import_module("clsco.opencl.session"), "choose", lambda name: replace(session.device, kind="gpu")
-    )
+    device = replace(session.device, kind="gpu")
+    monkeypatch.setattr(import_module("clsco.opencl.session"), "choose", lambda name: device)
     names: list[str] = []
     spread = import_module("clsco.passes.blur")
     launch = spread.launch
@@ -179,10 +172,8 @@ def test_few_taps_are_added_by_atomics_where_the_card_has_them(
 
 def test_an_image_of_few_taps_on_a_gpu(on_a_gpu: list[str]) -> None:
     """In gray R up to 6 px, in color a third of that."""
-    image, radii = (
-        np.random.default_rng(7).random((24, 40, 3), np.float32),
-        np.linspace(-4.0, 4.0, 40) * np.ones((24, 1)),
-    )
+    image = np.random.default_rng(7).random((24, 40, 3), np.float32)
+    radii = np.linspace(-4.0, 4.0, 40) * np.ones((24, 1))
     gray = clsco.defocus(image[..., 0], radii, {"occlusion": "none"}, outside="black")
     assert "scatter" in on_a_gpu
     on_a_gpu.clear()

@@ -102,10 +102,7 @@ SCENES: dict[str, tuple[Scene, int]] = {
         scene(BALL.model_copy(update={"bounds": BOX}), psf=Psf(silhouette_samples=3, edge="sampled")),
         1,
     ),
-    "cylinder, bilinear": (
-        scene(Cylinder(axis=(0.3, 1.0, 0.2)), motion=Motion(texture_filter="bilinear")),
-        1,
-    ),
+    "cylinder, bilinear": (scene(Cylinder(axis=(0.3, 1.0, 0.2)), motion=Motion(texture_filter="bilinear")), 1),
     "cone, axis": (scene(Cone(half_angle=40.0), motion=Motion(rotation="axis")), 1),
     "ellipsoid, gaussian": (
         scene(Ellipsoid(semi_axes=(30.0, 20.0, 50.0)), psf=Psf(model="gaussian", silhouette_samples=1)),

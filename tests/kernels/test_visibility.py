@@ -86,6 +86,13 @@ __kernel void see_taps(const grid_t grid, const lens_t lens, __constant surface_
     }
 #endif
 }
+
+__kernel void sizes(__global int *size)
+{
+    if (get_global_id(0) > 0)
+        return;
+    size[0] = NARROW_MIDDLE, size[1] = NARROW_ROWS, size[2] = NARROW_LANES, size[3] = LANE_COUNT;
+}
 """
 CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0, focus_distance=250.0)
 BOX = ((-20.0, 14.0), (-16.0, 25.0), (-30.0, 22.0))
@@ -129,6 +136,7 @@ PILLBOX = Psf()
 STILL = Pose(np.eye(3), np.zeros(3))
 QUICK = ["ball", "ball, narrow lens", "card", "disc"]
 ROWS = (-6, -2, 0, 3, 7)  # of taps, two vectors of 8 in each
+COUNT = 900  # of sources
 
 
 @dataclass(frozen=True)
@@ -148,6 +156,15 @@ class Seen:
     blocked: Array
 
 
+def features_of(
+    items: tuple[Object, ...], psf: Psf = PILLBOX, gather: int = 1, occluded: int = 1, camera: Camera = CAMERA
+) -> dict[str, int]:
+    """Features of the kernels: one program for bodies, and one for cards."""
+    features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1).features()
+    features |= {"OCCLUDED": occluded, "LIMITED": features["NAPPE"], "GATHER": gather}
+    return features | {"SOURCES": COUNT, "BOUNDED": 1}
+
+
 def see(
     session: Session, run: Runner, items: tuple[Object, ...], psf: Psf = PILLBOX, real: Real = "double",
     gather: int = 1, width: float = 1.0, group: OcclusionGroup | None = None, camera: Camera = CAMERA,
@@ -156,13 +173,11 @@ def see(
     far = len(items) - 1
     group = group or OcclusionGroup(1 << far, (1 << far) - 1)
     surfaces, bounds = [place(item, STILL) for item in items], [cutting_bounds(item) for item in items]
-    rng, count = np.random.default_rng(17), 900
+    rng, count = np.random.default_rng(17), COUNT
     at = np.stack([rng.integers(-10, 154, count), rng.integers(-10, 130, count)], axis=-1)
     offset = rng.integers(-2, 3, (count, 2)) / 8 if width < 1 else np.zeros((count, 2))
     taps = np.array([(x, y) for y in ROWS for start in (-7, 0) for x in range(start, start + 8)], np.int32)
-    features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1).features()
-    features |= {"OCCLUDED": group.occluders.bit_count(), "LIMITED": features["NAPPE"], "GATHER": gather}
-    features |= {"SOURCES": count, "BOUNDED": 1}  # one program for bodies, and one for cards
+    features = features_of(items, psf, gather, group.occluders.bit_count(), camera)
     buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]
     spread = point_spread(psf)
     run(
@@ -291,15 +306,7 @@ def test_outlines_close_before_a_wall(session: Session, run_source: Runner) -> N
 def test_taps_around_a_source_have_room(session: Session, run_source: Runner) -> None:
     """As many rows and columns on each side of a source, and whole vectors from any of them on."""
     size = empty(session, 4 * 4)
-    text = """
-__kernel void sizes(__global int *size)
-{
-    if (get_global_id(0) > 0)
-        return;
-    size[0] = NARROW_MIDDLE, size[1] = NARROW_ROWS, size[2] = NARROW_LANES, size[3] = LANE_COUNT;
-}
-"""
-    run_source(text, "sizes", "double", {"OCCLUDED": 1, "GATHER": 1}, 1, size)
+    run_source(KERNEL, "sizes", "double", features_of(SCENES["ball"]), 1, size)
     middle, rows, lanes, vector = download(session, size, (4,), np.int32)
     assert 2 * middle < rows
     assert 2 * middle + vector <= lanes

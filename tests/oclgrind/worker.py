@@ -56,13 +56,8 @@ def run(case: Case, log: Path) -> dict[str, Any]:
     seconds = round(time.process_time() - begun, 2)
     now = _read(log)
     report += now[before:] if len(now) >= before else now
-    return {
-        "name": case.name,
-        "about": case.about,
-        "launched": sorted(launched - {"put"}),
-        "seconds": seconds,
-        "report": report,
-    }
+    about = {"name": case.name, "about": case.about, "launched": sorted(launched - {"put"})}
+    return about | {"seconds": seconds, "report": report}
 
 
 @contextmanager

@@ -24,23 +24,10 @@ from clsco.opencl.session import Session, session_on
 
 def fake(name: str, platform: str, kind: str, version: str = "OpenCL 3.0") -> Device:
     return Device(
-        name=name,
-        platform=platform,
-        platform_version=version,
-        driver="1",
-        kind=cast(Any, kind),
-        has_fp64=True,
-        has_int64_atomics=True,
-        correctly_rounded=True,
-        unified_memory=kind == "cpu",
-        alignment=128,
-        max_alloc=2**30,
-        global_mem=2**32,
-        compute_units=2,
-        vector_width=8,
-        max_work_group=1024,
-        handle=cast(cl.Device, None),
-    )
+        name=name, platform=platform, platform_version=version, driver="1", kind=cast(Any, kind), has_fp64=True,
+        has_int64_atomics=True, correctly_rounded=True, unified_memory=kind == "cpu", alignment=128, max_alloc=2**30,
+        global_mem=2**32, compute_units=2, vector_width=8, max_work_group=1024, handle=cast(cl.Device, None),
+    )  # fmt: skip
 
 
 SIMULATOR = fake("Oclgrind Simulator", "Oclgrind", "cpu")

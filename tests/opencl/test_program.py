@@ -161,13 +161,7 @@ def test_float32_arithmetic_has_the_bits_of_numpy(session: Session) -> None:
     expected = np.stack([x * x - y, x / (y + np.float32(1)), np.sqrt(x), x + np.float32(0.1) * y], axis=1)
     buffer = empty(session, expected.nbytes)
     launch(
-        session,
-        kernel(built(session), "arithmetic"),
-        (x.size,),
-        (64,),
-        np.int32(x.size),
-        upload(session, x),
-        buffer,
+        session, kernel(built(session), "arithmetic"), (x.size,), (64,), np.int32(x.size), upload(session, x), buffer
     )
     got = download(session, buffer, expected.shape, np.float32)
     np.testing.assert_array_equal(got.view(np.uint32), expected.view(np.uint32))
