@@ -82,7 +82,7 @@ def test_one_shape_for_all_where_columns_need_it(tmp_path: Path) -> None:
 
 
 def test_large_records_are_not_kept_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("clsco.data.containers.base.MOST_BYTES", 1)
+    monkeypatch.setattr("clsco.data.containers.zarr3.MOST_BYTES", 1)
     records = [record(number, wanted=("color", "depth")) for number in range(3)]
     for form in ONE_SHAPE:
         path = written(tmp_path, form, records)
