@@ -62,10 +62,8 @@ class Look:
 
     def measure(self, name: str) -> float:
         """Value of one of MEASURES."""
-        largest = {"max_blur_px": self.blur, "max_flow_px": self.flow}
-        if name in largest:
-            return float(largest[name].max(initial=0.0))
-        return self.visible if name == "visible_fraction" else self.valid
+        values = dict(zip(MEASURES, (self.blur, self.flow, self.visible, self.valid), strict=True))
+        return float(np.max(np.asarray(values[name]), initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -81,12 +79,8 @@ class _Frame:
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
-    """Cast rays at the variants of a sample, analytic scenes with a resolution; a stereo pair is seen from the left
-    view.
-
-    One cast serves all lenses. Validated against the ground truth of the reference.
-    """
-    by_lens: dict[Scene, list[_Frame]] = {}
+    """Cast rays at the variants of a sample: analytic scenes with a resolution, stereo pairs from the left view."""
+    by_lens: dict[Scene, list[_Frame]] = {}  # one cast serves all lenses
     looks = []
     for scene in scenes:
         key = without_lens(scene)
@@ -114,9 +108,7 @@ def _cast_rays(scene: Scene, number: int) -> _Frame:
 
 
 def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
-    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 where no surface is seen, or the surface moves
-    behind the lens.
-    """
+    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 without a surface, and behind the lens."""
     time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
     x, y = _slopes(scene, time)
@@ -205,10 +197,9 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -> float:
-    """Value of a key of DERIVED that gives a sample the target measure, rounded to DIGITS digits.
+    """Value of a key of DERIVED, rounded to DIGITS digits, that gives the variant with the largest measure the target.
 
-    scenes: the variants; the target is for the variant with the largest measure. Raises UnfitError if no value reaches
-    it.
+    Raises UnfitError if no value reaches it.
     """
     name = ".".join(key)
     if key == ("sequence", "shutter"):

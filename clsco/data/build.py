@@ -1,6 +1,4 @@
-"""Builds the scene file and the scenes of a sample from its drawn values, and scenes of extreme values, so that a
-distribution with invalid scenes is refused when it is read.
-"""
+"""Builds the scene file and the scenes of a sample, and tests scenes of extreme values when a distribution is read."""
 
 from __future__ import annotations
 
@@ -34,7 +32,6 @@ class Builder:
         self._table: dict[str, Any] = copied(parts.scene)
         self._parameters: dict[str, Any] = {}
         self._targets: dict[Location, Any] = {}  # measures that derived keys have to give
-        self._placed: list[tuple[str, Any, Any]] = []  # name, and where a point in the frustum goes
         self._sources: dict[str, str] = {}  # keys of objects as the scene has them, and as the file does
 
     def build(
@@ -71,8 +68,6 @@ class Builder:
     def _set(self, table: Any, location: Location, value: Any, name: str) -> None:
         for part in location[:-1]:
             table = table.setdefault(part, {}) if isinstance(table, dict) else table[part]
-        if isinstance(value, Placed):
-            self._placed.append((name, table, location[-1]))
         table[location[-1]] = self._parameters[name] = copied(value)
 
     def _add(self, population: Population, element: int, value_of: ValueOf) -> None:
@@ -93,7 +88,7 @@ class Builder:
             self._fit(item, population.shapes)
 
     def _fit(self, item: dict[str, Any], shapes: tuple[str, ...]) -> None:
-        """Remove keys of an object that do not belong to the drawn shape, and resolve its placements."""
+        """Remove keys of an object that do not belong to the drawn shape; the apex of a cone is at its center."""
         shape = item.get("shape")
         own = SHAPES[shape].model_fields.keys() if isinstance(shape, str) and shape in SHAPES else set(item)
         others = {key for one in shapes if one in SHAPES for key in SHAPES[one].model_fields}
@@ -101,14 +96,12 @@ class Builder:
             value = item.pop(key)
             if key == "center" and shape == "cone" and "apex" not in item:
                 item["apex"] = value
-                self._placed = [(n, t, "apex" if t is item and k == key else k) for n, t, k in self._placed]
-        self._placed = [(n, t, k) for n, t, k in self._placed if t is not item or k in item]
 
     def _complete(self, noise_seed: int) -> None:
         """Add keys that follow from other keys."""
         if self._parts.sized:
             self._size()
-        if self._placed:
+        if any(isinstance(value, Placed) for value in self._parameters.values()):
             self._place()
         if isinstance(sensor := self._table.get("sensor"), dict):
             sensor.setdefault("noise_seed", noise_seed)
@@ -134,11 +127,9 @@ class Builder:
         camera = parse_sweep({"camera": first, "object": [{"shape": "background"}]}, "").scenes[0].camera
         columns, rows = camera.resolution or (0, 0)
         step = camera.pixel_pitch / camera.normalization_distance
-        for name, table, key in self._placed:
-            table[key] = self._parameters[name] = table[key].point(columns, rows, step)
-        for name, value in self._parameters.items():
-            if isinstance(value, Placed):  # of a shape that has no such key
-                self._parameters[name] = value.point(columns, rows, step)
+        self._table, self._parameters = (
+            _with_points(each, columns, rows, step) for each in (self._table, self._parameters)
+        )
 
     def _derive(self, key: tuple[str, ...], target: float, sweep: Sweep) -> Sweep:
         section, name = key
@@ -166,6 +157,15 @@ def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         return str(folder / name)
 
     return relocated(table, inside)
+
+
+def _with_points(value: Any, columns: int, rows: int, step: float) -> Any:
+    """A copy of tables and lists with coordinates of points in the frustum."""
+    if isinstance(value, Placed):
+        return value.point(columns, rows, step)
+    if isinstance(value, dict):
+        return {key: _with_points(entry, columns, rows, step) for key, entry in value.items()}
+    return [_with_points(entry, columns, rows, step) for entry in value] if isinstance(value, list) else value
 
 
 def _first(key: str, value: Any) -> Any:

@@ -109,9 +109,7 @@ class Distribution:
 
 
 def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Parameter, element: int) -> Any:
-    """The value of a parameter for an attempt at a sample and an element of a population; split: position of the
-    sample's split.
-    """
+    """Value of a parameter for an attempt at a sample, and an element of a population; split: the split's position."""
     words = stream_words(seed, number, parameter.name, parameter.form.words, attempt, element)
     return parameter.form.value(words, split)
 
@@ -140,9 +138,11 @@ def load_distribution(
     as "train=0.9,val=0.05,test=0.05". folder: start of the paths of a mapping, by default the current folder. Raises
     SceneError with one message per fault, `file: key: rule; got value`; scenes of extreme values are validated as well.
     """
-    content = distribution if isinstance(distribution, Mapping) else None
-    where = "distribution" if isinstance(distribution, Mapping) else os.fspath(distribution)
-    inside = Folder((folder or Path()).absolute() if content is not None else Path(where).absolute().parent)
+    if isinstance(distribution, Mapping):
+        content, where, inside = distribution, "distribution", Folder((folder or Path()).absolute())
+    else:
+        content, where = None, os.fspath(distribution)
+        inside = Folder(Path(where).absolute().parent)
     shares = splits_of(splits)
     tables = read_tables(where, overrides, inside, content)
     reader = Reader(tables, inside, shares)
@@ -155,16 +155,8 @@ def load_distribution(
         faults = _not_analytic(parts)
     if faults:
         raise SceneError(at_most(where, dict.fromkeys(faults)))
-    return Distribution(
-        where,
-        inside.path,
-        _digest(tables, shares, inside),
-        shares,
-        parts,
-        accept,
-        tables,
-        _recipe(where, content, tables, overrides),
-    )
+    digest, recipe = _digest(tables, shares, inside), _recipe(where, content, tables, overrides)
+    return Distribution(where, inside.path, digest, shares, parts, accept, tables, recipe)
 
 
 def _recipe(where: str, content: Mapping[str, Any] | None, tables: DistributionTables, overrides: Sequence[str]) -> str:
