@@ -33,8 +33,7 @@ def cluster_device(address: str) -> tuple[str, str]:
     """Device family and precision of a cluster's worker. Raises ClscoError if there is no worker."""
     distributed = _distributed()
     with _client(distributed, address) as client:
-        workers = _workers(client, address)
-        future = client.submit(_described, _per_host(workers), pure=False, resources=_resources(workers))
+        future = _submit(client, _workers(client, address), _describe)
         try:
             family, precision = future.result(timeout=WORKERS_S)
         except TimeoutError:
@@ -61,9 +60,7 @@ def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Calla
                 workers = _workers(client, address)
                 while schedule.waiting and len(running) < _room(workers):
                     task = schedule.waiting.popleft()
-                    future = client.submit(
-                        _perform, packed, task, _per_host(workers), pure=False, resources=_resources(workers)
-                    )
+                    future = _submit(client, workers, _perform, packed, task)
                     running[future] = task
                     future.add_done_callback(lambda _: ended.set())
                 ended.wait(LOOK_S)
@@ -137,13 +134,11 @@ def _room(workers: Mapping[str, Any]) -> int:
     return max(1, sum(int(worker["resources"].get(RESOURCE, 1)) for worker in workers.values()))
 
 
-def _resources(workers: Mapping[str, Any]) -> dict[str, int] | None:
-    has = any(RESOURCE in worker["resources"] for worker in workers.values())
-    return {RESOURCE: 1} if has else None
-
-
-def _per_host(workers: Mapping[str, Any]) -> dict[str, int]:
-    return dict(Counter(worker["host"] for worker in workers.values()))
+def _submit(client: Any, workers: Mapping[str, Any], function: Callable[..., object], *arguments: object) -> Any:
+    """Submit a task, whose last argument is the number of workers on each host; returns its future."""
+    per_host = dict(Counter(worker["host"] for worker in workers.values()))
+    declared = any(RESOURCE in worker["resources"] for worker in workers.values())
+    return client.submit(function, *arguments, per_host, pure=False, resources={RESOURCE: 1} if declared else None)
 
 
 def _prepare(per_host: Mapping[str, int]) -> Any:
@@ -154,7 +149,7 @@ def _prepare(per_host: Mapping[str, int]) -> Any:
     return device_of(None)
 
 
-def _described(per_host: Mapping[str, int]) -> tuple[str, str]:
+def _describe(per_host: Mapping[str, int]) -> tuple[str, str]:
     from clsco.data.shards import device_family
 
     with _lock:

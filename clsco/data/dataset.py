@@ -346,7 +346,8 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ATTRIBUTES):
         hint = meant(unknown[0], ATTRIBUTES)
         raise SceneError(f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {unknown[0]}{hint}")
-    shards = _Shards(storage.where, data_set.identity.format, sorted(chosen, key=_shard))
+    by_number = sorted(chosen, key=lambda file: file[0].partition("/")[::-1])  # of the shard, then by split
+    shards = _Shards(storage.where, data_set.identity.format, by_number)
     return Dataset(card, shards, names, range(sum(count for _, count in chosen)))
 
 
@@ -354,12 +355,6 @@ def _in_files(name: str) -> str:
     """Name of an array in files, such as "v01.coc" for "v01.blur_radius"."""
     prefix, dot, kind = name.rpartition(".")
     return f"{prefix}{dot}{FILE_NAMES.get(kind, kind)}"
-
-
-def _shard(file: tuple[str, int]) -> tuple[str, str]:
-    """Sort key of files: the number of the shard, then the split."""
-    split, _, name = file[0].partition("/")
-    return name, split
 
 
 def _card_with_files(data_set: DataSet) -> dict[str, Any]:

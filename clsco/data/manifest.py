@@ -127,31 +127,28 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     try:
         lines = [strict_json(text) for text in data.splitlines()[1:]]
         rows, failures = lines[: part.made], lines[part.made :]
-        if len(lines) != part.count or not (all(map(_is_row, rows)) and all(map(_is_failure, failures))):
+        fit = [*(_fits(row, _ROW) for row in rows), *(_fits(row, _FAILURE) for row in failures)]
+        if len(lines) != part.count or not all(fit) or not all(map(_has_digests, rows)):
             raise ValueError("other values, or fewer lines")
     except ValueError as error:
         raise FileError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
     return rows, failures
 
 
-def _is_row(row: Any) -> bool:
-    """True if a row describes a sample that is in a file."""
-    types = {"file": str, "split": str, "parameters": dict, "arrays": dict}
-    if not isinstance(row, dict) or not all(isinstance(row.get(name), kind) for name, kind in types.items()):
+_ROW = {"number": int, "offset": int, "file": str, "split": str, "parameters": dict, "arrays": dict}
+_FAILURE = {"number": int, "error": str, "scene": dict | None}
+
+
+def _fits(row: Any, types: Mapping[str, Any]) -> bool:
+    """True if a row has entries of these types; integers are numbers of samples."""
+    if not isinstance(row, dict) or not all(isinstance(row.get(name, ...), kind) for name, kind in types.items()):
         return False
-    digests = row["arrays"].values()
-    return all(_is_count(row.get(name)) for name in ("number", "offset")) and all(isinstance(d, str) for d in digests)
+    numbers = [row[name] for name, kind in types.items() if kind is int]
+    return all(type(number) is int and 0 <= number <= 10**12 for number in numbers)
 
 
-def _is_failure(row: Any) -> bool:
-    """True if a row describes a failed sample."""
-    if not isinstance(row, dict) or not _is_count(row.get("number")) or not isinstance(row.get("error"), str):
-        return False
-    return isinstance(row.get("scene", ""), dict | None)
-
-
-def _is_count(value: Any) -> bool:
-    return type(value) is int and 0 <= value <= 10**12
+def _has_digests(row: Mapping[str, Any]) -> bool:
+    return all(isinstance(digest, str) for digest in row["arrays"].values())
 
 
 def require_rows(part: ManifestPart, data: bytes) -> None:

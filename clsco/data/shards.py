@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample, ScriptedDistribution
 from clsco.data.failures import is_of_machine
-from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
+from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, part_bytes, part_key
 from clsco.data.record import Record, make_record
+from clsco.data.sets import DataSet
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
 from clsco.errors import FileError, SceneError
@@ -66,7 +67,7 @@ class MadeShard:
     samples: int
     failed: int
     began: float
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float]
 
 
 def device_family(device: Device) -> str:
@@ -117,6 +118,7 @@ class ShardMaker:
     def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
         identity = job.identity
+        self.data_set = DataSet(storage, identity, job.samples)
         self.container: Container = container_named(identity.format)
         self.arrays, self.types = identity.arrays, dict(identity.types)
         self.every = job.distribution.tables.check.get("every", 0) if isinstance(job.distribution, Distribution) else 0
@@ -214,35 +216,19 @@ class ShardMaker:
         key = part_key(made.shard)
         present = self.storage.read(key)
         if present is not None and present != made.part:
-            if self._is_whole(present, made.shard):
+            if self.data_set.done([made.shard], True, []):
                 self._keep_both(made)
             self.storage.remove(key)  # what it names is about to change
         for name, path in made.files.items():
             self.storage.put(name, path)
         self.storage.write(key, made.part)
         took = {name: round(value, 3) for name, value in made.seconds.items()}
-        log: dict[str, Any] = {
-            "shard": made.shard,
-            "samples": made.samples,
-            "failed": made.failed,
-            "began": round(made.began, 3),
-        }
-        log |= {"ended": round(time.time(), 3), "seconds": took, **about}
+        log: dict[str, Any] = {"shard": made.shard, "samples": made.samples, "failed": made.failed}
+        log |= {"began": round(made.began, 3), "ended": round(time.time(), 3), "seconds": took, **about}
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
 
-    def _is_whole(self, data: bytes, shard: int) -> bool:
-        """True if the part of a shard belongs to this set, has all samples, and its files match."""
-        try:
-            part = parsed_part(data)
-        except FileError:
-            return False
-        same = (part.shard, part.identity, part.numbers) == (shard, self.job.identity.digest, self.job.numbers(shard))
-        return same and all(self.storage.digest(name) == digest for name, (_, digest) in part.files.items())
-
     def _keep_both(self, made: MadeShard) -> NoReturn:
-        """Save a shard beside another one that should be identical, and raise: the device of one of the two processes
-        is broken.
-        """
+        """Save a shard beside another one that should be identical, and raise: the device of one process is broken."""
         beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
         for name, path in made.files.items():
             self.storage.put(f"{beside}/{name}", path)
