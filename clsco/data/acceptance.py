@@ -1,7 +1,4 @@
-"""Acceptance of samples, and values derived from their images, by a coarse grid of rays in float64.
-
-Nothing here depends on a device: the same rays are cast for every rendering of a sample.
-"""
+"""Acceptance of samples, and values derived from their images, by a coarse grid of rays in float64, on no device."""
 
 from __future__ import annotations
 
@@ -48,10 +45,9 @@ class UnfitError(SceneError):
 class Look:
     """Surfaces in some frames of a sample, seen by RAYS x RAYS rays on a regular grid over each frame.
 
-    For all rays of these frames that meet a surface: inverse depth in 1/mm, blur radius |R| in px (the background
-    included), and length of the flow to the next frame in px. `valid`: smallest share, over frames, of rays that meet a
-    surface; `visible`: smallest share, over objects and frames, of an object's rays that are not occluded, 0 if an
-    object is outside the frame. A box is one object.
+    Of all rays that meet a surface: inverse depth in 1/mm, blur radius |R| in px (the background included), length of
+    the flow to the next frame in px. `valid`: smallest share, over frames, of rays that meet a surface; `visible`: over
+    objects and frames, of an object's rays that are not occluded, 0 outside the frame. A box is one object.
     """
 
     inverse_depth: Array
@@ -68,14 +64,12 @@ class Look:
 
 @dataclass(frozen=True)
 class _Frame:
-    """Rays through one frame. Surfaces met: (RAYS, RAYS); front: number of the nearest object, -1 for none; hits:
-    (objects, RAYS, RAYS), True if the ray meets the object, occluded or not.
-    """
+    """Rays through one frame. front: number of the nearest object, -1 for none; hits: also of occluded objects."""
 
     number: int
-    w: Array
-    front: NDArray[np.int64]
-    hits: NDArray[np.bool_]
+    w: Array  # (RAYS, RAYS)
+    front: NDArray[np.int64]  # (RAYS, RAYS)
+    hits: NDArray[np.bool_]  # (objects, RAYS, RAYS)
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
@@ -197,7 +191,7 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -> float:
-    """Value of a key of DERIVED, rounded to DIGITS digits, that gives the variant with the largest measure the target.
+    """Value of a key of DERIVED, to DIGITS digits, by which the largest measure of all variants is the target.
 
     Raises UnfitError if no value reaches it.
     """

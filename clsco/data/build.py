@@ -37,10 +37,9 @@ class Builder:
     def build(
         self, value_of: ValueOf, derive: bool = True, noise_seed: int = 0
     ) -> tuple[dict[str, Any], dict[str, Any], Sweep]:
-        """Build a sample from its values: content of its scene file, parameters by name, and scenes.
+        """Build a sample: content of its scene file, parameters by name, and scenes.
 
-        derive: add keys that are derived from its scenes; noise_seed: used for a sensor that has no seed. Raises
-        SceneError, whose messages do not name the file, and UnfitError.
+        noise_seed: of a sensor that has no seed. Raises SceneError without the name of the file, and UnfitError.
         """
         parts = self._parts
         try:
@@ -71,7 +70,6 @@ class Builder:
         table[location[-1]] = self._parameters[name] = copied(value)
 
     def _add(self, population: Population, element: int, value_of: ValueOf) -> None:
-        """Add an object of a population."""
         item: dict[str, Any] = copied(population.constants)
         prefix = f"object.{population.label}."
         for parameter in population.parameters:
@@ -181,9 +179,7 @@ MAX_EXTREMES = 48  # extreme values of one distribution that are tested
 
 
 def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
-    """Messages on scenes of extreme values, without duplicates: all parameters at their lowest, all at their highest,
-    and each extreme of one parameter with the others at their lowest and highest.
-    """
+    """Messages on scenes of extremes: all parameters lowest, all highest, and each extreme of one with both others."""
     faults: dict[str, str] = {}  # by what is asked for
     for corner in _corners(parts):
         try:

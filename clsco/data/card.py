@@ -24,10 +24,9 @@ _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "
 
 
 def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, int]]) -> None:
-    """Complete the card of a set whose shards are all done, and write README.md.
+    """Complete the card of a set whose shards are all done, and write README.md. Raises FileError.
 
-    Existing entries of `dataset.json` stay, such as the license and the distribution. files: names with their number of
-    samples. Raises FileError: the set cannot be read or written.
+    Existing entries of `dataset.json` stay, such as the license. files: names with their number of samples.
     """
     card = json.loads(storage.read(CARD) or b"{}")
     by_split = files_by_split(files)
@@ -59,10 +58,7 @@ class _SampleDescription:
 
 
 def loading_lines(storage: Storage, identity: Identity, by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
-    """Code that loads a set, a line for each package; by_split: files of each split with their numbers of samples.
-
-    It is written from names in the set that were checked, not copied from its card. Raises FileError.
-    """
+    """Code that loads a set, a line for each package, from checked names, not from its card. Raises FileError."""
     first = _describe_sample(storage, identity, _largest_first(by_split))
     return [f"{package}: {code}" for package, code in _loading(identity.format, first).items()] if first.arrays else []
 

@@ -44,10 +44,9 @@ def cluster_device(address: str) -> tuple[str, str]:
 
 
 def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
-    """Make shards on the workers of a cluster, one at a time on each.
+    """Make shards on the workers of a cluster, one at a time on each; advance: called with the number of new samples.
 
-    address: of the scheduler, such as tcp://host:8786; advance: called with the number of samples done since its last
-    call. Raises ClscoError: the scheduler is missing or lost, the storage fails, or a shard cannot be made.
+    Raises ClscoError: the scheduler is missing or lost, the storage fails, or a shard cannot be made.
     """
     distributed = _distributed()
     schedule = Schedule((shard, job.numbers(shard)) for shard in shards)

@@ -35,19 +35,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Population:
-    """Objects of one kind, `count` of them, each with its own values.
+    """Objects of one kind, `count` of them, each with its own values."""
 
-    label: used in names of parameters; entry: position in [[vary.object]]; named: True if the file names it; shapes:
-    shapes that its objects may have.
-    """
-
-    label: str
-    entry: int
-    named: bool
+    label: str  # in names of parameters
+    entry: int  # position in [[vary.object]]
+    named: bool  # by the file
     count: Parameter
     constants: dict[str, Any]
     parameters: tuple[Parameter, ...]
-    shapes: tuple[str, ...]
+    shapes: tuple[str, ...]  # that its objects may have
 
 
 @dataclass(frozen=True)
@@ -57,10 +53,8 @@ class VariedKeys:
     scene: dict[str, Any]
     parameters: tuple[Parameter, ...]
     populations: tuple[Population, ...]
-    derived: tuple[tuple[tuple[str, ...], Any], ...]
-    """Derived keys, each with its target: a number, or the parameter that draws it."""
-    sized: bool
-    """True if samples need a resolution, because rays are cast at them or points are placed in their view."""
+    derived: tuple[tuple[tuple[str, ...], Any], ...]  # keys with targets: a number, or the parameter that draws it
+    sized: bool  # samples need a resolution, because rays are cast at them or points are placed in their view
 
 
 class Reader:

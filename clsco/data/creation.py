@@ -47,9 +47,7 @@ class FailedSamplesError(ClscoError):
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers that make the shards of a set: processes of this machine, or workers of the cluster at the address
-    `scheduler`; with the family and precision of their devices.
-    """
+    """Workers that make the shards of a set: processes of this machine, or those of a cluster, at `scheduler`."""
 
     places: Sequence[Place]
     family: str
@@ -235,10 +233,9 @@ def sample_numbers(count: int | None, only: range | None) -> range:
 
 
 def workers_of(names: Sequence[str], count: int | None) -> Workers:
-    """Processes of this machine: `count` of them, on devices named in part.
+    """Processes of this machine on devices named in part; ("all",): all of the best kind, (): the best one.
 
-    ("all",) means all devices of the best kind, () the best one. Raises DeviceError: no such device, or devices of
-    several families.
+    Raises DeviceError: no such device, or devices of several families.
     """
     from clsco.data.shards import device_family
     from clsco.opencl.device import choose, list_devices

@@ -36,9 +36,9 @@ MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
 
 
 class _Shards:
-    """The shards of a set, each opened at its first use. Threads and processes may share it.
+    """The shards of a set, each opened at its first use; one in an object store is copied until it is closed.
 
-    A shard in an object store is copied when opened; closing removes the copy.
+    Threads and processes may share it.
     """
 
     def __init__(self, where: str, form: str, files: Sequence[tuple[str, int]]) -> None:

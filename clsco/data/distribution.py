@@ -40,41 +40,33 @@ MAX_NUMBER = 2**63 - 1
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample: its drawn values and its scenes.
-
-    split: "" without splits. attempts: number of draws until it was accepted, from 1. parameters: values by name, such
-    as "camera.focus_distance", of types that JSON has. table: content of a scene file that renders the sample by
-    itself, in the folder of the distribution file. labels: one for each variant, as in a sweep; ("",) for a single
-    scene. scenes: one for each label.
-    """
+    """One sample: its drawn values and its scenes."""
 
     number: int
-    split: str
-    attempts: int
-    parameters: dict[str, Any]
-    table: dict[str, Any]
-    labels: tuple[str, ...]
-    scenes: tuple[Scene, ...]
+    split: str  # "" without splits
+    attempts: int  # draws until it was accepted, from 1
+    parameters: dict[str, Any]  # values by name, such as "camera.focus_distance", of types that JSON has
+    table: dict[str, Any]  # content of a scene file for the folder of the distribution file
+    labels: tuple[str, ...]  # one for each variant, as in a sweep; ("",) for a single scene
+    scenes: tuple[Scene, ...]  # one for each label
 
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
     """All samples of a distribution file, as a function of seed and number. It can be pickled.
 
-    where: name of the file; folder: base of its paths, links resolved; digest: SHA-256 of everything that decides
-    samples (the joined tables, the splits, and names and contents of the files that samples may use); accept: measures
-    with lower and upper bounds; tables: content of the file joined with its base and overrides; recipe: the text of
-    these, or of the file itself if it has no base and no overrides.
+    digest: SHA-256 of everything that decides samples: the joined tables, the splits, and names and contents of the
+    files that samples may use.
     """
 
-    where: str
-    folder: Path
+    where: str  # name of the file
+    folder: Path  # base of its paths, links resolved
     digest: str
     splits: Splits
     parts: VariedKeys
     accept: Bounds
-    tables: DistributionTables
-    recipe: str
+    tables: DistributionTables  # joined with the base and overrides
+    recipe: str  # text of the tables, or of the file itself if it has no base and no overrides
 
     @property
     def about(self) -> dict[str, Any]:
@@ -134,9 +126,8 @@ def load_distribution(
 ) -> Distribution:
     """Read a distribution: a .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
 
-    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. splits: share of each split, such
-    as "train=0.9,val=0.05,test=0.05". folder: start of the paths of a mapping, by default the current folder. Raises
-    SceneError with one message per fault, `file: key: rule; got value`; scenes of extreme values are validated as well.
+    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. folder: start of the paths of a
+    mapping. Raises SceneError with one message per fault; scenes of extreme values are validated as well.
     """
     if isinstance(distribution, Mapping):
         content, where, inside = distribution, "distribution", Folder((folder or Path()).absolute())
@@ -186,23 +177,17 @@ and a mapping of parameters."""
 
 @dataclass(frozen=True)
 class ScriptedDistribution:
-    """All samples that a function draws, as a function of seed and number. Pickling stores the function's name.
-
-    where: name of the function, for messages; folder: start of the paths of textures; source: text of the module, from
-    which the digest is made.
-    """
+    """All samples that a function draws, as a function of seed and number. Pickling stores the function's name."""
 
     function: DrawScene
-    where: str
-    folder: Path
-    source: str
+    where: str  # name of the function, for messages
+    folder: Path  # start of the paths of textures
+    source: str  # text of the module
     splits: Splits
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the known inputs of samples: source text and name of the function, splits, and the version of
-        NumPy, whose generators may change.
-        """
+        """SHA-256 of known inputs of samples, among them the version of NumPy, whose generators may change."""
         content = [VERSION, self.function.__qualname__, self.source, np.__version__, self.splits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
@@ -212,10 +197,7 @@ class ScriptedDistribution:
         return {"recipe": self.source, "function": self.function.__qualname__}
 
     def draw(self, seed: int, number: int) -> Sample:
-        """Draw a sample; arguments and errors as of `Distribution.draw`.
-
-        The generator is NumPy's Philox with the key (seed, number): its bits depend on nothing else.
-        """
+        """Draw a sample as `Distribution.draw` does; its generator is NumPy's Philox with the key (seed, number)."""
         check_numbers(seed, number)
         position = split_of(self.splits, seed, number)
         rng = np.random.Generator(np.random.Philox(key=[seed, number]))
@@ -255,8 +237,7 @@ class ScriptedDistribution:
 def _sweep_of(content: Any, noise_seed: int) -> Sweep:
     """Scenes of what a function gives: a scene, a list of scenes, or a file or mapping with several values.
 
-    noise_seed: of the first scene, for sensors that have none; each further variant is another exposure. Raises
-    SceneError.
+    noise_seed: of the first scene, for sensors that have none; each further variant is another exposure.
     """
     if isinstance(content, list):
         sweep = Sweep(tuple(f"v{k:02d}" for k in range(len(content))), tuple(map(scene_of, content)))

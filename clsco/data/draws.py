@@ -42,10 +42,9 @@ def name_hash(name: str) -> tuple[int, int]:
 
 
 def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
-    """Words (count,) of a parameter of a sample, or of one element of a population.
+    """Words (count,) of a parameter of a sample, or of one element of a population, of Philox4x64-10.
 
-    The words are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element +
-    2^32 attempt, hash of the name).
+    Key: (seed, number); counter: (block of four words, element + 2^32 attempt, hash of the name).
     """
     first, second = name_hash(name)
     counter = (element + (attempt << 32)) << 64 | first << 128 | second << 192
@@ -139,8 +138,7 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 def splits_of(splits: SplitsLike) -> Splits:
     """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05" or "train=80,test=20"; None or "": no splits.
 
-    Raises SceneError: names must be valid for folders and differ, also without regard to case; shares must be positive
-    and add up to 1, or be integers.
+    Raises SceneError. Names must be valid for folders, and differ without regard to case.
     """
     if not splits:
         return ()

@@ -42,35 +42,29 @@ class Summary:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of `dry_run`: forecast for a set of `count` samples from `looked_at` of them, evenly spaced.
-
-    `splits`: share of each split; `attempts`: number of draws; `failed`: messages of samples that cannot be drawn or
-    rendered; `frames`: mean number of frames per sample, over all variants and views. From the rendered samples:
-    `bytes`, mean size of a sample by array before compression; `seconds` for the set with one process; `basis`: which
-    samples these come from, or why they are unknown. `fails`: True if each sample that was rendered failed.
-    """
+    """Forecast for a set of `count` samples from `looked_at` of them, evenly spaced."""
 
     count: int
-    splits: dict[str, float]
+    splits: dict[str, float]  # share of each split
     looked_at: int
     parameters: tuple[Summary, ...]
-    attempts: int
-    failed: tuple[str, ...]
+    attempts: int  # number of draws
+    failed: tuple[str, ...]  # messages of samples that cannot be drawn or rendered
     measures: tuple[Summary, ...]
-    frames: float
-    bytes: dict[str, float]
-    seconds: float | None
-    basis: str
+    frames: float  # mean number per sample, over all variants and views
+    bytes: dict[str, float]  # mean size of a rendered sample by array, before compression
+    seconds: float | None  # for the set with one process
+    basis: str  # samples that bytes and seconds come from, or why these are unknown
     sheet: Path | None
-    fails: bool
+    fails: bool  # each sample that was rendered failed
 
 
 def dry_run(
     distribution: Distribution, seed: int, count: int, *, arrays: Sequence[str], sheet_path: Path | None = None
 ) -> DryRun:
-    """Draw and render some samples to forecast a data set. Raises SceneError if no sample can be drawn.
+    """Draw and render some samples to forecast a data set; sheet_path: PNG for their pictures, if there is a device.
 
-    arrays: names as in files; sheet_path: PNG for pictures of the rendered samples, if there is a device.
+    Raises SceneError if no sample can be drawn.
     """
     many = min(count, MOST_DRAWN)
     samples, failed = list[Sample](), list[str]()

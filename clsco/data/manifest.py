@@ -24,23 +24,19 @@ UNSPLIT = "data"  # folder of the shards of a set without splits
 
 @dataclass(frozen=True)
 class Identity:
-    """Everything that decides the bytes of a set except its number of samples.
+    """Everything that decides the bytes of a set except its number of samples."""
 
-    distribution: digest; first: number of the first sample; arrays: names as in files; precision: of the geometry,
-    "double" or "single"; version: of clsco; types: of arrays that are not stored in their default type.
-    """
-
-    distribution: str
+    distribution: str  # digest
     seed: int
-    first: int
+    first: int  # number of the first sample
     shard_size: int
     format: str
-    arrays: tuple[str, ...]
-    precision: str
+    arrays: tuple[str, ...]  # names as in files
+    precision: str  # of the geometry, "double" or "single"
     splits: tuple[tuple[str, float], ...]
-    version: str
+    version: str  # of clsco
     device_family: str
-    types: tuple[tuple[str, str], ...] = ()
+    types: tuple[tuple[str, str], ...] = ()  # of arrays that are not stored in their default type
 
     @property
     def digest(self) -> str:
@@ -63,19 +59,16 @@ class Identity:
 
 @dataclass(frozen=True)
 class ManifestPart:
-    """A shard's part of the manifest, for `count` samples from number `first`.
-
-    identity: digest of the set's `Identity`; files: (size, SHA-256) by key; rows: SHA-256 of the lines that follow.
-    """
+    """A shard's part of the manifest, for `count` samples from number `first`."""
 
     shard: int
-    identity: str
+    identity: str  # digest of the set's `Identity`
     first: int
     count: int
     made: int
     failed: int
-    files: Mapping[str, tuple[int, str]]
-    rows: str
+    files: Mapping[str, tuple[int, str]]  # (size, SHA-256) by key
+    rows: str  # SHA-256 of the lines that follow
 
     @property
     def numbers(self) -> range:
@@ -168,10 +161,7 @@ def numbers_of(shard: int, samples: range, size: int) -> range:
 
 
 class Merged:
-    """Merges the lines and files of all parts of a set, which must be added in order.
-
-    The lines stay in the storage's scratch folder until `put`.
-    """
+    """Merges the lines and files of all parts, added in order; lines stay in the scratch folder until `put`."""
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage

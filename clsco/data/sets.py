@@ -85,9 +85,7 @@ class DataSet:
         return whole
 
     def _file_fault(self, part: ManifestPart, data: bytes, sizes: dict[str, dict[str, int]] | None) -> str:
-        """Message on the first fault of a part's files, "" for none; sizes: of files by folder, None to compare
-        hashes.
-        """
+        """Message on the first fault of a part's files, or ""; sizes: of files by folder, None to compare hashes."""
         if sizes is None:
             manifest.require_rows(part, data)
         for name, (size, digest) in part.files.items():
@@ -140,8 +138,7 @@ def open_set(storage: Storage) -> DataSet:
 def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
     """The card of the stored set if `new` may resume it, {} for an empty storage, or a set of which nothing was made.
 
-    Raises SceneError: the stored set is another one or has more samples, resuming was not asked for, or the folder has
-    other files.
+    Raises SceneError: another set, one with more samples, or other files are there, or `resumes` is False.
     """
     storage, where = new.storage, new.storage.where
     if storage.read(CARD) is None:
@@ -173,17 +170,13 @@ def _made_some(part: bytes) -> bool:
 
 @dataclass(frozen=True, repr=False)
 class Status:
-    """Progress of a set: its number of shards and samples, and those done.
-
-    `done`: parts of complete shards by number; `faults`: a line for each part whose shard is incomplete; `rate`:
-    samples per second over the latest shards, of all processes together, None if unknown.
-    """
+    """Progress of a set: its number of shards and samples, and those done."""
 
     shards: int
     samples: int
-    done: Mapping[int, ManifestPart]
-    faults: tuple[str, ...]
-    rate: float | None
+    done: Mapping[int, ManifestPart]  # parts of complete shards by number
+    faults: tuple[str, ...]  # a line for each part whose shard is incomplete
+    rate: float | None  # samples per second over the latest shards, of all processes together
 
     def __repr__(self) -> str:
         return f"<Status: {self.made} of {self.samples} samples made, {self.failed} failed>"
@@ -226,8 +219,7 @@ def status_of(
 def finish(data_set: DataSet, own: Sequence[int] | None = None) -> Status:
     """Measure the progress of a set; if it is complete, merge its manifest and complete its card.
 
-    Each part is read once. While some are missing, only the parts of the shards `own` are read, so that the total work
-    of many jobs grows linearly with the number of shards.
+    Each part is read once; while some are missing, only those of `own`, so that many jobs do not read all parts each.
     """
     if {part_key(shard) for shard in data_set.shards} - set(data_set.part_keys()):
         return status_of(data_set, shards=own)

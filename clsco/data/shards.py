@@ -71,20 +71,14 @@ class MadeShard:
 
 
 def device_family(device: Device) -> str:
-    """Name of the family of devices that give the same bits.
-
-    For processors, it names the driver and the vector width, not the model; for other devices also the model.
-    """
+    """Name of the family of devices that give the same bits; for processors without the model."""
     if device.kind == "cpu":
         return f"cpu, {device.platform} {device.driver}, vectors of {device.vector_width} floats"
     return f"{device.kind}, {device.platform}, {device.name}, {device.driver}"
 
 
 class SampleRenderer:
-    """Renders samples one after the other on one device; data that samples share stay in memory.
-
-    arrays: names as in files; without "color" no image is rendered. precision: of the geometry.
-    """
+    """Renders samples on one device; data that they share stay in memory. Without "color" no image is rendered."""
 
     def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:
         self.device = device
@@ -95,10 +89,7 @@ class SampleRenderer:
         self._before: Scene | None = None
 
     def render(self, sample: Sample) -> list[list[Frame]]:
-        """Frames of each variant of a sample; the views of a stereo pair follow each other, left first.
-
-        Raises as `clsco.render`.
-        """
+        """Frames of each variant of a sample; of a stereo pair, the left view is first. Raises as `clsco.render`."""
         sweep = Sweep(sample.labels, sample.scenes)
         prepared = prepare_sweep(sweep, self.request, self.device, self.files)
         bare = without_lens(sample.scenes[0])
@@ -110,10 +101,7 @@ class SampleRenderer:
 
 
 class ShardMaker:
-    """Makes shards of a set, one after the other, on one device.
-
-    overlapped: a second thread encodes samples while the next ones are rendered.
-    """
+    """Makes shards of a set on one device; overlapped: a thread encodes samples while the next ones are rendered."""
 
     def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
@@ -133,9 +121,8 @@ class ShardMaker:
     ) -> MadeShard:
         """Make the files of a shard in the scratch folder, with all samples or those in `numbers`.
 
-        failed: samples to skip, with their messages; advance: called after each sample. A sample that cannot be drawn
-        or rendered becomes a failure. Raises ClscoError: the machine fails (`is_of_machine`), or files cannot be
-        written.
+        failed: samples to skip, with their messages; advance: called after each sample. Raises ClscoError if the
+        machine fails (`is_of_machine`), or files cannot be written; other samples that fail are noted.
         """
         began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
         rows: dict[int, dict[str, Any]] = {}
@@ -210,8 +197,7 @@ class ShardMaker:
     def deliver(self, made: MadeShard, about: Mapping[str, Any]) -> None:
         """Move the files of a shard to the set, then its part, and log how long it took.
 
-        about: description of the process, for the log. Raises FileError if another process has made the shard with
-        other bytes; then both are kept.
+        about: the process. Raises FileError if another one has made other bytes; then both are kept.
         """
         key = part_key(made.shard)
         present = self.storage.read(key)

@@ -44,10 +44,7 @@ class DistributionTables:
 def read_tables(
     where: str, overrides: Sequence[str], folder: Folder, content: Mapping[str, Any] | None = None
 ) -> DistributionTables:
-    """Read a distribution file with its bases, and apply overrides; content: content of the file, if known.
-
-    Raises SceneError.
-    """
+    """Read a distribution file, or its content, with its bases, and apply overrides. Raises SceneError."""
     data = read_mapping(where, ()) if content is None else _plain(content, where)
     is_joined = "base" in data
     data = _with_base(data, where, where, folder, [])

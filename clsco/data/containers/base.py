@@ -60,9 +60,9 @@ class ShardReader(ABC):
 class Container:
     """A format that holds the records of a shard in one file, or in one folder.
 
-    suffix: end of a shard's name, "" for a folder without one. write: takes a new local path and records, few of which
-    are in memory at a time; the same records give the same bytes. read: takes a local path, and raises FileError if the
-    shard is incomplete. needs: a module, and the extra of clsco that installs it.
+    suffix: end of a shard's name. write: takes a new local path and records, few of which are in memory at a time; the
+    same records give the same bytes. read: takes a local path, and raises FileError if the shard is incomplete. needs:
+    a module, and the extra of clsco that installs it.
     """
 
     name: str
@@ -97,10 +97,7 @@ _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4
 
 
 def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, bytes]:
-    """Extension and content of the file of an array; path: for messages.
-
-    The same array gives the same bytes. Raises FileError: the extra `formats` is missing.
-    """
+    """Extension and content of an array's file, always the same; path: for messages. Raises MissingDependencyError."""
     if raw:
         return "npy", npy_bytes(array)
     if is_png(array.dtype.name, array.shape):

@@ -1,7 +1,4 @@
-"""HDF5: a group per sample with a dataset per array, and `meta`, a string of JSON.
-
-Read back with h5py.
-"""
+"""HDF5: a group per sample with a dataset per array, and `meta`, a string of JSON. Read back with h5py."""
 
 from __future__ import annotations
 

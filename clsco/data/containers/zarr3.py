@@ -28,9 +28,7 @@ MOST_SAMPLES, MOST_BYTES = 16, 2**26  # of a block of records in memory
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records with the same arrays, each of one type and size, to a new folder, compressed by Zstandard 3 or
-    `raw`.
-    """
+    """Write records with the same arrays, each of one type and size, to a new folder, by Zstandard 3 or `raw`."""
     zarr = import_extra(path, *NEEDS)
     compressors = None if raw else zarr.codecs.ZstdCodec(level=3)
     texts: list[bytes] = []
@@ -59,10 +57,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 
 
 def _blocks(path: Path, records: Iterable[Record]) -> Iterator[tuple[base.Layout, int, list[Record]]]:
-    """Layout of all records, largest number of records in a block, and the records of a block.
-
-    Raises FileError: two records have different layouts, or there is no record.
-    """
+    """Layout of all records, largest number of records in a block, and the records of a block. Raises FileError."""
     following = iter(records)
     if (first := next(following, None)) is None:
         raise_file_error(path, "zarr must have a sample", "none")
