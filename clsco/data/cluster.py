@@ -16,7 +16,7 @@ from clsco import __version__
 from clsco.data.failures import failure_of
 from clsco.data.pool import DIED, Schedule, ShardTask, device_of, limit_threads, perform, stoppable
 from clsco.data.storage import open_storage
-from clsco.errors import ClscoError, DeviceError, import_extra
+from clsco.errors import ClscoError, import_extra
 from clsco.resources import processors
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tup
 
 
 def _maker(packed: bytes, per_host: Mapping[str, int]) -> ShardMaker:
-    from clsco.data.shards import ShardMaker, device_family
+    from clsco.data.shards import ShardMaker
 
     name = hashlib.sha256(packed).hexdigest()
     if name not in _makers:
@@ -180,9 +180,6 @@ def _maker(packed: bytes, per_host: Mapping[str, int]) -> ShardMaker:
             rule = f"worker: must have version {job.identity.version} of clsco"
             raise ClscoError(f"{rule}; got {__version__}") from OSError()
         device, storage = _prepare(per_host), open_storage(job.where)
-        if device_family(device) != job.identity.device_family:
-            rule = f"device: all of a set must be of the family {job.identity.device_family}"
-            raise DeviceError(f"{rule}; got {device_family(device)}") from OSError()
         storage.tidy()
         _makers.clear()
         _makers[name] = ShardMaker(job, storage, device, device.kind != "cpu")

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from clsco.data.failures import failure_of
 from clsco.data.storage import open_storage
 from clsco.engine.child import Child, at_forced_end, how_ended
-from clsco.errors import ClscoError, DeviceError
+from clsco.errors import ClscoError
 from clsco.resources import processors, resident_bytes
 
 if TYPE_CHECKING:
@@ -128,9 +128,6 @@ class _Pool:
             raise ClscoError(content[0])
         if kind == "ready":
             worker.is_ready, self.failed_starts = True, 0
-            family = self.job.identity.device_family
-            if content[0] != family:
-                raise DeviceError(f"device: all of a set must be of the family {family}; got {content[0]}")
         elif kind == "progress":
             self._count(*content)
         else:
@@ -220,10 +217,10 @@ def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool
     at_forced_end(storage.close)
     try:
         device = device_of(name)
-        from clsco.data.shards import ShardMaker, device_family
+        from clsco.data.shards import ShardMaker
 
         maker = ShardMaker(job, storage, device, overlapped)
-        pipe.send(("ready", device_family(device)))
+        pipe.send(("ready",))
         while (task := pipe.recv()) is not None:
             pipe.send(_answer(maker, task, pipe))
     except (ClscoError, OSError) as error:

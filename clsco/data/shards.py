@@ -24,7 +24,7 @@ from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
-from clsco.errors import FileError, SceneError
+from clsco.errors import DeviceError, FileError, SceneError
 from clsco.files.atomic import file_digests
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ATTRIBUTES
@@ -106,6 +106,9 @@ class ShardMaker:
     def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
         identity = job.identity
+        if device_family(device) != identity.device_family:
+            rule = f"device: all of a set must be of the family {identity.device_family}"
+            raise DeviceError(f"{rule}; got {device_family(device)}") from OSError()  # so that it ends the run
         self.data_set = DataSet(storage, identity, job.samples)
         self.container: Container = container_named(identity.format)
         self.arrays, self.types = identity.arrays, dict(identity.types)
