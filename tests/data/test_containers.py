@@ -134,8 +134,7 @@ def test_unknown_and_missing_formats(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*zarr\+raw; got tar"):
         container_named("tar")
     monkeypatch.setattr("clsco.data.containers.find_spec", lambda name: None)
-    with pytest.raises(
-        MissingDependencyError, match=r"format: hdf5 needs h5py: pip install 'clsco\[data\]'; got no such module"
-    ):
+    message = r"format: hdf5 needs h5py: pip install 'clsco\[data\]'; got no such module"
+    with pytest.raises(MissingDependencyError, match=message):
         container_named("hdf5")
     assert container_named("webdataset+raw").name == "webdataset+raw"  # needs nothing

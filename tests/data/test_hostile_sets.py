@@ -185,12 +185,8 @@ def test_what_json_cannot_hold_is_not_written(tmp_path: Path) -> None:
         ({"files": {"train": [["train/000000.tar", -1]]}}, "must list the files of a data set"),
         ({"files": {"train": [["train/000000.tar", 10**30]]}}, "must list the files of a data set"),
         ({"files": ["train"]}, "must list the files of a data set"),
-        (
-            {"files": {"train": [["train/000000.tar", 2]]}},
-            r"000000\.tar: must hold 2 samples, as dataset.json says; got",
-        ),
+        ({"files": {"train": [["train/000000.tar", 2]]}}, r"\.tar: must hold 2 samples, as dataset.json says; got"),
         ({"identity": {"format": ["webdataset"]}}, "must describe a data set"),
-        ({"identity": {}}, "must describe a data set"),
     ],
 )
 def test_cards_of_strangers(values: dict[str, Any], rule: str, tmp_path: Path) -> None:
