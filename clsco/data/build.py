@@ -53,7 +53,12 @@ class Builder:
                 count = self._parameters[population.count.name] = value_of(population.count, 0)
                 for element in range(count):
                     self._add(population, element, value_of)
-            self._complete(noise_seed)
+            if self._parts.sized:
+                self._size()
+            if any(isinstance(value, Placed) for value in self._parameters.values()):
+                self._place()
+            if isinstance(sensor := self._table.get("sensor"), dict):
+                sensor.setdefault("noise_seed", noise_seed)
             sweep = parse_sweep(self._table, "")
             for key, target in parts.derived if derive else ():
                 sweep = self._derive(key, self._targets[key] if isinstance(target, Parameter) else target, sweep)
@@ -94,15 +99,6 @@ class Builder:
             value = item.pop(key)
             if key == "center" and shape == "cone" and "apex" not in item:
                 item["apex"] = value
-
-    def _complete(self, noise_seed: int) -> None:
-        """Add keys that follow from other keys."""
-        if self._parts.sized:
-            self._size()
-        if any(isinstance(value, Placed) for value in self._parameters.values()):
-            self._place()
-        if isinstance(sensor := self._table.get("sensor"), dict):
-            sensor.setdefault("noise_seed", noise_seed)
 
     def _size(self) -> None:
         """Give a camera without a resolution that of the first texture."""

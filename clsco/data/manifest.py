@@ -120,8 +120,9 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     try:
         lines = [strict_json(text) for text in data.splitlines()[1:]]
         rows, failures = lines[: part.made], lines[part.made :]
-        fit = [*(_fits(row, _ROW) for row in rows), *(_fits(row, _FAILURE) for row in failures)]
-        if len(lines) != part.count or not all(fit) or not all(map(_has_digests, rows)):
+        fit = [_fits(row, _ROW) and all(isinstance(digest, str) for digest in row["arrays"].values()) for row in rows]
+        fit += [_fits(row, _FAILURE) for row in failures]
+        if len(lines) != part.count or not all(fit):
             raise ValueError("other values, or fewer lines")
     except ValueError as error:
         raise FileError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
@@ -138,10 +139,6 @@ def _fits(row: Any, types: Mapping[str, Any]) -> bool:
         return False
     numbers = [row[name] for name, kind in types.items() if kind is int]
     return all(type(number) is int and 0 <= number <= 10**12 for number in numbers)
-
-
-def _has_digests(row: Mapping[str, Any]) -> bool:
-    return all(isinstance(digest, str) for digest in row["arrays"].values())
 
 
 def require_rows(part: ManifestPart, data: bytes) -> None:

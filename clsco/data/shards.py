@@ -11,7 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,8 +205,13 @@ class ShardMaker:
         key = part_key(made.shard)
         present = self.storage.read(key)
         if present is not None and present != made.part:
-            if self.data_set.done([made.shard], True, []):
-                self._keep_both(made)
+            if self.data_set.done([made.shard], True, []):  # the device of one of the two processes is broken
+                beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
+                for name, path in made.files.items():
+                    self.storage.put(f"{beside}/{name}", path)
+                self.storage.write(f"{beside}/{key}", made.part)
+                rule = "all that make a shard must make the same bytes"
+                raise FileError(f"{key}: {rule}; got others, which are in {beside}") from OSError(rule)
             self.storage.remove(key)  # what it names is about to change
         for name, path in made.files.items():
             self.storage.put(name, path)
@@ -215,15 +220,6 @@ class ShardMaker:
         log: dict[str, Any] = {"shard": made.shard, "samples": made.samples, "failed": made.failed}
         log |= {"began": round(made.began, 3), "ended": round(time.time(), 3), "seconds": took, **about}
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
-
-    def _keep_both(self, made: MadeShard) -> NoReturn:
-        """Save a shard beside another one that should be identical, and raise: the device of one process is broken."""
-        beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
-        for name, path in made.files.items():
-            self.storage.put(f"{beside}/{name}", path)
-        self.storage.write(f"{beside}/{part_key(made.shard)}", made.part)
-        rule = "all that make a shard must make the same bytes"
-        raise FileError(f"{part_key(made.shard)}: {rule}; got others, which are in {beside}") from OSError(rule)
 
     def drop(self, made: MadeShard) -> None:
         """Remove the files of a shard from the scratch folder."""
