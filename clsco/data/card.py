@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,13 +71,12 @@ def _largest_first(by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[st
 def _describe_sample(storage: Storage, identity: Identity, files: Sequence[str]) -> _SampleDescription:
     if not files:
         return _SampleDescription()
-    with closing(CONTAINERS[identity.format].read(storage.local(files[0]))) as reader:
-        arrays = reader.record(0, ()).meta["arrays"]
-        key = reader.keys[0]
+    reader = CONTAINERS[identity.format].read(storage.local(files[0]))
+    arrays = reader.record(0, ()).meta["arrays"]
     for about in arrays.values():
         about.pop("clipped", None)  # of this sample alone
         about["encoding"] = _encoding(identity.format, about)
-    return _SampleDescription(files[0], key, arrays)
+    return _SampleDescription(files[0], reader.keys[0], arrays)
 
 
 def _encoding(form: str, about: Mapping[str, Any]) -> str:

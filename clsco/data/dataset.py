@@ -32,7 +32,7 @@ from clsco.scene.text import meant
 if TYPE_CHECKING:
     from clsco.data.record import Record
 
-MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
+MOST_COPIES = 16  # of shards in an object store, beside each other
 
 
 class _Shards:
@@ -47,17 +47,11 @@ class _Shards:
         self._begin()
 
     def _begin(self) -> None:
-        self._process = os.getpid()
-        self._lock = threading.Lock()
-        self._storage: Storage | None = None
-        self._readers: dict[int, tuple[ShardReader, threading.Lock]] = {}
-        self._open: OrderedDict[int, None] = OrderedDict()
+        self._process, self._lock = os.getpid(), threading.Lock()
+        self._readers: OrderedDict[int, tuple[ShardReader, threading.Lock]] = OrderedDict()  # the latest used last
 
-    def __getstate__(self) -> tuple[str, str, tuple[tuple[str, int], ...]]:
-        return self.where, self.form, self.files
-
-    def __setstate__(self, state: tuple[str, str, tuple[tuple[str, int], ...]]) -> None:
-        self.__init__(*state)  # type: ignore[misc]
+    def __reduce__(self) -> tuple[type[_Shards], tuple[Any, ...]]:
+        return _Shards, (self.where, self.form, self.files)
 
     def record(self, place: int, names: frozenset[str] | None) -> Record:
         number = bisect_right(self.ends, place)
@@ -70,40 +64,29 @@ class _Shards:
         return self._reader(number)[0].keys[place - self.ends[number] + self.files[number][1]]
 
     def _reader(self, number: int) -> tuple[ShardReader, threading.Lock]:
-        if self._process != os.getpid():  # after a fork: what is open belongs to the parent
+        if self._process != os.getpid():  # after a fork: copies belong to the parent
             self._begin()
         with self._lock:
+            storage = open_storage(self.where)
             if number not in self._readers:
-                self._readers[number] = (self._opened(*self.files[number]), threading.Lock())
-            self._open[number] = None
-            self._open.move_to_end(number)
-            if len(self._open) > MOST_OPEN:
-                oldest = self._open.popitem(last=False)[0]
-                reader, lock = self._readers[oldest]
+                self._readers[number] = (self._opened(storage, *self.files[number]), threading.Lock())
+            self._readers.move_to_end(number)
+            if len(self._readers) > MOST_COPIES and not storage.is_local:
+                oldest, lock = self._readers.popitem(last=False)[1]
                 with lock:
-                    reader.close()
-                    if not self._stored.is_local:
-                        del self._readers[oldest]
-                        remove_path(reader.path)
+                    remove_path(oldest.path)
             return self._readers[number]
 
-    @property
-    def _stored(self) -> Storage:
-        if self._storage is None:
-            self._storage = open_storage(self.where)
-        return self._storage
-
-    def _opened(self, file: str, count: int) -> ShardReader:
-        path = self._stored.local(file)
+    def _opened(self, storage: Storage, file: str, count: int) -> ShardReader:
+        path = storage.local(file)
         reader = container_named(self.form).read(path)
         if len(reader) != count:
             raise_file_error(path, f"must hold {count} samples, as {CARD} says", len(reader))
         return reader
 
     def close(self) -> None:
-        for reader, _ in self._readers.values():
-            reader.close()
-            if not self._stored.is_local:
+        if not open_storage(self.where).is_local:
+            for reader, _ in self._readers.values():
                 remove_path(reader.path)
         self._begin()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -126,9 +126,9 @@ def _verify_shard(data_set: DataSet, shard: int) -> Iterator[str]:
         return
     for key in sorted({row["file"] for row in rows}):
         try:
-            with closing(container_named(data_set.identity.format).read(data_set.storage.local(key))) as reader:
-                for row in (row for row in rows if row["file"] == key):
-                    yield from _compared(f"{key}: sample {row['number']}", data_set, row, reader[row["offset"]])
+            reader = container_named(data_set.identity.format).read(data_set.storage.local(key))
+            for row in (row for row in rows if row["file"] == key):
+                yield from _compared(f"{key}: sample {row['number']}", data_set, row, reader[row["offset"]])
         except (ClscoError, IndexError) as error:
             yield f"{key}: must be read; got {error}"
 
@@ -171,10 +171,10 @@ def _verify_sample(
 
 def _stored(data_set: DataSet, row: Mapping[str, Any]) -> Record:
     """The record of a sample, from its line in the manifest."""
-    with closing(container_named(data_set.identity.format).read(data_set.storage.local(row["file"]))) as reader:
-        if row["offset"] >= len(reader):
-            raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
-        record = reader[row["offset"]]
+    reader = container_named(data_set.identity.format).read(data_set.storage.local(row["file"]))
+    if row["offset"] >= len(reader):
+        raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
+    record = reader[row["offset"]]
     kinds = {"scene": dict, "frames": list, "split": str, "attempts": int, "parameters": dict}
     for name, kind in kinds.items():
         if not isinstance(record.meta.get(name), kind):

@@ -107,7 +107,7 @@ def test_it_is_small_when_it_is_pickled(folder: Path) -> None:
 
 
 def test_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsco.data.dataset.MOST_OPEN", 2)
+    monkeypatch.setattr("clsco.data.dataset.MOST_COPIES", 2)
     opened = clsco.data.open(folder, arrays=("depth",))
     with ThreadPoolExecutor(4) as threads:
         found = list(threads.map(lambda index: opened[index].meta["number"], list(range(9)) * 5))
@@ -194,7 +194,7 @@ def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fsspec = pytest.importorskip("fsspec")
-    monkeypatch.setattr("clsco.data.dataset.MOST_OPEN", 1)
+    monkeypatch.setattr("clsco.data.dataset.MOST_COPIES", 1)
     memory, folders = fsspec.filesystem("memory"), [make_set(tmp_path / name, form) for name in ("one", "two")]
     memory.store.clear()
     memory.pseudo_dirs[:] = [""]

@@ -27,10 +27,7 @@ from clsco.files.strict_json import strict_json
 
 
 class ShardReader(ABC):
-    """The records of a shard, in the order in which they were written.
-
-    Files are opened for the first record; a closed reader opens them again. A reader is for one thread at a time.
-    """
+    """The records of a shard, in the order in which they were written. Files are open only while a record is read."""
 
     def __init__(self, path: Path, keys: Iterable[str]) -> None:
         self.path = path
@@ -42,9 +39,6 @@ class ShardReader(ABC):
 
         names: arrays, by full name or by kind; other arrays are not read if the format stores them apart.
         """
-
-    def close(self) -> None:  # noqa: B027, some leave nothing open
-        """Close open files."""
 
     def __len__(self) -> int:
         return len(self.keys)
