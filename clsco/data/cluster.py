@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import pickle
@@ -26,7 +25,7 @@ WORKERS_S = 600.0  # s to wait for a cluster's first worker, which may be in a q
 LOOK_S = 1.0  # s between queries of the list of workers
 RESOURCE = "device"  # resource that workers of a cluster declare, if they declare any
 _lock = threading.Lock()  # a process has one device, however many threads take tasks
-_makers: dict[str, ShardMaker] = {}
+_makers: dict[bytes, ShardMaker] = {}  # of the latest set
 
 
 def cluster_device(address: str) -> tuple[str, str]:
@@ -173,8 +172,7 @@ def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tup
 def _maker(packed: bytes, per_host: Mapping[str, int]) -> ShardMaker:
     from clsco.data.shards import ShardMaker
 
-    name = hashlib.sha256(packed).hexdigest()
-    if name not in _makers:
+    if packed not in _makers:
         job: SetJob = pickle.loads(packed)
         if job.identity.version != __version__:
             rule = f"worker: must have version {job.identity.version} of clsco"
@@ -182,5 +180,5 @@ def _maker(packed: bytes, per_host: Mapping[str, int]) -> ShardMaker:
         device, storage = _prepare(per_host), open_storage(job.where)
         storage.tidy()
         _makers.clear()
-        _makers[name] = ShardMaker(job, storage, device, device.kind != "cpu")
-    return _makers[name]
+        _makers[packed] = ShardMaker(job, storage, device, device.kind != "cpu")
+    return _makers[packed]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from clsco.frame.notebook import html_to_show
 from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES
 from clsco.frame.views import Picture
 from clsco.scene.text import meant
-
-if TYPE_CHECKING:
-    from clsco.data.record import Record
 
 MOST_COPIES = 16  # of shards in an object store, beside each other
 
@@ -214,7 +211,7 @@ class Dataset(Sequence[Record]):
         >>> stack["color"].shape, stack["depth"].shape
         ((5, 9, 12, 3), (9, 12))
         """
-        return self.map(stacked)
+        return self.map(Record.stacked)
 
     def to_torch(self) -> Dataset:
         """A view of dictionaries of PyTorch tensors.
@@ -259,11 +256,6 @@ class Dataset(Sequence[Record]):
     def close(self) -> None:
         """Close the shards of this data set and its views; they open again when they are read."""
         self._shards.close()
-
-
-def stacked(record: Record) -> Record:
-    """`Record.stacked` as a function, which spawned workers import."""
-    return record.stacked()
 
 
 def tensors_of(record: Record) -> dict[str, Any]:

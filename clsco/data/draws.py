@@ -34,20 +34,13 @@ _EXP = [1.0 / math.factorial(k) for k in range(13, -1, -1)]
 _ARTANH = [2.0 / k for k in range(23, 0, -2)]
 
 
-@lru_cache(maxsize=4096)
-def name_hash(name: str) -> tuple[int, int]:
-    """The first 128 bits of the SHA-256 of a parameter's name, as two words."""
-    digest = hashlib.sha256(name.encode()).digest()
-    return int.from_bytes(digest[:8], "little"), int.from_bytes(digest[8:16], "little")
-
-
 def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
     """Words (count,) of a parameter of a sample, or of one element of a population, of Philox4x64-10.
 
-    Key: (seed, number); counter: (block of four words, element + 2^32 attempt, hash of the name).
+    Key: (seed, number); counter: (block of four words, element + 2^32 attempt, 128 bits of the name's SHA-256).
     """
-    first, second = name_hash(name)
-    counter = (element + (attempt << 32)) << 64 | first << 128 | second << 192
+    name_hash = int.from_bytes(hashlib.sha256(name.encode()).digest()[:16], "little")
+    counter = (element + (attempt << 32)) << 64 | name_hash << 128
     # NumPy adds 1 to the counter before it makes a block.
     return np.random.Philox(key=seed | number << 64, counter=(counter - 1) % 2**256).random_raw(count)
 
