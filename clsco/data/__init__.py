@@ -18,18 +18,14 @@ if TYPE_CHECKING:
     from clsco.data.dataset import open as open  # noqa: A004
     from clsco.data.record import Record as Record
 
-_HOME = {
-    "make": "clsco.data.creation",
-    "FailedSamplesError": "clsco.data.creation",
-    "open": "clsco.data.dataset",
-    "Dataset": "clsco.data.dataset",
-    "Record": "clsco.data.record",
-    "remake": "clsco.data.copies",
-}
+_MODULES = {
+    "make": "creation", "FailedSamplesError": "creation", "open": "dataset", "Dataset": "dataset", "Record": "record",
+    "remake": "copies",
+}  # fmt: skip
 __all__ = ["Dataset", "FailedSamplesError", "Record", "make", "open", "remake"]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(_HOME[name]), name)
+    if name in _MODULES:
+        return getattr(import_module(f"clsco.data.{_MODULES[name]}"), name)
     raise AttributeError(f"module clsco.data has no attribute {name}")

@@ -1,7 +1,4 @@
-"""Acceptance of samples, and values derived from their images, by a coarse grid of rays in float64.
-
-Nothing here depends on a device: the same rays are cast for every rendering of a sample.
-"""
+"""Acceptance of samples, and values derived from their images, by a coarse grid of rays in float64, on no device."""
 
 from __future__ import annotations
 
@@ -48,10 +45,9 @@ class UnfitError(SceneError):
 class Look:
     """Surfaces in some frames of a sample, seen by RAYS x RAYS rays on a regular grid over each frame.
 
-    For all rays of these frames that meet a surface: inverse depth in 1/mm, blur radius |R| in px (the background
-    included), and length of the flow to the next frame in px. `valid`: smallest share, over frames, of rays that meet a
-    surface; `visible`: smallest share, over objects and frames, of an object's rays that are not occluded, 0 if an
-    object is outside the frame. A box is one object.
+    Of all rays that meet a surface: inverse depth in 1/mm, blur radius |R| in px (the background included), length of
+    the flow to the next frame in px. `valid`: smallest share, over frames, of rays that meet a surface; `visible`: over
+    objects and frames, of an object's rays that are not occluded, 0 outside the frame. A box is one object.
     """
 
     inverse_depth: Array
@@ -62,31 +58,23 @@ class Look:
 
     def measure(self, name: str) -> float:
         """Value of one of MEASURES."""
-        largest = {"max_blur_px": self.blur, "max_flow_px": self.flow}
-        if name in largest:
-            return float(largest[name].max(initial=0.0))
-        return self.visible if name == "visible_fraction" else self.valid
+        values = dict(zip(MEASURES, (self.blur, self.flow, self.visible, self.valid), strict=True))
+        return float(np.max(np.asarray(values[name]), initial=0.0))
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """Rays through one frame. Surfaces met: (RAYS, RAYS); front: number of the nearest object, -1 for none; hits:
-    (objects, RAYS, RAYS), True if the ray meets the object, occluded or not.
-    """
+    """Rays through one frame. front: number of the nearest object, -1 for none; hits: also of occluded objects."""
 
     number: int
-    w: Array
-    front: NDArray[np.int64]
-    hits: NDArray[np.bool_]
+    w: Array  # (RAYS, RAYS)
+    front: NDArray[np.int64]  # (RAYS, RAYS)
+    hits: NDArray[np.bool_]  # (objects, RAYS, RAYS)
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
-    """Cast rays at the variants of a sample, analytic scenes with a resolution; a stereo pair is seen from the left
-    view.
-
-    One cast serves all lenses. Validated against the ground truth of the reference.
-    """
-    by_lens: dict[Scene, list[_Frame]] = {}
+    """Cast rays at the variants of a sample: analytic scenes with a resolution, stereo pairs from the left view."""
+    by_lens: dict[Scene, list[_Frame]] = {}  # one cast serves all lenses
     looks = []
     for scene in scenes:
         key = without_lens(scene)
@@ -114,9 +102,7 @@ def _cast_rays(scene: Scene, number: int) -> _Frame:
 
 
 def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
-    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 where no surface is seen, or the surface moves
-    behind the lens.
-    """
+    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 without a surface, and behind the lens."""
     time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
     x, y = _slopes(scene, time)
@@ -205,10 +191,9 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -> float:
-    """Value of a key of DERIVED that gives a sample the target measure, rounded to DIGITS digits.
+    """Value of a key of DERIVED, to DIGITS digits, by which the largest measure of all variants is the target.
 
-    scenes: the variants; the target is for the variant with the largest measure. Raises UnfitError if no value reaches
-    it.
+    Raises UnfitError if no value reaches it.
     """
     name = ".".join(key)
     if key == ("sequence", "shutter"):

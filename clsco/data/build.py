@@ -1,6 +1,4 @@
-"""Builds the scene file and the scenes of a sample from its drawn values, and scenes of extreme values, so that a
-distribution with invalid scenes is refused when it is read.
-"""
+"""Builds the scene file and the scenes of a sample, and tests scenes of extreme values when a distribution is read."""
 
 from __future__ import annotations
 
@@ -34,16 +32,14 @@ class Builder:
         self._table: dict[str, Any] = copied(parts.scene)
         self._parameters: dict[str, Any] = {}
         self._targets: dict[Location, Any] = {}  # measures that derived keys have to give
-        self._placed: list[tuple[str, Any, Any]] = []  # name, and where a point in the frustum goes
         self._sources: dict[str, str] = {}  # keys of objects as the scene has them, and as the file does
 
     def build(
         self, value_of: ValueOf, derive: bool = True, noise_seed: int = 0
     ) -> tuple[dict[str, Any], dict[str, Any], Sweep]:
-        """Build a sample from its values: content of its scene file, parameters by name, and scenes.
+        """Build a sample: content of its scene file, parameters by name, and scenes.
 
-        derive: add keys that are derived from its scenes; noise_seed: used for a sensor that has no seed. Raises
-        SceneError, whose messages do not name the file, and UnfitError.
+        noise_seed: of a sensor that has no seed. Raises SceneError without the name of the file, and UnfitError.
         """
         parts = self._parts
         try:
@@ -57,7 +53,12 @@ class Builder:
                 count = self._parameters[population.count.name] = value_of(population.count, 0)
                 for element in range(count):
                     self._add(population, element, value_of)
-            self._complete(noise_seed)
+            if self._parts.sized:
+                self._size()
+            if any(isinstance(value, Placed) for value in self._parameters.values()):
+                self._place()
+            if isinstance(sensor := self._table.get("sensor"), dict):
+                sensor.setdefault("noise_seed", noise_seed)
             sweep = parse_sweep(self._table, "")
             for key, target in parts.derived if derive else ():
                 sweep = self._derive(key, self._targets[key] if isinstance(target, Parameter) else target, sweep)
@@ -71,12 +72,9 @@ class Builder:
     def _set(self, table: Any, location: Location, value: Any, name: str) -> None:
         for part in location[:-1]:
             table = table.setdefault(part, {}) if isinstance(table, dict) else table[part]
-        if isinstance(value, Placed):
-            self._placed.append((name, table, location[-1]))
         table[location[-1]] = self._parameters[name] = copied(value)
 
     def _add(self, population: Population, element: int, value_of: ValueOf) -> None:
-        """Add an object of a population."""
         item: dict[str, Any] = copied(population.constants)
         prefix = f"object.{population.label}."
         for parameter in population.parameters:
@@ -93,7 +91,7 @@ class Builder:
             self._fit(item, population.shapes)
 
     def _fit(self, item: dict[str, Any], shapes: tuple[str, ...]) -> None:
-        """Remove keys of an object that do not belong to the drawn shape, and resolve its placements."""
+        """Remove keys of an object that do not belong to the drawn shape; the apex of a cone is at its center."""
         shape = item.get("shape")
         own = SHAPES[shape].model_fields.keys() if isinstance(shape, str) and shape in SHAPES else set(item)
         others = {key for one in shapes if one in SHAPES for key in SHAPES[one].model_fields}
@@ -101,17 +99,6 @@ class Builder:
             value = item.pop(key)
             if key == "center" and shape == "cone" and "apex" not in item:
                 item["apex"] = value
-                self._placed = [(n, t, "apex" if t is item and k == key else k) for n, t, k in self._placed]
-        self._placed = [(n, t, k) for n, t, k in self._placed if t is not item or k in item]
-
-    def _complete(self, noise_seed: int) -> None:
-        """Add keys that follow from other keys."""
-        if self._parts.sized:
-            self._size()
-        if self._placed:
-            self._place()
-        if isinstance(sensor := self._table.get("sensor"), dict):
-            sensor.setdefault("noise_seed", noise_seed)
 
     def _size(self) -> None:
         """Give a camera without a resolution that of the first texture."""
@@ -134,11 +121,9 @@ class Builder:
         camera = parse_sweep({"camera": first, "object": [{"shape": "background"}]}, "").scenes[0].camera
         columns, rows = camera.resolution or (0, 0)
         step = camera.pixel_pitch / camera.normalization_distance
-        for name, table, key in self._placed:
-            table[key] = self._parameters[name] = table[key].point(columns, rows, step)
-        for name, value in self._parameters.items():
-            if isinstance(value, Placed):  # of a shape that has no such key
-                self._parameters[name] = value.point(columns, rows, step)
+        self._table, self._parameters = (
+            _with_points(each, columns, rows, step) for each in (self._table, self._parameters)
+        )
 
     def _derive(self, key: tuple[str, ...], target: float, sweep: Sweep) -> Sweep:
         section, name = key
@@ -168,6 +153,15 @@ def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return relocated(table, inside)
 
 
+def _with_points(value: Any, columns: int, rows: int, step: float) -> Any:
+    """A copy of tables and lists with coordinates of points in the frustum."""
+    if isinstance(value, Placed):
+        return value.point(columns, rows, step)
+    if isinstance(value, dict):
+        return {key: _with_points(entry, columns, rows, step) for key, entry in value.items()}
+    return [_with_points(entry, columns, rows, step) for entry in value] if isinstance(value, list) else value
+
+
 def _first(key: str, value: Any) -> Any:
     """The first value of a camera key with several values."""
     if isinstance(value, dict):
@@ -181,9 +175,7 @@ MAX_EXTREMES = 48  # extreme values of one distribution that are tested
 
 
 def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
-    """Messages on scenes of extreme values, without duplicates: all parameters at their lowest, all at their highest,
-    and each extreme of one parameter with the others at their lowest and highest.
-    """
+    """Messages on scenes of extremes: all parameters lowest, all highest, and each extreme of one with both others."""
     faults: dict[str, str] = {}  # by what is asked for
     for corner in _corners(parts):
         try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,10 +23,9 @@ _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "
 
 
 def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, int]]) -> None:
-    """Complete the card of a set whose shards are all done, and write README.md.
+    """Complete the card of a set whose shards are all done, and write README.md. Raises FileError.
 
-    Existing entries of `dataset.json` stay, such as the license and the distribution. files: names with their number of
-    samples. Raises FileError: the set cannot be read or written.
+    Existing entries of `dataset.json` stay, such as the license. files: names with their number of samples.
     """
     card = json.loads(storage.read(CARD) or b"{}")
     by_split = files_by_split(files)
@@ -59,10 +57,7 @@ class _SampleDescription:
 
 
 def loading_lines(storage: Storage, identity: Identity, by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
-    """Code that loads a set, a line for each package; by_split: files of each split with their numbers of samples.
-
-    It is written from names in the set that were checked, not copied from its card. Raises FileError.
-    """
+    """Code that loads a set, a line for each package, from checked names, not from its card. Raises FileError."""
     first = _describe_sample(storage, identity, _largest_first(by_split))
     return [f"{package}: {code}" for package, code in _loading(identity.format, first).items()] if first.arrays else []
 
@@ -76,13 +71,12 @@ def _largest_first(by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[st
 def _describe_sample(storage: Storage, identity: Identity, files: Sequence[str]) -> _SampleDescription:
     if not files:
         return _SampleDescription()
-    with closing(CONTAINERS[identity.format].read(storage.local(files[0]))) as reader:
-        arrays = reader.record(0, ()).meta["arrays"]
-        key = reader.keys[0]
+    reader = CONTAINERS[identity.format].read(storage.local(files[0]))
+    arrays = reader.record(0, ()).meta["arrays"]
     for about in arrays.values():
         about.pop("clipped", None)  # of this sample alone
         about["encoding"] = _encoding(identity.format, about)
-    return _SampleDescription(files[0], key, arrays)
+    return _SampleDescription(files[0], reader.keys[0], arrays)
 
 
 def _encoding(form: str, about: Mapping[str, Any]) -> str:

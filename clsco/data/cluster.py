@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import pickle
@@ -16,7 +15,7 @@ from clsco import __version__
 from clsco.data.failures import failure_of
 from clsco.data.pool import DIED, Schedule, ShardTask, device_of, limit_threads, perform, stoppable
 from clsco.data.storage import open_storage
-from clsco.errors import ClscoError, DeviceError, import_extra
+from clsco.errors import ClscoError, import_extra
 from clsco.resources import processors
 
 if TYPE_CHECKING:
@@ -26,15 +25,14 @@ WORKERS_S = 600.0  # s to wait for a cluster's first worker, which may be in a q
 LOOK_S = 1.0  # s between queries of the list of workers
 RESOURCE = "device"  # resource that workers of a cluster declare, if they declare any
 _lock = threading.Lock()  # a process has one device, however many threads take tasks
-_makers: dict[str, ShardMaker] = {}
+_makers: dict[bytes, ShardMaker] = {}  # of the latest set
 
 
 def cluster_device(address: str) -> tuple[str, str]:
     """Device family and precision of a cluster's worker. Raises ClscoError if there is no worker."""
     distributed = _distributed()
     with _client(distributed, address) as client:
-        workers = _workers(client, address)
-        future = client.submit(_described, _per_host(workers), pure=False, resources=_resources(workers))
+        future = _submit(client, _workers(client, address), _describe)
         try:
             family, precision = future.result(timeout=WORKERS_S)
         except TimeoutError:
@@ -45,10 +43,9 @@ def cluster_device(address: str) -> tuple[str, str]:
 
 
 def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
-    """Make shards on the workers of a cluster, one at a time on each.
+    """Make shards on the workers of a cluster, one at a time on each; advance: called with the number of new samples.
 
-    address: of the scheduler, such as tcp://host:8786; advance: called with the number of samples done since its last
-    call. Raises ClscoError: the scheduler is missing or lost, the storage fails, or a shard cannot be made.
+    Raises ClscoError: the scheduler is missing or lost, the storage fails, or a shard cannot be made.
     """
     distributed = _distributed()
     schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
@@ -61,9 +58,7 @@ def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Calla
                 workers = _workers(client, address)
                 while schedule.waiting and len(running) < _room(workers):
                     task = schedule.waiting.popleft()
-                    future = client.submit(
-                        _perform, packed, task, _per_host(workers), pure=False, resources=_resources(workers)
-                    )
+                    future = _submit(client, workers, _perform, packed, task)
                     running[future] = task
                     future.add_done_callback(lambda _: ended.set())
                 ended.wait(LOOK_S)
@@ -137,13 +132,11 @@ def _room(workers: Mapping[str, Any]) -> int:
     return max(1, sum(int(worker["resources"].get(RESOURCE, 1)) for worker in workers.values()))
 
 
-def _resources(workers: Mapping[str, Any]) -> dict[str, int] | None:
-    has = any(RESOURCE in worker["resources"] for worker in workers.values())
-    return {RESOURCE: 1} if has else None
-
-
-def _per_host(workers: Mapping[str, Any]) -> dict[str, int]:
-    return dict(Counter(worker["host"] for worker in workers.values()))
+def _submit(client: Any, workers: Mapping[str, Any], function: Callable[..., object], *arguments: object) -> Any:
+    """Submit a task, whose last argument is the number of workers on each host; returns its future."""
+    per_host = dict(Counter(worker["host"] for worker in workers.values()))
+    declared = any(RESOURCE in worker["resources"] for worker in workers.values())
+    return client.submit(function, *arguments, per_host, pure=False, resources={RESOURCE: 1} if declared else None)
 
 
 def _prepare(per_host: Mapping[str, int]) -> Any:
@@ -154,7 +147,7 @@ def _prepare(per_host: Mapping[str, int]) -> Any:
     return device_of(None)
 
 
-def _described(per_host: Mapping[str, int]) -> tuple[str, str]:
+def _describe(per_host: Mapping[str, int]) -> tuple[str, str]:
     from clsco.data.shards import device_family
 
     with _lock:
@@ -177,19 +170,15 @@ def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tup
 
 
 def _maker(packed: bytes, per_host: Mapping[str, int]) -> ShardMaker:
-    from clsco.data.shards import ShardMaker, device_family
+    from clsco.data.shards import ShardMaker
 
-    name = hashlib.sha256(packed).hexdigest()
-    if name not in _makers:
+    if packed not in _makers:
         job: SetJob = pickle.loads(packed)
         if job.identity.version != __version__:
             rule = f"worker: must have version {job.identity.version} of clsco"
             raise ClscoError(f"{rule}; got {__version__}") from OSError()
         device, storage = _prepare(per_host), open_storage(job.where)
-        if device_family(device) != job.identity.device_family:
-            rule = f"device: all of a set must be of the family {job.identity.device_family}"
-            raise DeviceError(f"{rule}; got {device_family(device)}") from OSError()
         storage.tidy()
         _makers.clear()
-        _makers[name] = ShardMaker(job, storage, device, device.kind != "cpu")
-    return _makers[name]
+        _makers[packed] = ShardMaker(job, storage, device, device.kind != "cpu")
+    return _makers[packed]

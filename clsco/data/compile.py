@@ -10,7 +10,7 @@ from typing import Any
 from clsco.data.acceptance import DERIVED, parse_target
 from clsco.data.draws import Splits
 from clsco.data.folder import Folder, RefusedError
-from clsco.data.forms import FORMS, ChoiceForm, Files, Form, FormContext, Frustum, Integers, form_of, is_form
+from clsco.data.forms import FORMS, ChoiceForm, Files, Form, Frustum, form_of, is_form
 from clsco.data.tables import DistributionTables
 from clsco.scene.changes import displace, put
 from clsco.scene.file import FILE_KEYS, named_files, names_file
@@ -35,19 +35,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Population:
-    """Objects of one kind, `count` of them, each with its own values.
+    """Objects of one kind, `count` of them, each with its own values."""
 
-    label: used in names of parameters; entry: position in [[vary.object]]; named: True if the file names it; shapes:
-    shapes that its objects may have.
-    """
-
-    label: str
-    entry: int
-    named: bool
+    label: str  # in names of parameters
+    entry: int  # position in [[vary.object]]
+    named: bool  # by the file
     count: Parameter
     constants: dict[str, Any]
     parameters: tuple[Parameter, ...]
-    shapes: tuple[str, ...]
+    shapes: tuple[str, ...]  # that its objects may have
 
 
 @dataclass(frozen=True)
@@ -57,10 +53,8 @@ class VariedKeys:
     scene: dict[str, Any]
     parameters: tuple[Parameter, ...]
     populations: tuple[Population, ...]
-    derived: tuple[tuple[tuple[str, ...], Any], ...]
-    """Derived keys, each with its target: a number, or the parameter that draws it."""
-    sized: bool
-    """True if samples need a resolution, because rays are cast at them or points are placed in their view."""
+    derived: tuple[tuple[tuple[str, ...], Any], ...]  # keys with targets: a number, or the parameter that draws it
+    sized: bool  # samples need a resolution, because rays are cast at them or points are placed in their view
 
 
 class Reader:
@@ -68,7 +62,7 @@ class Reader:
 
     def __init__(self, tables: DistributionTables, folder: Folder, splits: Splits) -> None:
         self.faults: list[str] = []
-        self._tables, self._folder, self._context = tables, folder, FormContext(folder, splits)
+        self._tables, self._folder, self._splits = tables, folder, splits
         self._scene = copied(tables.scene)
         self._count = 0
 
@@ -108,7 +102,9 @@ class Reader:
     def _no_forms(self, value: Any, location: Location) -> None:
         """Report distributions outside of [vary] as faults."""
         if isinstance(value, Mapping):
-            if len(location) > 1 and is_form(value) and not _is_table(location):
+            # Entries of arrays and motions are tables of the scene, tables at other keys are values.
+            is_value = len(location) > 1 and location[-1] != "motion" and not isinstance(location[-1], int)
+            if is_value and is_form(value):
                 self._faulty(location, "a distribution belongs in [vary]", value)
                 return
             for key, entry in value.items():
@@ -121,13 +117,13 @@ class Reader:
         """Parameters of a table of the scene; fixed values are written to the scene at once."""
         parameters = []
         for key, value in table.items():
-            location = (*place, key)
+            location, names = (*place, key), [*map(str, place), key]
             if key == "motion" and place[0] in MOVING and isinstance(value, Mapping):
                 parameters += self._section(location, value)
                 continue
-            constant, varying = self._value(value, ("vary", *location), location, ".".join(map(str, location)))
-            displace(self._scene, ".".join(map(str, location)), None if varying else constant)
-            if (fault := put(self._scene, list(map(str, location)), constant)) is not None:
+            constant, varying = self._value(value, ("vary", *location), location, ".".join(names))
+            displace(self._scene, ".".join(names), None if varying else constant)
+            if (fault := put(self._scene, names, constant)) is not None:
                 self.faults.append(f"{key_name(('vary', *location))}: {fault}")
             else:
                 parameters += varying
@@ -155,7 +151,7 @@ class Reader:
         if self._count > MAX_PARAMETERS:
             return []
         try:
-            form = form_of(value, self._context)
+            form = form_of(value, self._folder, self._splits)
         except RefusedError as error:
             self.faults.append(error.message(key_name(key), value))
             return []
@@ -169,11 +165,11 @@ class Reader:
     def _entries(self, section: str, value: Any) -> list[dict[str, Any]]:
         if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
             self._faulty(("vary", section), f"must be an array of tables, [[vary.{section}]]", value)
-            return []
-        if len(value) > MAX_OBJECTS:
+        elif len(value) > MAX_OBJECTS:
             self._faulty(("vary", section), f"must have at most {MAX_OBJECTS} tables", value)
-            return []
-        return value
+        else:
+            return value
+        return []
 
     def _existing(self, section: str, entry: int, table: Mapping[str, Any]) -> list[Parameter]:
         """Parameters of an object or a group of the base scene."""
@@ -215,21 +211,16 @@ class Reader:
         return [Population(label, entry, "name" in table, count, constants, tuple(parameters), known)]
 
     def _how_many(self, value: Any, key: Location, name: str) -> Parameter | None:
-        form: Form | None = None
-        if type(value) is int:
-            form = ChoiceForm(None, (value,), (1.0,))
-        elif is_form(value):
-            made = self._parameter(value, key, ("count",), name)
-            form = made[0].form if made else None
-            if form is None:
-                return None
-        counts = form.extremes() if isinstance(form, Integers | ChoiceForm) and not form.size else (None,)
-        if form is None or any(type(count) is not int or not 0 <= count <= MAX_OBJECTS for count in counts):
-            self._faulty(
-                key, f"must be a number of objects, 0 to {MAX_OBJECTS}, or integers or a choice of them", value
-            )
-            return None
-        return Parameter(name, ("count",), form)
+        if is_form(value):
+            parameters = self._parameter(value, key, ("count",), name)
+        else:
+            parameters = [Parameter(name, ("count",), ChoiceForm(None, (value,), (1.0,)))]
+        for parameter in parameters:
+            if all(type(count) is int and 0 <= count <= MAX_OBJECTS for count in parameter.form.extremes()):
+                return parameter
+            rule = f"must be a number of objects, 0 to {MAX_OBJECTS}, or integers or a choice of them"
+            self._faulty(key, rule, value)
+        return None
 
     def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
         """Targets of the keys of [derive]; a distribution is replaced by its parameter."""
@@ -248,9 +239,8 @@ class Reader:
                     self.faults.append(error.message(key_name(here), value))
                     continue
                 displace(self._scene, f"{section}.{key}", None)
-                targets[section, key] = (
-                    self._drawn_target((section, key), target) if isinstance(target, Mapping) else target
-                )
+                varies = isinstance(target, Mapping)
+                targets[section, key] = self._drawn_target((section, key), target) if varies else target
         return [(key, targets[key]) for key in DERIVED if key in targets]
 
     def _drawn_target(self, key: tuple[str, str], value: Mapping[str, Any]) -> Parameter | None:
@@ -271,22 +261,13 @@ class Reader:
             self._check_file(name, (*start, place[-1]) if start else place)
 
     def _check_file(self, name: Any, key: Location) -> None:
-        """Register a file that an object names, and report names that are not strings."""
-        if isinstance(name, str) and names_file(_key_of_file(key), name):
+        """Register a file that an object names."""
+        kind = next((kind for kind in ("depth", "image") if kind in key), "texture")
+        if isinstance(name, str) and names_file(kind, name):
             try:
                 self._folder.take(name)
             except RefusedError as error:
                 self.faults.append(error.message(key_name(key), name))
-
-
-def _key_of_file(key: Location) -> str:
-    """Key of FILE_KEYS at a location in the file."""
-    return next((name for name in ("depth", "image") if name in key), "texture")
-
-
-def _is_table(location: Location) -> bool:
-    """True if the key holds a table of the scene, False if a table there is a value."""
-    return location[-1] == "motion" or isinstance(location[-1], int)
 
 
 def copied(value: Any) -> Any:

@@ -149,13 +149,12 @@ def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
         key = f"{file.removesuffix(old.suffix)}{new.suffix}"
         path, local = scratch / key.replace("/", "_"), source_set.storage.local(file)
         remove_path(path)
-        reader = old.read(local)
         try:
+            reader = old.read(local)
             if len(reader) != len(own):
                 raise FileError(f"{file}: must hold {len(own)} samples, as the manifest says; got {len(reader)}")
             new.write(path, _checked(file, reader, own))
         finally:
-            reader.close()
             if not source_set.storage.is_local:
                 remove_path(local)
         files[key] = path

@@ -47,9 +47,7 @@ class FailedSamplesError(ClscoError):
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers that make the shards of a set: processes of this machine, or workers of the cluster at the address
-    `scheduler`; with the family and precision of their devices.
-    """
+    """Workers that make the shards of a set: processes of this machine, or those of a cluster, at `scheduler`."""
 
     places: Sequence[Place]
     family: str
@@ -168,11 +166,13 @@ def make(  # noqa: PLR0913, a parameter for each option
 
     container_named(format)
     samples, arrays = sample_numbers(count, only), stored_arrays(truth, color)
-    drawn = distribution_of(distribution, overrides, splits, None if folder is None else Path(folder))
+    drawn = _distribution_of(distribution, overrides, splits, None if folder is None else Path(folder))
     text = types if isinstance(types, str) else ",".join(f"{name}={each}" for name, each in types.items())
     stored = tuple(sorted(parse_stored(text).items()))
     if scheduler:
-        makers = _cluster(scheduler)
+        from clsco.data.cluster import cluster_device
+
+        makers = Workers((), *cluster_device(scheduler), scheduler)
     else:
         makers = workers_of([devices] if isinstance(devices, str) else devices, workers)
     precision = precision or makers.precision
@@ -197,13 +197,9 @@ def make(  # noqa: PLR0913, a parameter for each option
     return status
 
 
-def distribution_of(
-    distribution: DistributionLike,
-    overrides: Sequence[str] = (),
-    splits: SplitsLike = None,
-    folder: Path | None = None,
+def _distribution_of(
+    distribution: DistributionLike, overrides: Sequence[str], splits: SplitsLike, folder: Path | None
 ) -> Distribution | ScriptedDistribution:
-    """The distribution of a file, its content, or a function. Raises SceneError."""
     if not callable(distribution):
         return load_distribution(distribution, overrides, splits, folder)
     if overrides:
@@ -236,11 +232,10 @@ def sample_numbers(count: int | None, only: range | None) -> range:
     return only
 
 
-def workers_of(names: Sequence[str] = (), count: int | None = None) -> Workers:
-    """Processes of this machine: `count` of them, on devices named in part.
+def workers_of(names: Sequence[str], count: int | None) -> Workers:
+    """Processes of this machine on devices named in part; ("all",): all of the best kind, (): the best one.
 
-    ("all",) means all devices of the best kind, () the best one. Raises DeviceError: no such device, or devices of
-    several families.
+    Raises DeviceError: no such device, or devices of several families.
     """
     from clsco.data.shards import device_family
     from clsco.opencl.device import choose, list_devices
@@ -257,12 +252,6 @@ def workers_of(names: Sequence[str] = (), count: int | None = None) -> Workers:
         raise DeviceError(f"device: all must be of one family, as bits are; got {' and '.join(families)}")
     where = places([(k, devices[k].kind == "cpu") for k in chosen], count)
     return Workers(where, next(iter(families)), "double" if best.has_fp64 else "single")
-
-
-def _cluster(address: str) -> Workers:
-    from clsco.data.cluster import cluster_device
-
-    return Workers((), *cluster_device(address), address)
 
 
 def _make_shards(

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -29,16 +29,13 @@ from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES
 from clsco.frame.views import Picture
 from clsco.scene.text import meant
 
-if TYPE_CHECKING:
-    from clsco.data.record import Record
-
-MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
+MOST_COPIES = 16  # of shards in an object store, beside each other
 
 
 class _Shards:
-    """The shards of a set, each opened at its first use. Threads and processes may share it.
+    """The shards of a set, each opened at its first use; one in an object store is copied until it is closed.
 
-    A shard in an object store is copied when opened; closing removes the copy.
+    Threads and processes may share it.
     """
 
     def __init__(self, where: str, form: str, files: Sequence[tuple[str, int]]) -> None:
@@ -47,17 +44,11 @@ class _Shards:
         self._begin()
 
     def _begin(self) -> None:
-        self._process = os.getpid()
-        self._lock = threading.Lock()
-        self._storage: Storage | None = None
-        self._readers: dict[int, tuple[ShardReader, threading.Lock]] = {}
-        self._open: OrderedDict[int, None] = OrderedDict()
+        self._process, self._lock = os.getpid(), threading.Lock()
+        self._readers: OrderedDict[int, tuple[ShardReader, threading.Lock]] = OrderedDict()  # the latest used last
 
-    def __getstate__(self) -> tuple[str, str, tuple[tuple[str, int], ...]]:
-        return self.where, self.form, self.files
-
-    def __setstate__(self, state: tuple[str, str, tuple[tuple[str, int], ...]]) -> None:
-        self.__init__(*state)  # type: ignore[misc]
+    def __reduce__(self) -> tuple[type[_Shards], tuple[Any, ...]]:
+        return _Shards, (self.where, self.form, self.files)
 
     def record(self, place: int, names: frozenset[str] | None) -> Record:
         number = bisect_right(self.ends, place)
@@ -70,40 +61,29 @@ class _Shards:
         return self._reader(number)[0].keys[place - self.ends[number] + self.files[number][1]]
 
     def _reader(self, number: int) -> tuple[ShardReader, threading.Lock]:
-        if self._process != os.getpid():  # after a fork: what is open belongs to the parent
+        if self._process != os.getpid():  # after a fork: copies belong to the parent
             self._begin()
         with self._lock:
+            storage = open_storage(self.where)
             if number not in self._readers:
-                self._readers[number] = (self._opened(*self.files[number]), threading.Lock())
-            self._open[number] = None
-            self._open.move_to_end(number)
-            if len(self._open) > MOST_OPEN:
-                oldest = self._open.popitem(last=False)[0]
-                reader, lock = self._readers[oldest]
+                self._readers[number] = (self._opened(storage, *self.files[number]), threading.Lock())
+            self._readers.move_to_end(number)
+            if len(self._readers) > MOST_COPIES and not storage.is_local:
+                oldest, lock = self._readers.popitem(last=False)[1]
                 with lock:
-                    reader.close()
-                    if not self._stored.is_local:
-                        del self._readers[oldest]
-                        remove_path(reader.path)
+                    remove_path(oldest.path)
             return self._readers[number]
 
-    @property
-    def _stored(self) -> Storage:
-        if self._storage is None:
-            self._storage = open_storage(self.where)
-        return self._storage
-
-    def _opened(self, file: str, count: int) -> ShardReader:
-        path = self._stored.local(file)
+    def _opened(self, storage: Storage, file: str, count: int) -> ShardReader:
+        path = storage.local(file)
         reader = container_named(self.form).read(path)
         if len(reader) != count:
             raise_file_error(path, f"must hold {count} samples, as {CARD} says", len(reader))
         return reader
 
     def close(self) -> None:
-        for reader, _ in self._readers.values():
-            reader.close()
-            if not self._stored.is_local:
+        if not open_storage(self.where).is_local:
+            for reader, _ in self._readers.values():
                 remove_path(reader.path)
         self._begin()
 
@@ -231,7 +211,7 @@ class Dataset(Sequence[Record]):
         >>> stack["color"].shape, stack["depth"].shape
         ((5, 9, 12, 3), (9, 12))
         """
-        return self.map(stacked)
+        return self.map(Record.stacked)
 
     def to_torch(self) -> Dataset:
         """A view of dictionaries of PyTorch tensors.
@@ -276,11 +256,6 @@ class Dataset(Sequence[Record]):
     def close(self) -> None:
         """Close the shards of this data set and its views; they open again when they are read."""
         self._shards.close()
-
-
-def stacked(record: Record) -> Record:
-    """`Record.stacked` as a function, which spawned workers import."""
-    return record.stacked()
 
 
 def tensors_of(record: Record) -> dict[str, Any]:
@@ -346,7 +321,8 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ATTRIBUTES):
         hint = meant(unknown[0], ATTRIBUTES)
         raise SceneError(f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {unknown[0]}{hint}")
-    shards = _Shards(storage.where, data_set.identity.format, sorted(chosen, key=_shard))
+    by_number = sorted(chosen, key=lambda file: file[0].partition("/")[::-1])  # of the shard, then by split
+    shards = _Shards(storage.where, data_set.identity.format, by_number)
     return Dataset(card, shards, names, range(sum(count for _, count in chosen)))
 
 
@@ -354,12 +330,6 @@ def _in_files(name: str) -> str:
     """Name of an array in files, such as "v01.coc" for "v01.blur_radius"."""
     prefix, dot, kind = name.rpartition(".")
     return f"{prefix}{dot}{FILE_NAMES.get(kind, kind)}"
-
-
-def _shard(file: tuple[str, int]) -> tuple[str, str]:
-    """Sort key of files: the number of the shard, then the split."""
-    split, _, name = file[0].partition("/")
-    return name, split
 
 
 def _card_with_files(data_set: DataSet) -> dict[str, Any]:

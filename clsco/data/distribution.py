@@ -7,6 +7,7 @@ import inspect
 import json
 import os
 import pickle
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -40,46 +41,28 @@ MAX_NUMBER = 2**63 - 1
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample: its drawn values and its scenes.
-
-    split: "" without splits. attempts: number of draws until it was accepted, from 1. parameters: values by name, such
-    as "camera.focus_distance", of types that JSON has. table: content of a scene file that renders the sample by
-    itself, in the folder of the distribution file. labels: one for each variant, as in a sweep; ("",) for a single
-    scene. scenes: one for each label.
-    """
+    """One sample: its drawn values and its scenes."""
 
     number: int
-    split: str
-    attempts: int
-    parameters: dict[str, Any]
-    table: dict[str, Any]
-    labels: tuple[str, ...]
-    scenes: tuple[Scene, ...]
+    split: str  # "" without splits
+    attempts: int  # draws until it was accepted, from 1
+    parameters: dict[str, Any]  # values by name, such as "camera.focus_distance", of types that JSON has
+    table: dict[str, Any]  # content of a scene file for the folder of the distribution file
+    labels: tuple[str, ...]  # one for each variant, as in a sweep; ("",) for a single scene
+    scenes: tuple[Scene, ...]  # one for each label
+
+
+Drawn = tuple[int, dict[str, Any], dict[str, Any], tuple[str, ...], tuple[Scene, ...]]
+"""Attempts, parameters, table, labels and scenes of a `Sample`."""
 
 
 @dataclass(frozen=True, eq=False)
-class Distribution:
-    """All samples of a distribution file, as a function of seed and number. It can be pickled.
+class _Distribution(ABC):
+    """All samples of a distribution, as a function of seed and number. It can be pickled."""
 
-    where: name of the file; folder: base of its paths, links resolved; digest: SHA-256 of everything that decides
-    samples (the joined tables, the splits, and names and contents of the files that samples may use); accept: measures
-    with lower and upper bounds; tables: content of the file joined with its base and overrides; recipe: the text of
-    these, or of the file itself if it has no base and no overrides.
-    """
-
-    where: str
-    folder: Path
-    digest: str
+    where: str  # name of the file or function
+    folder: Path  # base of its paths, links resolved
     splits: Splits
-    parts: VariedKeys
-    accept: Bounds
-    tables: DistributionTables
-    recipe: str
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Entries of the data card: the text for readers, and for programs everything needed to make the set again."""
-        return {"recipe": self.recipe, "distribution": self.tables.content()}
 
     def draw(self, seed: int, number: int) -> Sample:
         """Draw a sample; seed: 0 to 2^64 - 1; number: 0 to 2^63 - 1.
@@ -87,45 +70,60 @@ class Distribution:
         The sample depends only on the file, the files that it names, seed, number and version of this package. Raises
         SceneError: the sample is no valid scene, or none of 100 attempts is accepted.
         """
-        check_numbers(seed, number)
+        for name, value, most in (("seed", seed, MAX_SEED), ("number", number, MAX_NUMBER)):
+            if type(value) is not int or not 0 <= value <= most:
+                raise SceneError(f"{name}: must be an integer between 0 and {most}; got {shown(value)}")
         position = split_of(self.splits, seed, number)
-        split = self.splits[position][0] if self.splits else ""
-        reason = None
+        noise_seed = int(stream_words(seed, number, "sensor.noise_seed", 1)[0]) % NOISE_SEEDS
+        try:
+            drawn = self._draw(seed, number, position, noise_seed)
+        except ClscoError as error:
+            messages = [f"{message} (sample {number}, seed {seed})" for message in str(error).splitlines()]
+            raise SceneError(at_most(self.where, messages)) from error
+        return Sample(number, self.splits[position][0] if self.splits else "", *drawn)
+
+    @abstractmethod
+    def _draw(self, seed: int, number: int, split: int, noise_seed: int) -> Drawn:
+        """Draw a sample; split: position of its split; noise_seed: for a sensor that has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution(_Distribution):
+    """All samples of a distribution file.
+
+    digest: SHA-256 of everything that decides samples: the joined tables, the splits, and names and contents of the
+    files that samples may use.
+    """
+
+    digest: str
+    parts: VariedKeys
+    accept: Bounds
+    tables: DistributionTables  # joined with the base and overrides
+    recipe: str  # text of the tables, or of the file itself if it has no base and no overrides
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Entries of the data card: the text for readers, and for programs everything needed to make the set again."""
+        return {"recipe": self.recipe, "distribution": self.tables.content()}
+
+    def _draw(self, seed: int, number: int, split: int, noise_seed: int) -> Drawn:
+        reason: str | None = None
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
-                value_of = partial(draw_value, seed, number, position, attempt)
-                builder = Builder(self.parts, self.folder)
-                table, parameters, sweep = builder.build(value_of, noise_seed=_noise_seed(seed, number))
+                value_of = partial(draw_value, seed, number, split, attempt)
+                table, parameters, sweep = Builder(self.parts, self.folder).build(value_of, noise_seed=noise_seed)
                 reason = refusal(self.accept, sweep.scenes)
             except UnfitError as error:
                 reason = str(error)
-            except SceneError as error:
-                messages = [f"{message} (sample {number}, seed {seed})" for message in error.messages]
-                raise SceneError(at_most(self.where, messages)) from error
             if reason is None:
-                return Sample(number, split, attempt, parameters, table, sweep.labels, sweep.scenes)
-        rule = f"accept: must hold for one of {MAX_ATTEMPTS} attempts; got of the last one: {reason}"
-        raise SceneError(f"{self.where}: {rule} (sample {number}, seed {seed})")
+                return attempt, parameters, table, sweep.labels, sweep.scenes
+        raise SceneError(f"accept: must hold for one of {MAX_ATTEMPTS} attempts; got of the last one: {reason}")
 
 
 def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Parameter, element: int) -> Any:
-    """The value of a parameter for an attempt at a sample and an element of a population; split: position of the
-    sample's split.
-    """
+    """Value of a parameter for an attempt at a sample, and an element of a population; split: the split's position."""
     words = stream_words(seed, number, parameter.name, parameter.form.words, attempt, element)
     return parameter.form.value(words, split)
-
-
-def _noise_seed(seed: int, number: int) -> int:
-    """Noise seed of a sample whose scene sets none."""
-    return int(stream_words(seed, number, "sensor.noise_seed", 1)[0]) % NOISE_SEEDS
-
-
-def check_numbers(seed: Any, number: Any) -> None:
-    """Raise SceneError for an invalid seed or sample number."""
-    for name, value, most in (("seed", seed, MAX_SEED), ("number", number, MAX_NUMBER)):
-        if type(value) is not int or not 0 <= value <= most:
-            raise SceneError(f"{name}: must be an integer between 0 and {most}; got {shown(value)}")
 
 
 def load_distribution(
@@ -136,13 +134,14 @@ def load_distribution(
 ) -> Distribution:
     """Read a distribution: a .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
 
-    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. splits: share of each split, such
-    as "train=0.9,val=0.05,test=0.05". folder: start of the paths of a mapping, by default the current folder. Raises
-    SceneError with one message per fault, `file: key: rule; got value`; scenes of extreme values are validated as well.
+    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. folder: start of the paths of a
+    mapping. Raises SceneError with one message per fault; scenes of extreme values are validated as well.
     """
-    content = distribution if isinstance(distribution, Mapping) else None
-    where = "distribution" if isinstance(distribution, Mapping) else os.fspath(distribution)
-    inside = Folder((folder or Path()).absolute() if content is not None else Path(where).absolute().parent)
+    if isinstance(distribution, Mapping):
+        content, where, inside = distribution, "distribution", Folder((folder or Path()).absolute())
+    else:
+        content, where = None, os.fspath(distribution)
+        inside = Folder(Path(where).absolute().parent)
     shares = splits_of(splits)
     tables = read_tables(where, overrides, inside, content)
     reader = Reader(tables, inside, shares)
@@ -155,16 +154,8 @@ def load_distribution(
         faults = _not_analytic(parts)
     if faults:
         raise SceneError(at_most(where, dict.fromkeys(faults)))
-    return Distribution(
-        where,
-        inside.path,
-        _digest(tables, shares, inside),
-        shares,
-        parts,
-        accept,
-        tables,
-        _recipe(where, content, tables, overrides),
-    )
+    digest, recipe = _digest(tables, shares, inside), _recipe(where, content, tables, overrides)
+    return Distribution(where, inside.path, shares, digest, parts, accept, tables, recipe)
 
 
 def _recipe(where: str, content: Mapping[str, Any] | None, tables: DistributionTables, overrides: Sequence[str]) -> str:
@@ -192,25 +183,16 @@ DrawScene = Callable[[np.random.Generator, int], Any]
 and a mapping of parameters."""
 
 
-@dataclass(frozen=True)
-class ScriptedDistribution:
-    """All samples that a function draws, as a function of seed and number. Pickling stores the function's name.
-
-    where: name of the function, for messages; folder: start of the paths of textures; source: text of the module, from
-    which the digest is made.
-    """
+@dataclass(frozen=True, eq=False)
+class ScriptedDistribution(_Distribution):
+    """All samples that a function draws; source: text of its module. Pickling stores the function's name."""
 
     function: DrawScene
-    where: str
-    folder: Path
     source: str
-    splits: Splits
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the known inputs of samples: source text and name of the function, splits, and the version of
-        NumPy, whose generators may change.
-        """
+        """SHA-256 of known inputs of samples, among them the version of NumPy, whose generators may change."""
         content = [VERSION, self.function.__qualname__, self.source, np.__version__, self.splits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
@@ -219,29 +201,20 @@ class ScriptedDistribution:
         """Entries of the data card: the source text, and the name of the function in it."""
         return {"recipe": self.source, "function": self.function.__qualname__}
 
-    def draw(self, seed: int, number: int) -> Sample:
-        """Draw a sample; arguments and errors as of `Distribution.draw`.
-
-        The generator is NumPy's Philox with the key (seed, number): its bits depend on nothing else.
-        """
-        check_numbers(seed, number)
-        position = split_of(self.splits, seed, number)
-        rng = np.random.Generator(np.random.Philox(key=[seed, number]))
+    def _draw(self, seed: int, number: int, split: int, noise_seed: int) -> Drawn:  # noqa: ARG002
+        rng = np.random.Generator(np.random.Philox(key=[seed, number]))  # whose bits depend on nothing else
         try:
             drawn = self.function(rng, number)
             content, parameters = drawn if isinstance(drawn, tuple) and len(drawn) == 2 else (drawn, {})
-            sweep = _sweep_of(content, _noise_seed(seed, number))
+            sweep = _sweep_of(content, noise_seed)
             tables = [self._table(scene) for scene in sweep.scenes]
             parameters = json.loads(json.dumps(dict(parameters), default=as_python, allow_nan=False))
-        except ClscoError as error:
-            messages = [f"{message} (sample {number}, seed {seed})" for message in str(error).splitlines()]
-            raise SceneError(at_most(self.where, messages)) from error
+        except ClscoError:
+            raise
         except Exception as error:
-            text = f"{self.where}: must give a scene; got {error!r} (sample {number}, seed {seed})"
-            raise SceneError(text) from error
-        split = self.splits[position][0] if self.splits else ""
+            raise SceneError(f"must give a scene; got {error!r}") from error
         scenes = tuple(absolute(scene, self.folder) for scene in sweep.scenes)
-        return Sample(number, split, 1, parameters, _joined_table(tables), sweep.labels, scenes)
+        return 1, parameters, _joined_table(tables), sweep.labels, scenes
 
     def _table(self, scene: Scene) -> dict[str, Any]:
         """Content of a scene file with paths in the folder; an array is replaced by its description."""
@@ -263,8 +236,7 @@ class ScriptedDistribution:
 def _sweep_of(content: Any, noise_seed: int) -> Sweep:
     """Scenes of what a function gives: a scene, a list of scenes, or a file or mapping with several values.
 
-    noise_seed: of the first scene, for sensors that have none; each further variant is another exposure. Raises
-    SceneError.
+    noise_seed: of the first scene, for sensors that have none; each further variant is another exposure.
     """
     if isinstance(content, list):
         sweep = Sweep(tuple(f"v{k:02d}" for k in range(len(content))), tuple(map(scene_of, content)))
@@ -309,4 +281,4 @@ def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None
     except (pickle.PicklingError, AttributeError, TypeError, OSError) as error:
         rule = "a function must stand at the top of a module or script, from which other processes import it"
         raise SceneError(f"distribution: {rule}; got {name}: {error}") from None
-    return ScriptedDistribution(function, name, (folder or Path()).resolve(), source, splits_of(splits))
+    return ScriptedDistribution(name, (folder or Path()).resolve(), splits_of(splits), function, source)

@@ -29,28 +29,18 @@ Floats = NDArray[np.float64]
 MAX_SEED = 2**64 - 1
 _LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)  # high part with 32 bits of 0, and the rest
 _LOG2E = 1.44269504088896338700
-# 1 / k! for k = 0 ... 13, by which e^r is summed for |r| <= ln(2) / 2.
-_EXP = (
-    1.0, 1.0, 1.0 / 2, 1.0 / 6, 1.0 / 24, 1.0 / 120, 1.0 / 720, 1.0 / 5040, 1.0 / 40320, 1.0 / 362880, 1.0 / 3628800,
-    1.0 / 39916800, 1.0 / 479001600, 1.0 / 6227020800,
-)  # fmt: skip
-
-
-@lru_cache(maxsize=4096)
-def name_hash(name: str) -> tuple[int, int]:
-    """The first 128 bits of the SHA-256 of a parameter's name, as two words."""
-    digest = hashlib.sha256(name.encode()).digest()
-    return int.from_bytes(digest[:8], "little"), int.from_bytes(digest[8:16], "little")
+# Coefficients, highest power first: of e^r for |r| <= ln(2) / 2, and of artanh(q) / q in q^2 for |q| <= 0.1716, twice.
+_EXP = [1.0 / math.factorial(k) for k in range(13, -1, -1)]
+_ARTANH = [2.0 / k for k in range(23, 0, -2)]
 
 
 def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
-    """Words (count,) of a parameter of a sample, or of one element of a population.
+    """Words (count,) of a parameter of a sample, or of one element of a population, of Philox4x64-10.
 
-    The words are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element +
-    2^32 attempt, hash of the name).
+    Key: (seed, number); counter: (block of four words, element + 2^32 attempt, 128 bits of the name's SHA-256).
     """
-    first, second = name_hash(name)
-    counter = (element + (attempt << 32)) << 64 | first << 128 | second << 192
+    name_hash = int.from_bytes(hashlib.sha256(name.encode()).digest()[:16], "little")
+    counter = (element + (attempt << 32)) << 64 | name_hash << 128
     # NumPy adds 1 to the counter before it makes a block.
     return np.random.Philox(key=seed | number << 64, counter=(counter - 1) % 2**256).random_raw(count)
 
@@ -64,10 +54,7 @@ def exp(x: Floats) -> Floats:
     """e^x for |x| <= 700, within 2 units of the last place of the true value."""
     whole = np.rint(x * _LOG2E)
     rest = (x - whole * _LN2[0]) - whole * _LN2[1]
-    total = np.full_like(rest, _EXP[-1])
-    for coefficient in _EXP[-2::-1]:
-        total = total * rest + coefficient
-    return np.ldexp(total, whole.astype(np.int32))
+    return np.ldexp(np.polyval(_EXP, rest), whole.astype(np.int32))
 
 
 def log(x: Floats) -> Floats:
@@ -76,11 +63,7 @@ def log(x: Floats) -> Floats:
     small = part < np.sqrt(0.5)
     part, power = np.where(small, 2.0 * part, part), power - small
     ratio = (part - 1.0) / (part + 1.0)
-    square = ratio * ratio
-    total = np.zeros_like(ratio)
-    for k in range(23, 0, -2):  # 2 artanh(ratio), |ratio| <= 0.1716
-        total = total * square + 2.0 / k
-    return power * _LN2[0] + (ratio * total + power * _LN2[1])
+    return power * _LN2[0] + (ratio * np.polyval(_ARTANH, ratio * ratio) + power * _LN2[1])
 
 
 def cube_root(x: Floats) -> Floats:
@@ -112,16 +95,11 @@ LARGEST_NORMAL = 8.3  # |z| of the extreme words
 
 
 def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats) -> Floats:
-    above, below = (np.zeros_like(x) for _ in range(2))
-    for one, other in zip(*coefficients, strict=True):
-        above, below = above * x + one, below * x + other
-    return above / below
+    return np.polyval(coefficients[0], x) / np.polyval(coefficients[1], x)
 
 
 def normal(words: Words) -> Floats:
-    """Standard normal numbers from words, by the inverse distribution function AS 241, as in `NormalDist.inv_cdf`, but
-    with a portable logarithm.
-    """
+    """Standard normal numbers from words, by AS 241 as in `NormalDist.inv_cdf`, but with a portable logarithm."""
     p = ((words >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52  # in (0, 1), symmetric
     q = p - 0.5
     middle = q * _ratio(_CENTRAL, 0.180625 - q * q)
@@ -153,16 +131,15 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 def splits_of(splits: SplitsLike) -> Splits:
     """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05" or "train=80,test=20"; None or "": no splits.
 
-    Raises SceneError: names must be valid for folders and differ, also without regard to case; shares must be positive
-    and add up to 1, or be integers.
+    Raises SceneError. Names must be valid for folders, and differ without regard to case.
     """
     if not splits:
         return ()
-    pairs: list[tuple[Any, Any]]
     if isinstance(splits, str):
-        pairs = _shares([_parsed_split(part) for part in splits.split(",")])
-    else:
-        pairs = _shares(list(splits.items() if isinstance(splits, Mapping) else splits))
+        splits = [_parsed_split(part) for part in splits.split(",")]
+    pairs: list[tuple[Any, Any]] = list(splits.items() if isinstance(splits, Mapping) else splits)
+    if all(type(share) is int and share > 0 for _, share in pairs):  # numbers of samples
+        pairs = [(name, share / sum(each for _, each in pairs)) for name, share in pairs]
     if len(pairs) > MAX_SPLITS:
         raise SceneError(f"split: must be at most {MAX_SPLITS} splits; got {len(pairs)}")
     messages, seen = [], set()
@@ -184,13 +161,6 @@ def splits_of(splits: SplitsLike) -> Splits:
     return tuple((name, float(share)) for name, share in pairs)
 
 
-def _shares(pairs: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
-    """Names and shares; numbers of samples, if all are integers, become shares."""
-    if not all(type(share) is int and share > 0 for _, share in pairs):
-        return pairs
-    return [(name, share / sum(each for _, each in pairs)) for name, share in pairs]
-
-
 def _parsed_split(part: str) -> tuple[str, float]:
     """Parse a split from NAME=SHARE."""
     name, _, share = part.partition("=")
@@ -198,12 +168,6 @@ def _parsed_split(part: str) -> tuple[str, float]:
         return name.strip(), int(share) if share.strip().isdecimal() else float(share)
     except ValueError:
         raise SceneError(f"split: must be NAME=SHARE,..., like train=0.9,test=0.1; got {shown(part)}") from None
-
-
-def positions(splits: Splits, place: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Position of the split whose part of [0, 1) contains each number in `place`; 0 without splits."""
-    ends = [math.fsum(share for _, share in splits[: k + 1]) for k in range(len(splits) - 1)]
-    return np.searchsorted(ends, place, side="right")
 
 
 def split_of(splits: Splits, seed: int, number: int) -> int:
@@ -236,4 +200,5 @@ def _split_order(seed: int, size: int, block: int) -> NDArray[np.int64]:
 def of_files(splits: Splits, digests: Sequence[str]) -> NDArray[np.int64]:
     """Position of the split of each file, (n,), from its SHA-256 alone, so that copies get the same split."""
     words = np.array([int(digest[:16], 16) for digest in digests], np.uint64)
-    return positions(splits, unit(words))
+    ends = [math.fsum(share for _, share in splits[: k + 1]) for k in range(len(splits) - 1)]
+    return np.searchsorted(ends, unit(words), side="right")

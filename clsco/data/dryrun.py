@@ -21,7 +21,6 @@ from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png
 from clsco.frame.provenance import views
 from clsco.plan.prepare import prepare
-from clsco.scene.model import Scene
 
 MOST_DRAWN = 128  # samples that are drawn, and at which rays are cast
 MOST_RENDERED, RENDER_S = 16, 30.0  # samples that are rendered, and s after which no further one is
@@ -37,40 +36,34 @@ class Summary:
     low: float | None
     mean: float | None
     high: float | None
-    note: str
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of `dry_run`: forecast for a set of `count` samples from `looked_at` of them, evenly spaced.
-
-    `splits`: share of each split; `attempts`: number of draws; `failed`: messages of samples that cannot be drawn or
-    rendered; `frames`: mean number of frames per sample, over all variants and views. From the rendered samples:
-    `bytes`, mean size of a sample by array before compression; `seconds` for the set with one process; `basis`: which
-    samples these come from, or why they are unknown. `fails`: True if each sample that was rendered failed.
-    """
+    """Forecast for a set of `count` samples from `looked_at` of them, evenly spaced."""
 
     count: int
-    splits: dict[str, float]
+    splits: dict[str, float]  # share of each split
     looked_at: int
     parameters: tuple[Summary, ...]
-    attempts: int
-    failed: tuple[str, ...]
+    attempts: int  # number of draws
+    failed: tuple[str, ...]  # messages of samples that cannot be drawn or rendered
     measures: tuple[Summary, ...]
-    frames: float
-    bytes: dict[str, float]
-    seconds: float | None
-    basis: str
+    frames: float  # mean number per sample, over all variants and views
+    bytes: dict[str, float]  # mean size of a rendered sample by array, before compression
+    seconds: float | None  # for the set with one process
+    basis: str  # samples that bytes and seconds come from, or why these are unknown
     sheet: Path | None
-    fails: bool
+    fails: bool  # each sample that was rendered failed
 
 
 def dry_run(
     distribution: Distribution, seed: int, count: int, *, arrays: Sequence[str], sheet_path: Path | None = None
 ) -> DryRun:
-    """Draw and render some samples to forecast a data set. Raises SceneError if no sample can be drawn.
+    """Draw and render some samples to forecast a data set; sheet_path: PNG for their pictures, if there is a device.
 
-    arrays: names as in files; sheet_path: PNG for pictures of the rendered samples, if there is a device.
+    Raises SceneError if no sample can be drawn.
     """
     many = min(count, MOST_DRAWN)
     samples, failed = list[Sample](), list[str]()
@@ -117,7 +110,7 @@ def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:
 
 def _summary(name: str, values: list[Any]) -> Summary:
     if all(isinstance(value, int | float) for value in values):
-        return Summary(name, min(values), fmean(values), max(values), "")
+        return Summary(name, min(values), fmean(values), max(values))
     counts = Counter(map(str, values))
     listed = ", ".join(f"{text}: {n / len(values):.1%}" for text, n in sorted(counts.items()))
     short = len(counts) <= VALUES and not any(isinstance(value, dict) for value in values)
@@ -127,7 +120,8 @@ def _summary(name: str, values: list[Any]) -> Summary:
 def _measures(samples: Sequence[Sample]) -> tuple[Summary, ...]:
     """Summaries of depth, blur and motion over samples without depth maps, at which rays cannot be cast."""
     analytic = [sample for sample in samples if all(scene.is_analytic for scene in sample.scenes)]
-    looks = [look for sample in analytic for look in looks_of([_with_resolution(s) for s in sample.scenes])]
+    scenes = [[s if s.camera.resolution is not None else prepare(s).scene for s in each.scenes] for each in analytic]
+    looks = [look for variants in scenes for look in looks_of(variants)]
     if not looks:
         return ()
     values = {
@@ -136,14 +130,7 @@ def _measures(samples: Sequence[Sample]) -> tuple[Summary, ...]:
         "flow, px": np.concatenate([look.flow for look in looks]),
         "share of valid pixels": np.array([look.valid for look in looks]),
     }
-    ends = {
-        name: (float(each.min()), float(each.mean()), float(each.max())) for name, each in values.items() if each.size
-    }
-    return tuple(Summary(name, *numbers, note="") for name, numbers in ends.items())
-
-
-def _with_resolution(scene: Scene) -> Scene:
-    return scene if scene.camera.resolution is not None else prepare(scene).scene
+    return tuple(Summary(name, float(v.min()), float(v.mean()), float(v.max())) for name, v in values.items() if v.size)
 
 
 def _render(

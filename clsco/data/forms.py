@@ -1,13 +1,12 @@
-"""Distributions of values, such as { uniform = [1, 2] }: how they are read, and how they turn 64-bit words into
-values.
-"""
+"""Distributions of values, such as { uniform = [1, 2] }: how they are read, and turn 64-bit words into values."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,17 +21,8 @@ MAX_INTEGER = 2**53
 MAX_ENTRIES = 10_000
 MAX_SIZE = 16
 
-
 Table = Mapping[str, Any]
 """A table of a file that stands for a value."""
-
-
-@dataclass
-class FormContext:
-    """Folder and splits that all distributions of a file share."""
-
-    folder: Folder
-    splits: Splits
 
 
 def _number(value: Any) -> float:
@@ -81,16 +71,16 @@ def _require_word(key: str, table: Table, *words: str) -> None:
 def _entries(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list) or not 1 <= len(value) <= MAX_ENTRIES:
         raise RefusedError(f"must be a list of 1 to {MAX_ENTRIES} values")
-    if any(isinstance(entry, Mapping) or _deep(entry) for entry in value):
+    if not _is_plain(value, 3):  # at most the bounds of an object, pairs in a list
         raise RefusedError("must be a list of numbers, texts, or lists of numbers", "a table or a list of lists in it")
     return tuple(value)
 
 
-def _deep(entry: Any) -> bool:
-    """True if a list is nested more deeply than a vector, or the bounds of an object."""
-    inner = [part for part in entry if isinstance(part, list)] if isinstance(entry, list) else []
-    tables = isinstance(entry, list) and any(isinstance(part, Mapping) for part in entry)
-    return tables or any(isinstance(part, list | Mapping) for one in inner for part in one)
+def _is_plain(value: Any, levels: int) -> bool:
+    """True without tables and without more than `levels` of lists in each other."""
+    if isinstance(value, list):
+        return levels > 0 and all(_is_plain(part, levels - 1) for part in value)
+    return not isinstance(value, Mapping)
 
 
 @dataclass(frozen=True)
@@ -114,108 +104,77 @@ class Form(ABC):
 
 
 @dataclass(frozen=True)
-class NumberForm(Form):
-    """Distribution of one number, or of `size` of them."""
-
-    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002, files depend on the split
-        numbers = self._numbers(words).tolist()
-        return numbers if self.size else numbers[0]
-
-    def extremes(self) -> tuple[Any, ...]:
-        return tuple([end] * self.size if self.size else end for end in self._ends())
-
-    @abstractmethod
-    def _numbers(self, words: Words) -> NDArray[Any]:
-        """A number for each word."""
-
-    @abstractmethod
-    def _ends(self) -> tuple[Any, ...]:
-        """The lowest and the highest number."""
-
-
-@dataclass(frozen=True)
-class Uniform(NumberForm):
-    """{ uniform = [low, high] }"""
+class Numbers(Form):
+    """Distribution of one number from `low` to `high`, or of `size` of them; draw: gives a number for each word."""
 
     low: float
     high: float
+    draw: Callable[[Words], NDArray[Any]]
 
-    @classmethod
-    def parse(cls, table: Table, _: FormContext) -> Form:
-        """Read the distribution from its table in the file. Raises RefusedError."""
-        return cls(_size(table), *_at("uniform", table, _range))
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002, files depend on the split
+        numbers = self.draw(words).tolist()
+        return numbers if self.size else numbers[0]
 
-    def _numbers(self, words: Words) -> NDArray[Any]:
-        return _between(self.low, self.high, unit(words))
-
-    def _ends(self) -> tuple[Any, ...]:
-        return self.low, self.high
+    def extremes(self) -> tuple[Any, ...]:
+        return tuple([end] * self.size if self.size else end for end in (self.low, self.high))
 
 
-@dataclass(frozen=True)
-class LogUniform(Uniform):
+def _between(low: float, high: float, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate from `low` (share 0) to `high` (share 1), clipped to both."""
+    return np.clip(low + (high - low) * share, low, high)
+
+
+def _parse_uniform(table: Table, *_: Any) -> Form:
+    """{ uniform = [low, high] }"""
+    low, high = _at("uniform", table, _range)
+    return Numbers(_size(table), low, high, partial(_draw_uniform, low, high))
+
+
+def _draw_uniform(low: float, high: float, words: Words) -> NDArray[np.float64]:
+    return _between(low, high, unit(words))
+
+
+def _parse_log_uniform(table: Table, *_: Any) -> Form:
     """{ log_uniform = [low, high] }: the logarithm is uniform."""
-
-    @classmethod
-    def parse(cls, table: Table, _: FormContext) -> Form:
-        low, high = _at("log_uniform", table, _range)
-        if low < 1e-30:
-            raise RefusedError("log_uniform must be [low, high] of numbers above 0", shown(table["log_uniform"]))
-        return cls(_size(table), low, high)
-
-    def _numbers(self, words: Words) -> NDArray[Any]:
-        start, end = exact_log(self.low), exact_log(self.high)
-        return np.clip(exp(_between(start, end, unit(words))), self.low, self.high)
+    low, high = _at("log_uniform", table, _range)
+    if low < 1e-30:
+        raise RefusedError("log_uniform must be [low, high] of numbers above 0", shown(table["log_uniform"]))
+    return Numbers(_size(table), low, high, partial(_draw_log_uniform, low, high))
 
 
-@dataclass(frozen=True)
-class Normal(NumberForm):
+def _draw_log_uniform(low: float, high: float, words: Words) -> NDArray[np.float64]:
+    return np.clip(exp(_between(exact_log(low), exact_log(high), unit(words))), low, high)
+
+
+def _parse_normal(table: Table, *_: Any) -> Form:
     """{ normal = [mean, deviation], clip = [low, high] }: values are clipped to the limits."""
-
-    mean: float
-    deviation: float
-    clip: tuple[float, float]
-
-    @classmethod
-    def parse(cls, table: Table, _: FormContext) -> Form:
-        mean, deviation = _at("normal", table, lambda value: _pair(value, "[mean, standard deviation]"))
-        if deviation <= 0:
-            rule = "normal must be [mean, standard deviation], the latter above 0"
-            raise RefusedError(rule, shown(table["normal"]))
-        clip = _at("clip", table, _range) if "clip" in table else (-LARGEST, LARGEST)
-        return cls(_size(table), mean, deviation, clip)
-
-    def _numbers(self, words: Words) -> NDArray[Any]:
-        return np.clip(self.mean + self.deviation * normal(words), *self.clip)
-
-    def _ends(self) -> tuple[Any, ...]:
-        reach = LARGEST_NORMAL * self.deviation
-        return tuple(min(max(end, self.clip[0]), self.clip[1]) for end in (self.mean - reach, self.mean + reach))
+    mean, deviation = _at("normal", table, lambda value: _pair(value, "[mean, standard deviation]"))
+    if deviation <= 0:
+        rule = "normal must be [mean, standard deviation], the latter above 0"
+        raise RefusedError(rule, shown(table["normal"]))
+    clip = _at("clip", table, _range) if "clip" in table else (-LARGEST, LARGEST)
+    reach = LARGEST_NORMAL * deviation
+    low, high = (min(max(end, clip[0]), clip[1]) for end in (mean - reach, mean + reach))
+    return Numbers(_size(table), low, high, partial(_draw_normal, mean, deviation, clip))
 
 
-@dataclass(frozen=True)
-class Integers(NumberForm):
+def _draw_normal(mean: float, deviation: float, clip: tuple[float, float], words: Words) -> NDArray[np.float64]:
+    return np.clip(mean + deviation * normal(words), *clip)
+
+
+def _parse_integers(table: Table, *_: Any) -> Form:
     """{ integers = [low, high] }, limits included."""
+    value = table["integers"]
+    if not isinstance(value, list) or len(value) != 2:
+        raise RefusedError("integers must be [low, high]", shown(value))
+    low, high = (_whole(end, -MAX_INTEGER, MAX_INTEGER) for end in value)
+    if not 0 <= high - low < MAX_INTEGER:
+        raise RefusedError("integers must be [low, high], low at most high", shown(value))
+    return Numbers(_size(table), low, high, partial(_draw_integers, low, high))
 
-    low: int
-    high: int
 
-    @classmethod
-    def parse(cls, table: Table, _: FormContext) -> Form:
-        value = table["integers"]
-        if not isinstance(value, list) or len(value) != 2:
-            raise RefusedError("integers must be [low, high]", shown(value))
-        low, high = (_whole(end, -MAX_INTEGER, MAX_INTEGER) for end in value)
-        if not 0 <= high - low < MAX_INTEGER:
-            raise RefusedError("integers must be [low, high], low at most high", shown(value))
-        return cls(_size(table), low, high)
-
-    def _numbers(self, words: Words) -> NDArray[Any]:
-        count = self.high - self.low + 1
-        return self.low + np.minimum((unit(words) * count).astype(np.int64), count - 1)
-
-    def _ends(self) -> tuple[Any, ...]:
-        return self.low, self.high
+def _draw_integers(low: int, high: int, words: Words) -> NDArray[np.int64]:
+    return low + np.minimum((unit(words) * (high - low + 1)).astype(np.int64), high - low)
 
 
 @dataclass(frozen=True)
@@ -226,15 +185,16 @@ class ChoiceForm(Form):
     below: tuple[float, ...]
 
     @classmethod
-    def parse(cls, table: Table, _: FormContext) -> Form:
+    def parse(cls, table: Table, *_: Any) -> Form:
+        """Read the distribution from its table in the file. Raises RefusedError."""
         entries = _at("choice", table, _entries)
         weights = table.get("weights", [1.0] * len(entries))
         if not isinstance(weights, list) or len(weights) != len(entries):
             raise RefusedError(f"weights must be a list of {len(entries)} numbers", shown(weights))
         numbers = [_at("weights", {"weights": weight}, _number) for weight in weights]
-        if min(numbers) < 0 or not math.fsum(numbers) > 0:
+        if min(numbers) < 0 or not (total := math.fsum(numbers)) > 0:
             raise RefusedError("weights must be at least 0, and one above it", shown(weights))
-        return cls(None, entries, _cumulative_shares(numbers))
+        return cls(None, entries, tuple(math.fsum(numbers[: k + 1]) / total for k in range(len(numbers))))
 
     def value(self, words: Words, split: int) -> Any:  # noqa: ARG002
         return self.entries[int(np.searchsorted(self.below[:-1], unit(words)[0], side="right"))]
@@ -254,16 +214,16 @@ class Files(Form):
     of_split: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def parse(cls, table: Table, context: FormContext) -> Form:
-        names = _at("files", table, context.folder.match)
-        digests = [_at("files", {"files": name}, context.folder.take) for name in names]
-        splits = max(1, len(context.splits))
+    def parse(cls, table: Table, folder: Folder, splits: Splits) -> Form:
+        names = _at("files", table, folder.match)
+        digests = [_at("files", {"files": name}, folder.take) for name in names]
+        numbers = range(max(1, len(splits)))
         if "split" not in table:
-            return cls(None, tuple(names), (tuple(range(len(names))),) * splits)
+            return cls(None, tuple(names), (tuple(range(len(names))),) * len(numbers))
         _require_word("split", table, "by_file")
-        split = of_files(context.splits, digests)
-        of_split = tuple(tuple((split == number).nonzero()[0].tolist()) for number in range(splits))
-        empty = [name for (name, _), own in zip(context.splits, of_split, strict=False) if not own]
+        split = of_files(splits, digests)
+        of_split = tuple(tuple((split == number).nonzero()[0].tolist()) for number in numbers)
+        empty = [name for (name, _), own in zip(splits, of_split, strict=False) if not own]
         if empty:
             rule = f"files must be more, so that each split has one: there is none for {', '.join(empty)}"
             raise RefusedError(rule, f"{len(names)} files")
@@ -290,7 +250,7 @@ class Frustum(Form):
     by_volume: bool
 
     @classmethod
-    def parse(cls, outer: Table, _: FormContext) -> Form:
+    def parse(cls, outer: Table, *_: Any) -> Form:
         table = outer["frustum"]
         if not isinstance(table, Mapping) or "depth" not in table:
             raise RefusedError("frustum must be { depth = [near, far], margin = px }", shown(table))
@@ -302,17 +262,12 @@ class Frustum(Form):
         margin = _at("margin", table, _number) if "margin" in table else 0.0
         if "density" in table:
             _require_word("density", table, "volume", "depth")
-        return cls(None, near, far, margin, table.get("density") != "depth")
-
-    @property
-    def words(self) -> int:
-        return 3
+        return cls(3, near, far, margin, table.get("density") != "depth")
 
     def value(self, words: Words, split: int) -> Placed:  # noqa: ARG002
         across, up, depth = unit(words)
         if self.by_volume:
-            depth = cube_root(_between(self.near**3, self.far**3, depth))
-            depth = np.clip(depth, self.near, self.far)
+            depth = np.clip(cube_root(_between(self.near**3, self.far**3, depth)), self.near, self.far)
         else:
             depth = _between(self.near, self.far, depth)
         return Placed(float(2.0 * across - 1.0), float(2.0 * up - 1.0), float(depth), self.margin)
@@ -341,7 +296,7 @@ class Rotated(Form):
     """{ direction = "sphere" } with 3 numbers, { rotation = "uniform" } with 4: uniform on a sphere."""
 
     @classmethod
-    def parse(cls, table: Table, _: FormContext) -> Form:
+    def parse(cls, table: Table, *_: Any) -> Form:
         key, word, size = ("direction", "sphere", 3) if "direction" in table else ("rotation", "uniform", 4)
         _require_word(key, table, word)
         return cls(size)
@@ -359,22 +314,11 @@ class Rotated(Form):
         return vector.tolist() if self.size == 3 else {"quaternion": vector.tolist()}
 
 
-def _between(low: float, high: float, share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate from `low` (share 0) to `high` (share 1), clipped to both."""
-    return np.clip(low + (high - low) * share, low, high)
-
-
-def _cumulative_shares(weights: Sequence[float]) -> tuple[float, ...]:
-    """Cumulative shares of positive weights, up to 1."""
-    total = math.fsum(weights)
-    return tuple(math.fsum(weights[: k + 1]) / total for k in range(len(weights)))
-
-
-FORMS: dict[str, tuple[Callable[[Table, FormContext], Form], tuple[str, ...]]] = {
-    "uniform": (Uniform.parse, ("size",)),
-    "log_uniform": (LogUniform.parse, ("size",)),
-    "normal": (Normal.parse, ("size", "clip")),
-    "integers": (Integers.parse, ("size",)),
+FORMS: dict[str, tuple[Callable[[Table, Folder, Splits], Form], tuple[str, ...]]] = {
+    "uniform": (_parse_uniform, ("size",)),
+    "log_uniform": (_parse_log_uniform, ("size",)),
+    "normal": (_parse_normal, ("size", "clip")),
+    "integers": (_parse_integers, ("size",)),
     "choice": (ChoiceForm.parse, ("weights",)),
     "files": (Files.parse, ("split",)),
     "frustum": (Frustum.parse, ()),
@@ -389,7 +333,7 @@ def is_form(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in FORMS for key in value)
 
 
-def form_of(table: Table, context: FormContext) -> Form:
+def form_of(table: Table, folder: Folder, splits: Splits) -> Form:
     """The distribution that a table states. Raises RefusedError."""
     names = [key for key in table if key in FORMS]
     if len(names) > 1:
@@ -398,4 +342,4 @@ def form_of(table: Table, context: FormContext) -> Form:
     if unknown := [key for key in table if key != names[0] and key not in options]:
         takes = f"takes {' and '.join(options)} only" if options else "stands alone"
         raise RefusedError(f"{names[0]} {takes}", shown(unknown[0]))
-    return parse(table, context)
+    return parse(table, folder, splits)

@@ -24,23 +24,19 @@ UNSPLIT = "data"  # folder of the shards of a set without splits
 
 @dataclass(frozen=True)
 class Identity:
-    """Everything that decides the bytes of a set except its number of samples.
+    """Everything that decides the bytes of a set except its number of samples."""
 
-    distribution: digest; first: number of the first sample; arrays: names as in files; precision: of the geometry,
-    "double" or "single"; version: of clsco; types: of arrays that are not stored in their default type.
-    """
-
-    distribution: str
+    distribution: str  # digest
     seed: int
-    first: int
+    first: int  # number of the first sample
     shard_size: int
     format: str
-    arrays: tuple[str, ...]
-    precision: str
+    arrays: tuple[str, ...]  # names as in files
+    precision: str  # of the geometry, "double" or "single"
     splits: tuple[tuple[str, float], ...]
-    version: str
+    version: str  # of clsco
     device_family: str
-    types: tuple[tuple[str, str], ...] = ()
+    types: tuple[tuple[str, str], ...] = ()  # of arrays that are not stored in their default type
 
     @property
     def digest(self) -> str:
@@ -63,19 +59,16 @@ class Identity:
 
 @dataclass(frozen=True)
 class ManifestPart:
-    """A shard's part of the manifest, for `count` samples from number `first`.
-
-    identity: digest of the set's `Identity`; files: (size, SHA-256) by key; rows: SHA-256 of the lines that follow.
-    """
+    """A shard's part of the manifest, for `count` samples from number `first`."""
 
     shard: int
-    identity: str
+    identity: str  # digest of the set's `Identity`
     first: int
     count: int
     made: int
     failed: int
-    files: Mapping[str, tuple[int, str]]
-    rows: str
+    files: Mapping[str, tuple[int, str]]  # (size, SHA-256) by key
+    rows: str  # SHA-256 of the lines that follow
 
     @property
     def numbers(self) -> range:
@@ -127,31 +120,25 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     try:
         lines = [strict_json(text) for text in data.splitlines()[1:]]
         rows, failures = lines[: part.made], lines[part.made :]
-        if len(lines) != part.count or not (all(map(_is_row, rows)) and all(map(_is_failure, failures))):
+        fit = [_fits(row, _ROW) and all(isinstance(digest, str) for digest in row["arrays"].values()) for row in rows]
+        fit += [_fits(row, _FAILURE) for row in failures]
+        if len(lines) != part.count or not all(fit):
             raise ValueError("other values, or fewer lines")
     except ValueError as error:
         raise FileError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
     return rows, failures
 
 
-def _is_row(row: Any) -> bool:
-    """True if a row describes a sample that is in a file."""
-    types = {"file": str, "split": str, "parameters": dict, "arrays": dict}
-    if not isinstance(row, dict) or not all(isinstance(row.get(name), kind) for name, kind in types.items()):
+_ROW = {"number": int, "offset": int, "file": str, "split": str, "parameters": dict, "arrays": dict}
+_FAILURE = {"number": int, "error": str, "scene": dict | None}
+
+
+def _fits(row: Any, types: Mapping[str, Any]) -> bool:
+    """True if a row has entries of these types; integers are numbers of samples."""
+    if not isinstance(row, dict) or not all(isinstance(row.get(name, ...), kind) for name, kind in types.items()):
         return False
-    digests = row["arrays"].values()
-    return all(_is_count(row.get(name)) for name in ("number", "offset")) and all(isinstance(d, str) for d in digests)
-
-
-def _is_failure(row: Any) -> bool:
-    """True if a row describes a failed sample."""
-    if not isinstance(row, dict) or not _is_count(row.get("number")) or not isinstance(row.get("error"), str):
-        return False
-    return isinstance(row.get("scene", ""), dict | None)
-
-
-def _is_count(value: Any) -> bool:
-    return type(value) is int and 0 <= value <= 10**12
+    numbers = [row[name] for name, kind in types.items() if kind is int]
+    return all(type(number) is int and 0 <= number <= 10**12 for number in numbers)
 
 
 def require_rows(part: ManifestPart, data: bytes) -> None:
@@ -171,10 +158,7 @@ def numbers_of(shard: int, samples: range, size: int) -> range:
 
 
 class Merged:
-    """Merges the lines and files of all parts of a set, which must be added in order.
-
-    The lines stay in the storage's scratch folder until `put`.
-    """
+    """Merges the lines and files of all parts, added in order; lines stay in the scratch folder until `put`."""
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage

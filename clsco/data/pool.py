@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from clsco.data.failures import failure_of
 from clsco.data.storage import open_storage
 from clsco.engine.child import Child, at_forced_end, how_ended
-from clsco.errors import ClscoError, DeviceError
+from clsco.errors import ClscoError
 from clsco.resources import processors, resident_bytes
 
 if TYPE_CHECKING:
@@ -28,9 +28,10 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("clsco")
 RECYCLED_SHARDS = 32  # shards after which a process is replaced, because drivers leak memory
 END_S = 20.0  # s after which a process that was asked to end is killed
-THREADS = "POCL_MAX_PTHREAD_COUNT"
-"""Environment variable that the wheel of PoCL 3.0 reads; later versions read another name."""
-_THREAD_VARIABLES = (THREADS, "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# The first one is read by the wheel of PoCL 3.0, the second one by later versions.
+_THREAD_VARIABLES = (
+    "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,7 @@ class _Worker:
 def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> list[Place]:
     """List the places of worker processes: one per graphics card, and one per core of a processor.
 
-    devices: names, each with True for a processor; workers: total number of processes, which are spread over the
-    devices.
+    devices: names, each with True for a processor; workers: total number of processes, spread over the devices.
     """
     cores = processors()
     if workers is None:
@@ -128,9 +128,6 @@ class _Pool:
             raise ClscoError(content[0])
         if kind == "ready":
             worker.is_ready, self.failed_starts = True, 0
-            family = self.job.identity.device_family
-            if content[0] != family:
-                raise DeviceError(f"device: all of a set must be of the family {family}; got {content[0]}")
         elif kind == "progress":
             self._count(*content)
         else:
@@ -139,14 +136,13 @@ class _Pool:
             if kind == "failed":
                 self.schedule.died(task, content[0])
                 worker.is_leaving = True  # the driver may be lost in that process alone
-                worker.child.send(None)
-                return
-            self.schedule.done(task)
-            if task.tried is None:
-                self._count(task.shard, len(self.job.numbers(task.shard)))
-            worker.shards += 1
-            if worker.shards >= RECYCLED_SHARDS or content[2] > self.memory:
-                worker.is_leaving = True
+            else:
+                self.schedule.done(task)
+                if task.tried is None:
+                    self._count(task.shard, len(self.job.numbers(task.shard)))
+                worker.shards += 1
+                worker.is_leaving = worker.shards >= RECYCLED_SHARDS or content[0] > self.memory
+            if worker.is_leaving:
                 worker.child.send(None)
 
     def _count(self, shard: int, done: int) -> None:
@@ -191,14 +187,15 @@ def stoppable() -> Iterator[None]:
         yield
         return
 
-    def stop(number: int, _: FrameType | None) -> NoReturn:
-        raise SystemExit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, stop)
+    before = signal.signal(signal.SIGTERM, _exit)
     try:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _exit(number: int, _: FrameType | None) -> NoReturn:
+    raise SystemExit(128 + number)
 
 
 def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
@@ -215,15 +212,15 @@ DeviceName = str | int | None
 
 def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool) -> None:
     """Make the tasks that arrive through the pipe, and report results there, until the parent sends None or ends."""
-    signal.signal(signal.SIGTERM, _ended)  # so that no file is written any more when all are removed
+    signal.signal(signal.SIGTERM, _exit)  # so that no file is written any more when all are removed
     storage = open_storage(job.where)
     at_forced_end(storage.close)
     try:
         device = device_of(name)
-        from clsco.data.shards import ShardMaker, device_family
+        from clsco.data.shards import ShardMaker
 
         maker = ShardMaker(job, storage, device, overlapped)
-        pipe.send(("ready", device_family(device)))
+        pipe.send(("ready",))
         while (task := pipe.recv()) is not None:
             pipe.send(_answer(maker, task, pipe))
     except (ClscoError, OSError) as error:
@@ -239,14 +236,13 @@ def device_of(name: DeviceName) -> Device:
     return list_devices()[0][name] if isinstance(name, int) else choose(name, "device")
 
 
-def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> tuple[int, int]:
-    """Run a task; returns the number of samples made, and of failed ones."""
+def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> None:
+    """Run a task."""
     made = maker.make(task.shard, task.tried, dict(task.failed), advance)
     if task.tried is None:
         maker.deliver(made, {"pid": os.getpid(), "device": str(maker.renderer.device), "rss": resident_bytes()})
     else:
         maker.drop(made)
-    return made.samples, made.failed
 
 
 def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, ...]:
@@ -260,14 +256,10 @@ def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, 
             pipe.send(("progress", task.shard, count))
 
     try:
-        made, failed = perform(maker, task, advance)
+        perform(maker, task, advance)
     except Exception as error:  # whatever it is, it is reported to the parent, which goes on
         return failure_of(error)
-    return "done", made, failed, resident_bytes()
-
-
-def _ended(number: int, _: FrameType | None) -> None:
-    raise SystemExit(128 + number)
+    return "done", resident_bytes()
 
 
 RETRIES, RETRIES_OF_ERROR = 3, 2
@@ -277,9 +269,7 @@ DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard to make. failed: samples to skip, with their messages; tried: samples to test instead, to find faulty
-    ones.
-    """
+    """A shard to make. failed: samples to skip, with messages; tried: samples to test instead, to find faulty ones."""
 
     shard: int
     tried: range | None = None
@@ -315,9 +305,7 @@ class Schedule:
             self._after_trial(task.shard)
 
     def died(self, task: ShardTask, cause: str | None = None) -> None:
-        """Record that a task failed.
-
-        cause: message of its error; None if its process died.
+        """Record that a task failed; cause: message of its error, None if its process died.
 
         Raises ClscoError if a shard fails although each of its samples succeeds alone.
         """

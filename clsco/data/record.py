@@ -232,12 +232,10 @@ def make_record(
     names: Collection[str],
     stored: Mapping[str, str] | None = None,
 ) -> Record:
-    """Make the record of a sample from the frames of each variant; the views of a stereo pair follow each other, left
-    first.
+    """Make the record of a sample from the frames of each variant; of a stereo pair, the left view is first.
 
-    names: arrays as in files; an array that a frame does not have is left out, such as `uv` if no surface has a
-    texture. stored: types as `parse_stored` gives them. Raises FileError: radiance that is not finite, or floats beyond
-    float16.
+    names: arrays as in files; an array that a frame does not have is left out, such as `uv` without a texture. stored:
+    types as `parse_stored` gives them. Raises FileError: radiance that is not finite, or floats beyond float16.
 
     Codes are clipped at white, as in a sensor, and at black, which interpolated textures may undershoot at an edge.
     Clipping is not an error: `meta["arrays"][name]["clipped"]` is the share of clipped values. float32 is not clipped.

@@ -8,20 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
+from clsco.data import manifest
 from clsco.data.card import CARD, write_card
-from clsco.data.manifest import (
-    LOG,
-    PARTS,
-    Identity,
-    ManifestPart,
-    Merged,
-    numbers_of,
-    parsed_part,
-    part_key,
-    require_rows,
-    rows_of,
-    shard_numbers,
-)
+from clsco.data.manifest import Identity, ManifestPart, Merged, part_key
 from clsco.data.storage import Storage
 from clsco.errors import FileError, SceneError
 from clsco.files.strict_json import strict_json
@@ -44,15 +33,15 @@ class DataSet:
     @property
     def shards(self) -> range:
         """Numbers of all shards."""
-        return shard_numbers(self.samples, self.identity.shard_size)
+        return manifest.shard_numbers(self.samples, self.identity.shard_size)
 
     def numbers(self, shard: int) -> range:
         """Numbers of the samples of a shard."""
-        return numbers_of(shard, self.samples, self.identity.shard_size)
+        return manifest.numbers_of(shard, self.samples, self.identity.shard_size)
 
     def part_keys(self) -> list[str]:
         """Keys of the manifest parts that exist, in order."""
-        return sorted(key for key in self.storage.sizes(PARTS) if key.endswith(".jsonl"))
+        return sorted(key for key in self.storage.sizes(manifest.PARTS) if key.endswith(".jsonl"))
 
     def parts(self, keys: Sequence[str] | None = None) -> Iterator[tuple[str, bytes]]:
         """Content of all existing parts or of those with `keys`, in order; several are read at a time."""
@@ -77,7 +66,7 @@ class DataSet:
         for key, data in self.parts(list(keys)):
             shard, expected = keys[key], self.numbers(keys[key])
             try:
-                part = parsed_part(data)
+                part = manifest.parsed_part(data)
                 fault = self._file_fault(part, data, None if hashes else sizes)
             except FileError as error:
                 faults.append(f"{key}: {str(error).partition(': ')[2]}")
@@ -96,11 +85,9 @@ class DataSet:
         return whole
 
     def _file_fault(self, part: ManifestPart, data: bytes, sizes: dict[str, dict[str, int]] | None) -> str:
-        """Message on the first fault of a part's files, "" for none; sizes: of files by folder, None to compare
-        hashes.
-        """
+        """Message on the first fault of a part's files, or ""; sizes: of files by folder, None to compare hashes."""
         if sizes is None:
-            require_rows(part, data)
+            manifest.require_rows(part, data)
         for name, (size, digest) in part.files.items():
             folder = name.partition("/")[0]
             if sizes is not None and folder not in sizes:
@@ -116,7 +103,7 @@ class DataSet:
     def lines(self, shard: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         """Manifest rows of a shard's samples, and of its failed samples; empty without a part."""
         data = self.storage.read(part_key(shard))
-        return ([], []) if data is None else rows_of(data)
+        return ([], []) if data is None else manifest.rows_of(data)
 
     def write(self, about: Mapping[str, Any]) -> None:
         """Write the card, before any shard is made. about: other entries of the card."""
@@ -141,7 +128,7 @@ def open_set(storage: Storage) -> DataSet:
         about["splits"] = tuple((str(name), float(share)) for name, share in about["splits"])
         about["types"] = tuple((str(name), str(kind)) for name, kind in about["types"])
         samples, identity = range(*(int(number) for number in card["samples"])), Identity(**about)
-        if not samples or samples.start < 0 or len(shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
+        if not samples or samples.start < 0 or len(manifest.shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
             raise ValueError(f"samples are {samples}")
     except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError) as error:
         raise FileError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
@@ -151,8 +138,7 @@ def open_set(storage: Storage) -> DataSet:
 def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
     """The card of the stored set if `new` may resume it, {} for an empty storage, or a set of which nothing was made.
 
-    Raises SceneError: the stored set is another one or has more samples, resuming was not asked for, or the folder has
-    other files.
+    Raises SceneError: another set, one with more samples, or other files are there, or `resumes` is False.
     """
     storage, where = new.storage, new.storage.where
     if storage.read(CARD) is None:
@@ -177,24 +163,20 @@ def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
 def _made_some(part: bytes) -> bool:
     """True if a shard has samples, by its part of the manifest; also if that is damaged."""
     try:
-        return parsed_part(part).made > 0
+        return manifest.parsed_part(part).made > 0
     except FileError:
         return True
 
 
 @dataclass(frozen=True, repr=False)
 class Status:
-    """Progress of a set: its number of shards and samples, and those done.
-
-    `done`: parts of complete shards by number; `faults`: a line for each part whose shard is incomplete; `rate`:
-    samples per second over the latest shards, of all processes together, None if unknown.
-    """
+    """Progress of a set: its number of shards and samples, and those done."""
 
     shards: int
     samples: int
-    done: Mapping[int, ManifestPart]
-    faults: tuple[str, ...]
-    rate: float | None
+    done: Mapping[int, ManifestPart]  # parts of complete shards by number
+    faults: tuple[str, ...]  # a line for each part whose shard is incomplete
+    rate: float | None  # samples per second over the latest shards, of all processes together
 
     def __repr__(self) -> str:
         return f"<Status: {self.made} of {self.samples} samples made, {self.failed} failed>"
@@ -237,8 +219,7 @@ def status_of(
 def finish(data_set: DataSet, own: Sequence[int] | None = None) -> Status:
     """Measure the progress of a set; if it is complete, merge its manifest and complete its card.
 
-    Each part is read once. While some are missing, only the parts of the shards `own` are read, so that the total work
-    of many jobs grows linearly with the number of shards.
+    Each part is read once; while some are missing, only those of `own`, so that many jobs do not read all parts each.
     """
     if {part_key(shard) for shard in data_set.shards} - set(data_set.part_keys()):
         return status_of(data_set, shards=own)
@@ -255,7 +236,7 @@ def _rate(data_set: DataSet, done: Iterable[int]) -> float | None:
     """Samples per second by the log, which is used for nothing else."""
     times = []
     for shard in sorted(done)[-LATEST:]:
-        data = data_set.storage.read(f"{LOG}/{shard:06d}.jsonl")
+        data = data_set.storage.read(f"{manifest.LOG}/{shard:06d}.jsonl")
         try:
             log = json.loads(data or b"")
             times.append((float(log["began"]), float(log["ended"]), int(log["samples"])))

@@ -8,10 +8,10 @@ import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample, ScriptedDistribution
 from clsco.data.failures import is_of_machine
-from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
+from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, part_bytes, part_key
 from clsco.data.record import Record, make_record
+from clsco.data.sets import DataSet
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
-from clsco.errors import FileError, SceneError
+from clsco.errors import DeviceError, FileError, SceneError
 from clsco.files.atomic import file_digests
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ATTRIBUTES
@@ -66,24 +67,18 @@ class MadeShard:
     samples: int
     failed: int
     began: float
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float]
 
 
 def device_family(device: Device) -> str:
-    """Name of the family of devices that give the same bits.
-
-    For processors, it names the driver and the vector width, not the model; for other devices also the model.
-    """
+    """Name of the family of devices that give the same bits; for processors without the model."""
     if device.kind == "cpu":
         return f"cpu, {device.platform} {device.driver}, vectors of {device.vector_width} floats"
     return f"{device.kind}, {device.platform}, {device.name}, {device.driver}"
 
 
 class SampleRenderer:
-    """Renders samples one after the other on one device; data that samples share stay in memory.
-
-    arrays: names as in files; without "color" no image is rendered. precision: of the geometry.
-    """
+    """Renders samples on one device; data that they share stay in memory. Without "color" no image is rendered."""
 
     def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:
         self.device = device
@@ -94,10 +89,7 @@ class SampleRenderer:
         self._before: Scene | None = None
 
     def render(self, sample: Sample) -> list[list[Frame]]:
-        """Frames of each variant of a sample; the views of a stereo pair follow each other, left first.
-
-        Raises as `clsco.render`.
-        """
+        """Frames of each variant of a sample; of a stereo pair, the left view is first. Raises as `clsco.render`."""
         sweep = Sweep(sample.labels, sample.scenes)
         prepared = prepare_sweep(sweep, self.request, self.device, self.files)
         bare = without_lens(sample.scenes[0])
@@ -109,14 +101,15 @@ class SampleRenderer:
 
 
 class ShardMaker:
-    """Makes shards of a set, one after the other, on one device.
-
-    overlapped: a second thread encodes samples while the next ones are rendered.
-    """
+    """Makes shards of a set on one device; overlapped: a thread encodes samples while the next ones are rendered."""
 
     def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
         identity = job.identity
+        if device_family(device) != identity.device_family:
+            rule = f"device: all of a set must be of the family {identity.device_family}"
+            raise DeviceError(f"{rule}; got {device_family(device)}") from OSError()  # so that it ends the run
+        self.data_set = DataSet(storage, identity, job.samples)
         self.container: Container = container_named(identity.format)
         self.arrays, self.types = identity.arrays, dict(identity.types)
         self.every = job.distribution.tables.check.get("every", 0) if isinstance(job.distribution, Distribution) else 0
@@ -131,9 +124,8 @@ class ShardMaker:
     ) -> MadeShard:
         """Make the files of a shard in the scratch folder, with all samples or those in `numbers`.
 
-        failed: samples to skip, with their messages; advance: called after each sample. A sample that cannot be drawn
-        or rendered becomes a failure. Raises ClscoError: the machine fails (`is_of_machine`), or files cannot be
-        written.
+        failed: samples to skip, with their messages; advance: called after each sample. Raises ClscoError if the
+        machine fails (`is_of_machine`), or files cannot be written; other samples that fail are noted.
         """
         began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
         rows: dict[int, dict[str, Any]] = {}
@@ -208,47 +200,26 @@ class ShardMaker:
     def deliver(self, made: MadeShard, about: Mapping[str, Any]) -> None:
         """Move the files of a shard to the set, then its part, and log how long it took.
 
-        about: description of the process, for the log. Raises FileError if another process has made the shard with
-        other bytes; then both are kept.
+        about: the process. Raises FileError if another one has made other bytes; then both are kept.
         """
         key = part_key(made.shard)
         present = self.storage.read(key)
         if present is not None and present != made.part:
-            if self._is_whole(present, made.shard):
-                self._keep_both(made)
+            if self.data_set.done([made.shard], True, []):  # the device of one of the two processes is broken
+                beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
+                for name, path in made.files.items():
+                    self.storage.put(f"{beside}/{name}", path)
+                self.storage.write(f"{beside}/{key}", made.part)
+                rule = "all that make a shard must make the same bytes"
+                raise FileError(f"{key}: {rule}; got others, which are in {beside}") from OSError(rule)
             self.storage.remove(key)  # what it names is about to change
         for name, path in made.files.items():
             self.storage.put(name, path)
         self.storage.write(key, made.part)
         took = {name: round(value, 3) for name, value in made.seconds.items()}
-        log: dict[str, Any] = {
-            "shard": made.shard,
-            "samples": made.samples,
-            "failed": made.failed,
-            "began": round(made.began, 3),
-        }
-        log |= {"ended": round(time.time(), 3), "seconds": took, **about}
+        log: dict[str, Any] = {"shard": made.shard, "samples": made.samples, "failed": made.failed}
+        log |= {"began": round(made.began, 3), "ended": round(time.time(), 3), "seconds": took, **about}
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
-
-    def _is_whole(self, data: bytes, shard: int) -> bool:
-        """True if the part of a shard belongs to this set, has all samples, and its files match."""
-        try:
-            part = parsed_part(data)
-        except FileError:
-            return False
-        same = (part.shard, part.identity, part.numbers) == (shard, self.job.identity.digest, self.job.numbers(shard))
-        return same and all(self.storage.digest(name) == digest for name, (_, digest) in part.files.items())
-
-    def _keep_both(self, made: MadeShard) -> NoReturn:
-        """Save a shard beside another one that should be identical, and raise: the device of one of the two processes
-        is broken.
-        """
-        beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
-        for name, path in made.files.items():
-            self.storage.put(f"{beside}/{name}", path)
-        self.storage.write(f"{beside}/{part_key(made.shard)}", made.part)
-        rule = "all that make a shard must make the same bytes"
-        raise FileError(f"{part_key(made.shard)}: {rule}; got others, which are in {beside}") from OSError(rule)
 
     def drop(self, made: MadeShard) -> None:
         """Remove the files of a shard from the scratch folder."""

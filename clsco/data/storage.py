@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from clsco.errors import ClscoError, FileError, import_extra
-from clsco.files.atomic import file_sha256, raise_file_error
+from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular, read_regular, remove_left, work_name
 
-BLOCK = 2**20
 MOST_BYTES = 2**30  # of a card or a part of a manifest
+_MISSING = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
 Call = TypeVar("Call", bound=Callable[..., Any])
 
 
 def remove_path(path: Path) -> None:
-    """Remove a file or a folder, if it exists."""
-    if path.is_dir():
+    """Remove a file, a link or a folder, if it exists."""
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
@@ -70,16 +70,52 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-class _Folder:
-    """A folder with objects by key; keys are relative paths with "/". All methods raise FileError on failure.
+class _Storage:
+    """Objects by key, a relative path with "/". All methods raise FileError on failure.
 
-    A file is written in a hidden temporary folder, and renamed when it is complete on the disk.
+    Unfinished files of a process are in a folder in `base`, whose name begins with `prefix`.
     """
 
+    where: str
+    base: Path
+    prefix: str
+    mode: int
+
+    @_failing
+    def scratch(self) -> Path:
+        """This process's folder for temporary files."""
+        path = self.base / work_name(self.prefix)
+        path.mkdir(self.mode, parents=True, exist_ok=True)
+        return path
+
+    @_failing
+    def tidy(self) -> None:
+        """Remove temporary files of processes that have ended."""
+        remove_left(self.base, self.prefix)
+
+    def close(self) -> None:
+        """Remove the temporary files of this process."""
+        shutil.rmtree(self.base / work_name(self.prefix), ignore_errors=True)
+
+    @_failing
+    def digest(self, key: str) -> str | None:
+        """SHA-256 of the content of a key, or None if it does not exist."""
+        with suppress(*_MISSING), self._open(key) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+        return None
+
+    def _open(self, key: str) -> Any:
+        raise NotImplementedError
+
+
+class _Folder(_Storage):
+    """A folder; a file is written in a hidden temporary folder, and renamed when it is complete on the disk."""
+
     is_local = True
+    prefix, mode = ".work", 0o777
 
     def __init__(self, root: Path) -> None:
-        self.root = root.absolute()
+        self.root = self.base = root.absolute()
         self.where = str(self.root)
 
     def _path(self, key: str) -> Path:
@@ -89,12 +125,8 @@ class _Folder:
             raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
         return path
 
-    @_failing
-    def scratch(self) -> Path:
-        """This process's folder for temporary files."""
-        path = self.root / work_name(".work")
-        path.mkdir(parents=True, exist_ok=True)
-        return path
+    def _open(self, key: str) -> Any:
+        return open_regular(self._path(key))
 
     @_failing
     def put(self, key: str, path: Path) -> None:
@@ -118,19 +150,9 @@ class _Folder:
     @_failing
     def read(self, key: str) -> bytes | None:
         """Content of a key, or None if it does not exist."""
-        try:
+        with suppress(*_MISSING):
             return read_regular(self._path(key), MOST_BYTES)
-        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-            return None
-
-    @_failing
-    def digest(self, key: str) -> str | None:
-        """SHA-256 of the content of a key, or None if it does not exist."""
-        try:
-            with open_regular(self._path(key)) as file:
-                return file_sha256(file)
-        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-            return None
+        return None
 
     def local(self, key: str) -> Path:
         """A local file or folder with the content of a key."""
@@ -158,30 +180,17 @@ class _Folder:
     @_failing
     def remove(self, key: str) -> None:
         """Remove a file or a folder, if it exists."""
-        path = self._path(key)
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-
-    @_failing
-    def tidy(self) -> None:
-        """Remove temporary files of processes that have ended."""
-        remove_left(self.root, ".work")
-
-    def close(self) -> None:
-        """Remove the temporary files of this process."""
-        shutil.rmtree(self.root / work_name(".work"), ignore_errors=True)
+        remove_path(self._path(key))
 
 
-class _Remote:
-    """An object store, or another file system of fsspec, with the methods of `_Folder`. A file is made locally and sent
-    by one request.
-    """
+class _Remote(_Storage):
+    """An object store, or another file system of fsspec. A file is made locally and sent by one request."""
 
     is_local = False
+    prefix, mode = "clsco-batch", 0o700
 
     def __init__(self, url: str) -> None:
+        self.base = Path(tempfile.gettempdir())
         core = import_extra(url, "fsspec.core", "distributed")
         self.where = url
         try:
@@ -192,11 +201,8 @@ class _Remote:
     def _path(self, key: str) -> str:
         return f"{self.root.rstrip('/')}/{checked_key(key)}"
 
-    @_failing
-    def scratch(self) -> Path:
-        path = Path(tempfile.gettempdir()) / work_name("clsco-batch")
-        path.mkdir(mode=0o700, exist_ok=True)
-        return path
+    def _open(self, key: str) -> Any:
+        return self.system.open(self._path(key), "rb")
 
     @_failing
     def put(self, key: str, path: Path) -> None:
@@ -214,22 +220,9 @@ class _Remote:
 
     @_failing
     def read(self, key: str) -> bytes | None:
-        try:
-            content: bytes = self.system.cat_file(self._path(key))
-        except FileNotFoundError:
-            return None
-        return content
-
-    @_failing
-    def digest(self, key: str) -> str | None:
-        total = hashlib.sha256()
-        try:
-            with self.system.open(self._path(key), "rb") as file:
-                while block := file.read(BLOCK):
-                    total.update(block)
-        except FileNotFoundError:
-            return None
-        return total.hexdigest()
+        with suppress(FileNotFoundError):
+            return self.system.cat_file(self._path(key))
+        return None
 
     @_failing
     def local(self, key: str) -> Path:
@@ -256,24 +249,11 @@ class _Remote:
         with suppress(FileNotFoundError):
             self.system.rm(self._path(key), recursive=True)
 
-    @_failing
-    def tidy(self) -> None:
-        remove_left(Path(tempfile.gettempdir()), "clsco-batch")
-
-    def close(self) -> None:
-        shutil.rmtree(Path(tempfile.gettempdir()) / work_name("clsco-batch"), ignore_errors=True)
-
 
 Storage = _Folder | _Remote
 
 
 def open_storage(where: str | os.PathLike[str]) -> Storage:
-    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises FileError for anything
-    else.
-    """
-    text = os.fspath(where)
-    if "://" not in text:
-        return _Folder(Path(text))
-    if text.startswith("file://"):
-        return _Folder(Path(text.removeprefix("file://")))
-    return _Remote(text)
+    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises FileError for other texts."""
+    text = os.fspath(where).removeprefix("file://")
+    return _Remote(text) if "://" in text else _Folder(Path(text))

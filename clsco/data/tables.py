@@ -44,22 +44,18 @@ class DistributionTables:
 def read_tables(
     where: str, overrides: Sequence[str], folder: Folder, content: Mapping[str, Any] | None = None
 ) -> DistributionTables:
-    """Read a distribution file with its bases, and apply overrides; content: content of the file, if known.
-
-    Raises SceneError.
-    """
+    """Read a distribution file, or its content, with its bases, and apply overrides. Raises SceneError."""
     data = read_mapping(where, ()) if content is None else _plain(content, where)
     is_joined = "base" in data
     data = _with_base(data, where, where, folder, [])
-    if (deep := _deeper(data, MAX_DEPTH)) is not None:
-        raise SceneError(f"{where}: {deep}: tables and lists must be at most {MAX_DEPTH} in each other")
+    if deep := [key for key, value in data.items() if _is_deeper(value, MAX_DEPTH - 1)]:
+        raise SceneError(f"{where}: {deep[0][:64]}: tables and lists must be at most {MAX_DEPTH} in each other")
     override(data, overrides, where)
     vary = data.pop("vary", {})
     accept, derive = data.pop("accept", {}), data.pop("derive", {})
     if not isinstance(vary, dict):
         raise SceneError(f"{where}: vary: must be a table; got {shown(vary)}")
-    check = data.pop("check", None)
-    if check is not None:
+    if (check := data.pop("check", None)) is not None:
         every = check.get("every", EVERY) if isinstance(check, dict) and check.keys() <= {"every"} else None
         if type(every) is not int or every < 1:
             rule = "must be a table with every, a whole number from 1 on"
@@ -136,16 +132,10 @@ def _is_value(table: Any) -> bool:
     return is_form(table) or "from" in table
 
 
-def _deeper(value: Any, most: int) -> str | None:
-    """The key at which tables are nested more deeply than `most`, or None."""
-    waiting = [(key, entry, 1) for key, entry in value.items()]
-    while waiting:
-        key, entry, depth = waiting.pop()
-        inner = list(entry.values()) if isinstance(entry, Mapping) else entry if isinstance(entry, list) else []
-        if inner and depth == most:
-            return str(key)[:64]
-        waiting += [(key, part, depth + 1) for part in inner]
-    return None
+def _is_deeper(value: Any, most: int) -> bool:
+    """True if tables and lists with content are in more than `most` others."""
+    inner = list(value.values()) if isinstance(value, Mapping) else value if isinstance(value, list) else []
+    return bool(inner) and (most == 0 or any(_is_deeper(part, most - 1) for part in inner))
 
 
 def _unvaried(vary: dict[str, Any], parts: list[str], scene: Mapping[str, Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -60,10 +60,7 @@ def verify_files(data_set: DataSet, advance: Advance) -> list[str]:
 
 
 def drawn_again(data_set: DataSet, name: str, folder: Path) -> ScriptedDistribution:
-    """The distribution of the function "module:function" that made a set; folder: base of texture paths.
-
-    Raises SceneError: it cannot be imported, or is not the function of the set.
-    """
+    """The distribution of the function "module:function" that made a set. Raises SceneError for another function."""
     try:
         function = resolve_name(name) if ":" in name else None
     except Exception as error:  # the module may raise anything
@@ -86,8 +83,7 @@ def verify_samples(
 ) -> list[str]:
     """Render samples again, and list those that differ, one line each.
 
-    folder: folder of the distribution file, base of texture paths. drawn: from `drawn_again`, draws the samples again;
-    None to use the scenes that the set has.
+    folder: of the distribution file, base of texture paths; drawn: draws the samples, None for the scenes in the set.
     """
     chosen = choose(device, "device")
     if numbers and device_family(chosen) != data_set.identity.device_family:
@@ -107,10 +103,7 @@ def verify_samples(
 
 
 def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
-    """The scene of a sample, even of a failed one, relative to the folder of the distribution file.
-
-    Raises SceneError if there is no such sample.
-    """
+    """The scene of a sample, even of a failed one, with paths in the distribution's folder. Raises SceneError."""
     if number not in data_set.samples:
         raise SceneError(f"sample: must be from {data_set.samples.start} to {data_set.samples.stop - 1}; got {number}")
     shard = number // data_set.identity.shard_size
@@ -133,9 +126,9 @@ def _verify_shard(data_set: DataSet, shard: int) -> Iterator[str]:
         return
     for key in sorted({row["file"] for row in rows}):
         try:
-            with closing(container_named(data_set.identity.format).read(data_set.storage.local(key))) as reader:
-                for row in (row for row in rows if row["file"] == key):
-                    yield from _compared(f"{key}: sample {row['number']}", data_set, row, reader[row["offset"]])
+            reader = container_named(data_set.identity.format).read(data_set.storage.local(key))
+            for row in (row for row in rows if row["file"] == key):
+                yield from _compared(f"{key}: sample {row['number']}", data_set, row, reader[row["offset"]])
         except (ClscoError, IndexError) as error:
             yield f"{key}: must be read; got {error}"
 
@@ -178,10 +171,10 @@ def _verify_sample(
 
 def _stored(data_set: DataSet, row: Mapping[str, Any]) -> Record:
     """The record of a sample, from its line in the manifest."""
-    with closing(container_named(data_set.identity.format).read(data_set.storage.local(row["file"]))) as reader:
-        if row["offset"] >= len(reader):
-            raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
-        record = reader[row["offset"]]
+    reader = container_named(data_set.identity.format).read(data_set.storage.local(row["file"]))
+    if row["offset"] >= len(reader):
+        raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
+    record = reader[row["offset"]]
     kinds = {"scene": dict, "frames": list, "split": str, "attempts": int, "parameters": dict}
     for name, kind in kinds.items():
         if not isinstance(record.meta.get(name), kind):

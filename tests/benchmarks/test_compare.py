@@ -49,12 +49,7 @@ def has_mitsuba() -> bool:
 
 @pytest.mark.parametrize(
     ("error", "seconds", "outside"),
-    [
-        (2e-3, 4.0, False),
-        (4e-3, 1.0, False),
-        (5e-4, 64.0, True),  # half the error, four times the time
-        (1.6e-2, 0.125, True),
-    ],
+    [(2e-3, 4.0, False), (4e-3, 1.0, False), (5e-4, 64.0, True), (1.6e-2, 0.125, True)],  # half the error: 4 x time
 )
 def test_time_for_an_error_follows_the_curve(error: float, seconds: float, outside: bool) -> None:
     found, extrapolated = time_for(error, [(1e-3, 16.0), (4e-3, 1.0), (8e-3, 0.5)])
@@ -214,9 +209,8 @@ def test_what_is_asked_for_alone_has_no_frames(session: Session) -> None:
     cases = measure.steps(grid, device, [peer for peer in peers.PEERS if peer.tool == "numba"])
     assert alone.steps(device) == cases > measure.steps(grid, device, [])
     assert whole.steps(device) == cases + lens.steps(()) + warp.steps() * (device.kind == "cpu")
-    assert replace(whole, tools=["Mitsuba"]).steps(device) == measure.steps(grid, device, []) + lens.steps(
-        compare.QUICK.samples
-    )
+    mitsuba_alone = replace(whole, tools=["Mitsuba"])
+    assert mitsuba_alone.steps(device) == measure.steps(grid, device, []) + lens.steps(compare.QUICK.samples)
 
 
 @pytest.mark.slow  # each peer takes its time

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import clsco.data
 from clsco.cli.main import main
 from clsco.data.card import readme
 from clsco.data.containers import CONTAINERS
+from clsco.data.record import Record
 from clsco.data.sets import open_set
 from clsco.data.storage import open_storage
 from clsco.errors import FileError
@@ -25,11 +28,7 @@ def convert(source: Path, target: Path, form: str, *more: str) -> Result:
 
 @pytest.mark.parametrize(
     ("one", "other"),
-    [
-        ("hdf5", "webdataset"),
-        ("webdataset+raw", "hdf5+raw"),
-        pytest.param("zarr", "npz+raw", marks=pytest.mark.slow),
-    ],
+    [("hdf5", "webdataset"), ("webdataset+raw", "hdf5+raw"), pytest.param("zarr", "npz+raw", marks=pytest.mark.slow)],
 )
 def test_a_converted_set_is_as_if_made_so(one: str, other: str, tmp_path: Path) -> None:
     source, wanted = make_set(tmp_path / "source", one), make_set(tmp_path / "wanted", other)
@@ -43,7 +42,16 @@ def test_a_converted_set_is_as_if_made_so(one: str, other: str, tmp_path: Path) 
 def test_a_conversion_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = make_set(tmp_path / "source")
     wanted = contents(make_set(tmp_path / "wanted", "npz"))
-    monkeypatch.setattr("clsco.data.copies.CONTAINERS", {**CONTAINERS, "npz": failing(3)})
+    count, write = itertools.count(1), CONTAINERS["npz"].write
+
+    def full(path: Path, records: Iterable[Record]) -> None:
+        """Fill the disk at the third shard file."""
+        if next(count) == 3:
+            path.mkdir()  # half of it is there
+            raise FileError("npz: no space")
+        write(path, records)
+
+    monkeypatch.setitem(CONTAINERS, "npz", replace(CONTAINERS["npz"], write=full))
     run = convert(source, tmp_path / "out", "npz")
     assert (run.exit_code, run.output) == (1, "error: npz: no space\n")
     with pytest.raises(KeyError):
@@ -56,24 +64,6 @@ def test_a_conversion_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert convert(source, tmp_path / "out", "npz", "--resume").exit_code == 0
     assert contents(tmp_path / "out") == wanted
     assert (tmp_path / "out/manifest/000000.jsonl").stat().st_ino == kept
-
-
-def failing(at: int) -> object:
-    """A container whose disk is full at the shard file of this number."""
-    count = 0
-
-    class Full:
-        suffix = ""
-
-        def write(self, path: Path, records: object) -> None:
-            nonlocal count
-            count += 1
-            if count == at:
-                path.mkdir()  # half of it is there
-                raise FileError("npz: no space")
-            CONTAINERS["npz"].write(path, records)  # type: ignore[arg-type]
-
-    return Full()
 
 
 def test_what_is_not_converted(tmp_path: Path) -> None:

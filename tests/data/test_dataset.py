@@ -66,11 +66,6 @@ def test_splits_and_arrays(folder: Path) -> None:
         clsco.data.open(folder, "test")
     with pytest.raises(SceneError, match=r"arrays: must be some of color, .*; got colour \(did you mean color\?\)"):
         clsco.data.open(folder, arrays=("colour",))
-
-
-def test_what_is_no_set(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(FileError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
-        clsco.data.open(tmp_path)
     with pytest.raises(AttributeError):
         clsco.data.load  # noqa: B018
 
@@ -112,7 +107,7 @@ def test_it_is_small_when_it_is_pickled(folder: Path) -> None:
 
 
 def test_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsco.data.dataset.MOST_OPEN", 2)
+    monkeypatch.setattr("clsco.data.dataset.MOST_COPIES", 2)
     opened = clsco.data.open(folder, arrays=("depth",))
     with ThreadPoolExecutor(4) as threads:
         found = list(threads.map(lambda index: opened[index].meta["number"], list(range(9)) * 5))
@@ -199,7 +194,7 @@ def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fsspec = pytest.importorskip("fsspec")
-    monkeypatch.setattr("clsco.data.dataset.MOST_OPEN", 1)
+    monkeypatch.setattr("clsco.data.dataset.MOST_COPIES", 1)
     memory, folders = fsspec.filesystem("memory"), [make_set(tmp_path / name, form) for name in ("one", "two")]
     memory.store.clear()
     memory.pseudo_dirs[:] = [""]
@@ -230,12 +225,11 @@ def test_tensors(folder: Path) -> None:
         return
     torch = import_module("torch")
     first: Any = opened.to_torch()[0]
-    shapes = {name: (tuple(array.shape), array.dtype) for name, array in first.items()}
-    assert shapes["color"] == ((3, 9, 12), torch.float32)
-    assert shapes["depth"] == ((9, 12), torch.float32)
-    assert shapes["flow"] == ((2, 9, 12), torch.float32)
-    assert shapes["mask"] == ((9, 12), torch.bool)
-    assert shapes["object_id"] == ((9, 12), torch.int64)
+    for name, shape, dtype in (
+        ("color", (3, 9, 12), torch.float32), ("depth", (9, 12), torch.float32), ("flow", (2, 9, 12), torch.float32),
+        ("mask", (9, 12), torch.bool), ("object_id", (9, 12), torch.int64),
+    ):  # fmt: skip
+        assert (tuple(first[name].shape), first[name].dtype) == (shape, dtype)
     np.testing.assert_array_equal(np.moveaxis(first["color"].numpy(), 0, -1), opened[0].radiance("color"))
     loader = torch.utils.data.DataLoader(opened.to_torch().shuffle(1), batch_size=3, num_workers=2)
     assert [tuple(batch["color"].shape) for batch in loader] == [(3, 3, 9, 12)] * 3

@@ -46,10 +46,7 @@ def test_a_dry_run_says_what_a_set_will_be(
     found = dry_run(distribution, 1, 5000, arrays=("color", "depth", "flow"), sheet_path=tmp_path / "s.png")
     by_name = {one.name: one for one in found.parameters}
     focus = by_name["camera.focus_distance.0"]
-    assert focus.low is not None
-    assert focus.mean is not None
-    assert focus.high is not None
-    assert 300 <= focus.low < 305 < focus.mean < 335 < focus.high <= 340
+    assert 300 <= (focus.low or 0) < 305 < (focus.mean or 0) < 335 < (focus.high or 0) <= 340
     count = by_name["object.ball.count"]
     assert (count.low, count.high) == (0, 2)
     assert by_name["object.ball.shape"].note.startswith("disc: ")
@@ -67,13 +64,7 @@ def test_a_dry_run_says_what_a_set_will_be(
     assert found.measures[2].high == 0.0  # nothing moves
     print_dry_run(found)
     printed = capsys.readouterr().out
-    for part in (
-        "Parameters of 20 samples",
-        "object.ball.radius",
-        "train",
-        "blur radius |R|, px",
-        "no device here",
-    ):
+    for part in ("Parameters of 20 samples", "object.ball.radius", "train", "blur radius |R|, px", "no device here"):
         assert part in printed
     assert dry_run(distribution, 1, 5000, arrays=("color",)).parameters == found.parameters
 
@@ -95,8 +86,7 @@ def test_a_contact_sheet_shows_samples(load: Load, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(dryrun, "RENDER_S", np.inf)  # on a busy machine as well
     found = dry_run(load(TEXT), 1, 6, arrays=("color", "depth"), sheet_path=tmp_path / "sheet.png")
     assert found.sheet == tmp_path / "sheet.png"
-    assert found.seconds is not None
-    assert found.seconds > 0
+    assert (found.seconds or 0) > 0
     assert found.bytes == {"color": 2 * 64 * 48 * 2.0, "depth": 2 * 64 * 48 * 4.0}
     sheet = np.asarray(Image.open(tmp_path / "sheet.png"))
     assert sheet.shape[1] > 4 * 2 * 64

@@ -9,16 +9,7 @@ from typing import Any
 
 import pytest
 
-from clsco.data.manifest import (
-    Identity,
-    Merged,
-    numbers_of,
-    parsed_part,
-    part_bytes,
-    part_key,
-    rows_of,
-    shard_numbers,
-)
+from clsco.data.manifest import Identity, Merged, numbers_of, parsed_part, part_bytes, part_key, rows_of, shard_numbers
 from clsco.data.sets import DataSet, finish
 from clsco.data.storage import _Folder, open_storage
 from clsco.errors import FileError
@@ -46,14 +37,7 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
     empty: dict[str, Any] = {"file": "data/000002.tar", "split": "", "parameters": {}, "arrays": {}}
     rows = [{"number": 8 + k, "offset": k, **empty} for k in range(2)]
     failures: list[dict[str, Any]] = [{"number": 10 + k, "error": "e", "scene": None} for k in range(2)]
-    data = part_bytes(
-        2,
-        "id",
-        range(8, 12),
-        {"data/000002.tar": (3, "ab")},
-        rows,
-        failures,
-    )
+    data = part_bytes(2, "id", range(8, 12), {"data/000002.tar": (3, "ab")}, rows, failures)
     part = parsed_part(data)
     assert (part.shard, part.numbers, part.made, part.failed) == (2, range(8, 12), 2, 2)
     assert rows_of(data) == (rows, failures)
@@ -62,14 +46,8 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
     for row, failure in (({"number": 8}, failures[0]), (rows[0], {"number": 10}), ({**rows[0], "offset": -1}, {})):
         with pytest.raises(FileError, match="each line must be about a sample; got other values"):
             rows_of(part_bytes(2, "id", range(8, 10), {}, [row], [failure]))
-    for damaged in (
-        b"",
-        b"{}",
-        b"[]",
-        data.replace(b'"made":2', b'"made":3'),
-        data.replace(b"data/", b"../a/"),
-        data[:20],
-    ):
+    forged = data.replace(b'"made":2', b'"made":3'), data.replace(b"data/", b"../a/")
+    for damaged in (b"", b"{}", b"[]", data[:20], *forged):
         with pytest.raises(FileError):
             parsed_part(damaged)
 
@@ -86,8 +64,8 @@ def test_parts_are_merged_in_order_with_failures_apart(tmp_path: Path) -> None:
         merged.add(parsed_part(data), data)
     merged.put()
     assert merged.files == [("data/000000.tar", 1), ("data/000001.tar", 1)]
-    assert [json.loads(text)["number"] for text in (tmp_path / "manifest.jsonl").read_text().splitlines()] == [0, 2]
-    assert [json.loads(text)["number"] for text in (tmp_path / "failed.jsonl").read_text().splitlines()] == [1, 3]
+    for name, numbers_in in (("manifest.jsonl", [0, 2]), ("failed.jsonl", [1, 3])):
+        assert [json.loads(text)["number"] for text in (tmp_path / name).read_text().splitlines()] == numbers_in
 
 
 class CountingFolder(_Folder):

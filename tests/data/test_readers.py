@@ -111,9 +111,8 @@ def test_zarr(tmp_path: Path) -> None:
     first, end = group["meta_ends"][1:3]
     assert json.loads(group["meta"][first:end].tobytes()) == RECORDS[1].meta
     assert group["keys"][:].tolist() == [0, 1, 2]
-    assert len([each for each in path.rglob("*") if each.is_file()]) == 1 + 2 * (
-        len(RECORDS[0].arrays) + 3
-    )  # few files
+    few = 1 + 2 * (len(RECORDS[0].arrays) + 3)
+    assert len([each for each in path.rglob("*") if each.is_file()]) == few
 
 
 def test_opencv(tmp_path: Path) -> None:
@@ -156,13 +155,11 @@ RECIPES = Path(__file__).resolve().parents[2] / "docs/loading.md"
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(
-    ("package", "form"), [("torch", "webdataset"), ("jax", "webdataset"), ("tensorflow", "webdataset")]
-)
-def test_recipes_of_the_documentation(package: str, form: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("package", ["torch", "jax", "tensorflow"])
+def test_recipes_of_the_documentation(package: str, tmp_path: Path) -> None:
     """Each recipe gives `color` and `depth`, a batch of two, as a script of its own."""
     pytest.importorskip(package, reason=f"{package} is not installed: pip install {package}")
-    folder = make_set(tmp_path / "set", form)
+    folder = make_set(tmp_path / "set")
     blocks = [block for block in RECIPES.read_text().split("```python\n")[1:] if f"import {package}" in block]
     assert blocks
     for block in blocks:
@@ -171,6 +168,5 @@ def test_recipes_of_the_documentation(package: str, form: str, tmp_path: Path) -
         shown = "import numpy\nprint(tuple(color.shape), tuple(depth.shape), numpy.max(numpy.asarray(color)) > 0)"
         script.write_text(f"{code}\n{shown}")
         run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
-        assert run.stdout.split("\n")[-2] in ("(2, 3, 9, 12) (2, 9, 12) True", "(2, 9, 12, 3) (2, 9, 12) True"), (
-            run.stderr
-        )
+        shapes = ("(2, 3, 9, 12) (2, 9, 12) True", "(2, 9, 12, 3) (2, 9, 12) True")
+        assert run.stdout.split("\n")[-2] in shapes, run.stderr

@@ -16,6 +16,8 @@ from clsco.files.transfer import encode
 from clsco.frame.outputs import FILE_NAMES
 from tests.data.samples import drawn, frame, record
 
+FINITE = "radiance must be a finite number"
+
 
 def test_arrays_of_one_frame() -> None:
     made = record(7)
@@ -27,9 +29,7 @@ def test_arrays_of_one_frame() -> None:
     about = made.meta["arrays"]["color"]
     assert (about["dtype"], about["shape"], about["transfer"], about["clipped"]) == ("uint16", [9, 12, 3], "srgb", 0.0)
     assert made.meta["arrays"]["depth"]["unit"] == "mm"
-    assert made.meta["frames"] == [
-        {"prefix": "", "eye": "", "frame": 0, "samples": 1, "bits": 16}
-    ]  # no clock, no device
+    assert made.meta["frames"] == [{"prefix": "", "eye": "", "frame": 0, "samples": 1, "bits": 16}]  # no clock
     np.testing.assert_allclose(made.radiance(), frame(7).color, atol=2e-5)
 
 
@@ -95,13 +95,8 @@ def test_codes_note_what_they_clip() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "stored", "rule"),
     [
-        (
-            "color",
-            np.nan,
-            {},
-            "sample 1: color: radiance must be a finite number; got nan at row 2, column 3 (1 in all)",
-        ),
-        ("color", -np.inf, {}, "radiance must be a finite number; got -inf"),
+        ("color", np.nan, {}, f"sample 1: color: {FINITE}; got nan at row 2, column 3 (1 in all)"),
+        ("color", -np.inf, {}, f"{FINITE}; got -inf"),
         ("depth", 1e5, {"depth": "float16"}, "sample 1: depth: sizes must be at most 65504 in float16; got 100000"),
     ],
 )
@@ -135,10 +130,8 @@ def test_types_are_parsed_with_all_faults() -> None:
 
 def test_digests_know_type_and_shape() -> None:
     values = np.arange(6, dtype=np.float32)
-    digests = {
-        array_sha256(each) for each in (values, values.reshape(2, 3), values.astype(np.float64), values.view("i4"))
-    }
-    assert len(digests) == 4
+    others = values.reshape(2, 3), values.astype(np.float64), values.view("i4")
+    assert len({array_sha256(each) for each in (values, *others)}) == 4
     assert array_sha256(values.astype(">f4")) == array_sha256(values)
     assert array_sha256(np.asfortranarray(values.reshape(2, 3))) == array_sha256(values.reshape(2, 3))
 

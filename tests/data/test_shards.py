@@ -29,6 +29,7 @@ from tests.data.fakes import Fake, job_of, make_here
 
 ROOT = Path(__file__).resolve().parents[2]
 SPLITS = (("train", 0.6), ("test", 0.4))
+BALL = {"shape": "sphere", "center": [0.0, 0.0, 280.0], "texture": "#808080"}
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -66,11 +67,8 @@ def test_bytes_depend_on_nothing_but_the_set(tmp_path: Path) -> None:
     assert failure["error"].startswith("object[0].texture: /no/6.png: must be a file that can be read")
     assert parse_sweep(failure["scene"]).scenes
     record = container_named("webdataset").read(tmp_path / "one" / "test" / "000000.tar")[1]
-    frame = clsco.render_frame(clsco.parse_scene(record.meta["scene"]), truth=("depth", "flow"))
-    assert frame.depth is not None
-    assert frame.flow is not None
-    assert np.array_equal(record["depth"], frame.depth)
-    assert np.array_equal(record["flow"], frame.flow)
+    arrays = clsco.render_frame(clsco.parse_scene(record.meta["scene"]), truth=("depth", "flow")).arrays()
+    assert all(np.array_equal(record[name], arrays[name]) for name in ("depth", "flow"))
 
 
 def test_bytes_do_not_depend_on_where_the_distribution_is(tmp_path: Path) -> None:
@@ -185,14 +183,7 @@ def test_a_set_in_a_store_has_the_bytes_of_one_in_a_folder(tmp_path: Path) -> No
 def test_frames_of_variants_and_of_pairs_are_those_of_render(pair: bool) -> None:
     table: dict[str, Any] = {
         "camera": {"resolution": [24, 16], "pixel_pitch": 0.2, "focus_distance": [240.0, 300.0]},
-        "object": [
-            {
-                "shape": "sphere",
-                "center": [0.0, 0.0, 280.0],
-                "texture": "#808080",
-                "motion": {"velocity": [3.0, 0.0, 0.0]},
-            }
-        ],
+        "object": [{**BALL, "motion": {"velocity": [3.0, 0.0, 0.0]}}],
         "sequence": {"frames": 2, "samples": 2 if pair else 1},
     }
     if pair:
@@ -207,16 +198,26 @@ def test_frames_of_variants_and_of_pairs_are_those_of_render(pair: bool) -> None
             views = ("left", "right") if pair else ("",)
             assert [(frame.index, frame.eye) for frame in frames] == [(k, eye) for k in range(2) for eye in views]
             for frame, other in zip(frames, expected, strict=True):
-                assert np.array_equal(frame.color, other.color)
-                assert frame.depth is not None
-                assert other.depth is not None
-                assert np.array_equal(frame.depth, other.depth)
+                pairs = ((frame.arrays()[name], other.arrays()[name]) for name in ("color", "depth"))
+                assert all(np.array_equal(one, another) for one, another in pairs)
 
 
 def caused(error: Exception, number: int) -> Exception:
     """An error with an error of the system as its cause."""
     error.__cause__ = OSError(number, os.strerror(number))
     return error
+
+
+def broken_maker(error: Exception, folder: Path, monkeypatch: pytest.MonkeyPatch, overlapped: bool) -> ShardMaker:
+    """A maker of a set of four samples, whose renderer fails."""
+    job = job_of(folder, 4)
+    maker = ShardMaker(job, open_storage(job.where), choose(), overlapped)
+
+    def broken(sample: Sample) -> None:
+        raise error
+
+    monkeypatch.setattr(maker.renderer, "render", broken)
+    return maker
 
 
 @pytest.mark.parametrize("overlapped", [False, True])
@@ -235,15 +236,8 @@ def caused(error: Exception, number: int) -> Exception:
 def test_a_fault_of_the_machine_is_no_failure_of_a_sample(
     error: Exception, kind: str, overlapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job = job_of(tmp_path, 4)
-    maker = ShardMaker(job, open_storage(job.where), choose(), overlapped)
-
-    def broken(sample: Sample) -> None:
-        raise error
-
-    monkeypatch.setattr(maker.renderer, "render", broken)
     with pytest.raises(type(error)) as caught:
-        maker.make(0)
+        broken_maker(error, tmp_path, monkeypatch, overlapped).make(0)
     assert failure_of(caught.value)[0] == kind
 
 
@@ -251,15 +245,8 @@ def test_a_fault_of_the_machine_is_no_failure_of_a_sample(
 def test_a_fault_of_a_scene_is_a_failure_of_its_sample(
     error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job = job_of(tmp_path, 4)
-    maker = ShardMaker(job, open_storage(job.where), choose(), overlapped=False)
-
-    def broken(sample: Sample) -> None:
-        raise error
-
-    monkeypatch.setattr(maker.renderer, "render", broken)
-    made = maker.make(0)
-    assert (made.samples, made.failed) == (0, len(job.numbers(0)))
+    made = broken_maker(error, tmp_path, monkeypatch, overlapped=False).make(0)
+    assert (made.samples, made.failed) == (0, 4)
 
 
 def test_two_that_make_a_shard_otherwise_are_told_and_both_are_kept(tmp_path: Path) -> None:
@@ -281,19 +268,12 @@ def test_two_that_make_a_shard_otherwise_are_told_and_both_are_kept(tmp_path: Pa
 
 
 def test_values_come_in_order_and_errors_arrive() -> None:
-    assert list(prefetch(iter_of(5))) == [0, 1, 2, 3, 4]
-    found = prefetch(iter_of(100))
+    assert list(prefetch(each for each in range(5))) == [0, 1, 2, 3, 4]
+    found = prefetch(each for each in range(100))
     assert next(found) == 0
     found.close()
-    with pytest.raises(ValueError, match="at 3"):
-        list(prefetch(iter_of(5, wrong=3)))
-
-
-def iter_of(count: int, wrong: int | None = None):  # type: ignore[no-untyped-def]
-    for number in range(count):
-        if number == wrong:
-            raise ValueError(f"at {number}")
-        yield number
+    with pytest.raises(ZeroDivisionError):
+        list(prefetch(1 / (3 - each) for each in range(5)))
 
 
 def test_a_set_without_color_makes_no_image() -> None:

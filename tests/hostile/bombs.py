@@ -23,8 +23,9 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 from clsco.data.containers import CONTAINERS
-from clsco.data.containers.base import meta_bytes, npy_bytes
+from clsco.data.containers.base import meta_bytes
 from clsco.errors import ClscoError
+from clsco.files.archives import npy_bytes
 from clsco.files.arrays import read_npz
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth

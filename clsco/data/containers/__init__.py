@@ -29,10 +29,7 @@ CONTAINERS = {
 
 
 def container_named(name: str) -> Container:
-    """The container with a name, ready for use.
-
-    Raises SceneError: no container has this name; MissingDependencyError: the extra that it needs is not installed.
-    """
+    """The container with a name. Raises SceneError if there is none, MissingDependencyError without its extra."""
     if name not in CONTAINERS:
         raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")
     container = CONTAINERS[name]

@@ -1,24 +1,13 @@
-"""HDF5: a group per sample with a dataset per array, and `meta`, a string of JSON.
-
-Read back with h5py.
-"""
+"""HDF5: a group per sample with a dataset per array, and `meta`, a string of JSON. Read back with h5py."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from clsco.data.containers.base import (
-    LARGEST_META,
-    ShardReader,
-    chosen,
-    confined_arrays,
-    meta_bytes,
-    parsed_meta,
-    translate_errors,
-)
+from clsco.data.containers import base
 from clsco.data.record import Record
-from clsco.errors import import_extra, require_extra
+from clsco.errors import import_extra
 from clsco.files.decoder_process import run_decoder
 from clsco.resources import open_regular
 
@@ -35,13 +24,12 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     with h5py.File(path.name, "w", track_order=False, driver="core", backing_store=False) as file:
         for record in records:
             group = file.create_group(record.key)
-            text = meta_bytes(record)
+            text = base.meta_bytes(record)
             group.create_dataset("meta", data=text, dtype=h5py.string_dtype("utf-8", len(text)), track_times=False)
-            for name, array in record.arrays.items():
+            for name, array in record.items():
                 chunks = None if raw else array.shape
                 made = group.create_dataset(name, data=array, chunks=chunks, track_times=False, **options)
-                unit = record.meta["arrays"][name]["unit"]
-                if unit:
+                if unit := record.meta["arrays"][name]["unit"]:
                     made.attrs["unit"] = unit
         file.flush()
         content = file.id.get_file_image()
@@ -49,20 +37,19 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
         stored.write(content)
 
 
-class Hdf5Reader(ShardReader):
+class Hdf5Reader(base.ShardReader):
     """Records of an HDF5 file."""
 
     def __init__(self, path: Path) -> None:
-        require_extra(path, *NEEDS)
-        with translate_errors(path, "HDF5 file"), open_regular(path) as file:
+        with base.translate_errors(path, "HDF5 file"), open_regular(path) as file:
             about, _ = run_decoder(f"{_FILE}:keys", file, 0)
         super().__init__(path, about["keys"])
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
         """Read the datasets of the selected arrays."""
         key = self.keys[index]
-        with translate_errors(self.path, "HDF5 file"), open_regular(self.path) as file:
-            _, (text,) = run_decoder(f"{_FILE}:meta", file, LARGEST_META, key=key)
-            meta, layout = parsed_meta(self.path, text.tobytes())
-            arrays = confined_arrays(f"{_FILE}:arrays", file, chosen(layout, names), key=key)
+        with base.translate_errors(self.path, "HDF5 file"), open_regular(self.path) as file:
+            _, (text,) = run_decoder(f"{_FILE}:meta", file, base.LARGEST_META, key=key)
+            meta, layout = base.parsed_meta(self.path, text.tobytes())
+            arrays = base.confined_arrays(f"{_FILE}:arrays", file, base.chosen(layout, names), key=key)
         return Record(key, arrays, meta)

@@ -7,22 +7,23 @@ from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
+
+from clsco.files.decoder_process import Output
 
 
-def keys(file: BinaryIO) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+def keys(file: BinaryIO) -> Output:
     """Keys of all records."""
     with _opened(file) as opened:
         return {"keys": sorted(opened)}, []
 
 
-def meta(file: BinaryIO, key: str) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+def meta(file: BinaryIO, key: str) -> Output:
     """Bytes of the JSON text that describes a record."""
     with _opened(file) as opened:
         return {}, [np.frombuffer(bytes(_stored(_stored(opened, key), "meta")[()]), np.uint8)]
 
 
-def arrays(file: BinaryIO, key: str, names: Sequence[str]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+def arrays(file: BinaryIO, key: str, names: Sequence[str]) -> Output:
     """Arrays of a record, in the order of `names`."""
     with _opened(file) as opened:
         group = _stored(opened, key)

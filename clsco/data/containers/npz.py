@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from clsco.data.containers.base import MemberReader, Members, meta_bytes, npy_bytes, translate_errors
+from clsco.data.containers.base import MemberReader, Members, meta_bytes, translate_errors
 from clsco.data.record import Record
-from clsco.files.archives import member_bytes, open_archive
+from clsco.files.archives import member_bytes, npy_bytes, open_archive
 from clsco.resources import open_regular
 
 
@@ -23,13 +23,12 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     path.mkdir()
     for record in records:
         with zipfile.ZipFile(path / f"{record.key}.npz", "x") as archive:
-            content = {"meta.json": (meta_bytes(record), not raw)}
-            for name, array in record.arrays.items():
-                content[f"{name}.npy"] = (npy_bytes(array), not raw and array.dtype.kind != "f")
-            for name, (part, compressed) in content.items():
+            members = [("meta.json", meta_bytes(record), True)]
+            members += [(f"{name}.npy", npy_bytes(array), array.dtype.kind != "f") for name, array in record.items()]
+            for name, content, shrinks in members:
                 entry = zipfile.ZipInfo(name)  # its fixed date keeps the time of writing out of the file
-                entry.compress_type = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
-                archive.writestr(entry, part, compresslevel=1)
+                entry.compress_type = zipfile.ZIP_DEFLATED if shrinks and not raw else zipfile.ZIP_STORED
+                archive.writestr(entry, content, compresslevel=1)
 
 
 class NpzReader(MemberReader):

@@ -6,69 +6,84 @@ Files are few: each holds the chunks of up to 16 samples (sharding codec). Read 
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsco.data.containers.base import (
-    ShardReader,
-    block_size,
-    blocks,
-    chosen,
-    confined_arrays,
-    meta_bytes,
-    parsed_meta,
-    translate_errors,
-)
+from clsco.data.containers import base
 from clsco.data.record import Record
-from clsco.errors import import_extra, require_extra
+from clsco.errors import import_extra
+from clsco.files.atomic import raise_file_error
 from clsco.files.decoder_process import run_decoder
 from clsco.resources import open_regular
 
 NEEDS = ("zarr", "data")
-LARGEST_TEXTS = 2**28  # bytes of what describes all records
 _FILE = "clsco.data.containers.zarr_file"
+LARGEST_TEXTS = 2**28  # bytes of what describes all records
+MOST_SAMPLES, MOST_BYTES = 16, 2**26  # of a block of records in memory
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records with the same arrays, each of one type and size, to a new folder, compressed by Zstandard 3 or
-    `raw`.
-    """
+    """Write records with the same arrays, each of one type and size, to a new folder, by Zstandard 3 or `raw`."""
     zarr = import_extra(path, *NEEDS)
     compressors = None if raw else zarr.codecs.ZstdCodec(level=3)
     texts: list[bytes] = []
-    keys: list[str] = []
+    keys: list[int] = []
     made: dict[str, Any] = {}
     group = zarr.open_group(path, mode="w-", zarr_format=3)
-    for layout, block in blocks(path, records, "zarr"):
+    for layout, size, block in _blocks(path, records):
         first = len(keys)
-        keys += [record.key for record in block]
-        texts += [meta_bytes(record) for record in block]
+        keys += [int(record.key) for record in block]
+        texts += [base.meta_bytes(record) for record in block]
         for name, (dtype, shape) in layout.items():
             if name not in made:
                 made[name] = group.create_array(
-                    name, shape=(0, *shape), dtype=dtype, chunks=(1, *shape), shards=(block_size(layout), *shape),
+                    name, shape=(0, *shape), dtype=dtype, chunks=(1, *shape), shards=(size, *shape),
                     compressors=compressors, filters=None,
                 )  # fmt: skip
             made[name].resize((len(keys), *shape))
             made[name][first:] = np.stack([record.arrays[name] for record in block])
-    ends = np.cumsum([0, *map(len, texts)], dtype=np.int64)
-    for name, values in (
-        ("meta", np.frombuffer(b"".join(texts), np.uint8)),
-        ("meta_ends", ends),
-        ("keys", np.array(list(map(int, keys)), np.int64)),
-    ):
+    index: dict[str, NDArray[Any]] = {
+        "meta": np.frombuffer(b"".join(texts), np.uint8),
+        "meta_ends": np.cumsum([0, *map(len, texts)], dtype=np.int64),
+        "keys": np.array(keys, np.int64),
+    }
+    for name, values in index.items():
         group.create_array(name, data=values, chunks=values.shape, compressors=compressors, filters=None)
 
 
-class ZarrReader(ShardReader):
+def _blocks(path: Path, records: Iterable[Record]) -> Iterator[tuple[base.Layout, int, list[Record]]]:
+    """Layout of all records, largest number of records in a block, and the records of a block. Raises FileError."""
+    following = iter(records)
+    if (first := next(following, None)) is None:
+        raise_file_error(path, "zarr must have a sample", "none")
+    layout = _layout_of(first)
+    size = max(1, min(MOST_SAMPLES, MOST_BYTES // max(base.record_bytes(layout), 1)))
+    following = chain([first], following)
+    while block := list(islice(following, size)):
+        for record in block:
+            own = _layout_of(record)
+            for name in (*layout, *own):
+                if layout.get(name) != own.get(name):
+                    rule = "zarr must have the same arrays in all samples, of one type and size"
+                    got = f"{name} {own[name][0]} {own[name][1]}" if name in own else f"no {name}"
+                    raise_file_error(path, rule, f"{got} in sample {record.key}")
+        yield layout, size, block
+
+
+def _layout_of(record: Record) -> base.Layout:
+    return {name: (array.dtype, array.shape) for name, array in record.items()}
+
+
+class ZarrReader(base.ShardReader):
     """Records of a Zarr group as `write` makes it."""
 
     def __init__(self, path: Path) -> None:
-        require_extra(path, *NEEDS)
-        with translate_errors(path, "Zarr group"):
+        with base.translate_errors(path, "Zarr group"):
             for folder, folders, names in os.walk(path):
                 for each in (Path(folder, name) for name in (*folders, *names)):
                     if each.is_symlink() or not (each.is_file() or each.is_dir()):
@@ -83,7 +98,8 @@ class ZarrReader(ShardReader):
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
         """Read a chunk of each selected array."""
-        with translate_errors(self.path, "Zarr group"), open_regular(self.path / "zarr.json") as file:
-            meta, layout = parsed_meta(self.path, self._texts[self._ends[index] : self._ends[index + 1]])
-            arrays = confined_arrays(f"{_FILE}:arrays", file, chosen(layout, names), row=index)
+        with base.translate_errors(self.path, "Zarr group"), open_regular(self.path / "zarr.json") as file:
+            meta, layout = base.parsed_meta(self.path, self._texts[self._ends[index] : self._ends[index + 1]])
+            selected = base.chosen(layout, names)
+            arrays = base.confined_arrays(f"{_FILE}:arrays", file, selected, row=index)
         return Record(self.keys[index], arrays, meta)
