@@ -15,15 +15,9 @@ async def keep_running(
     report: Callable[[list[str]], Awaitable[None]],
     ends: tuple[type[Exception], ...] = (),
 ) -> None:
-    """Run a task again and again until canceled, also after errors.
+    """Run a task again and again until canceled, also after errors, until one of `ends`.
 
-    Parameters
-    ----------
-    task : coroutine function
-    report : coroutine function of list of str
-        Called with the messages of an error; not again while the error stays the same.
-    ends : tuple of types of Exception
-        Errors that end the task.
+    `report` gets the messages of an error, not again while the error stays the same.
     """
     last = ""
     while True:

@@ -92,28 +92,9 @@ class Editor:
     An invalid value stays in its box with its message, and the last valid scene stays in force. The value is tried
     again with each later change, so that dependent keys can be changed one after the other.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of all files that may be read and written; the shipped examples may be read, too.
-
-    Attributes
-    ----------
-    scene : Scene
-        The last valid scene, with absolute paths; the displayed scene of a sweep.
-    revision : int
-        Incremented by each change of the scene.
-    faults : dict
-        Messages on invalid values, by path of the key.
-    refused : dict
-        Invalid values, by path.
-    is_linked : bool
-        True to change the semi-axes b and c of ellipsoids together, as they are equal in the thesis.
-
-    Notes
-    -----
-    Validated: random sequences of changes with undo, and the messages of `clsco validate`
-    (tests/studio/test_session.py).
+    All files are below `root`; the shipped examples may be read, too. `scene` is the last valid scene, with absolute
+    paths, of a sweep the displayed one; `revision` counts its changes. `refused` has the invalid values and `faults`
+    the messages, by path of the key. With `is_linked`, the semi-axes b and c of ellipsoids change together.
     """
 
     def __init__(self, root: Path) -> None:
@@ -169,21 +150,10 @@ class Editor:
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
     def patch(self, path: str, value: Any, drag: int | None = None) -> bool:
-        """Change one key.
+        """Change one key; returns True if the scene changed. `faults` has the message on an invalid value.
 
-        Parameters
-        ----------
-        path : str
-            "object.0.radius"; a component of a vector is "object.0.center.2".
-        value
-            As in a scene file; None or "" removes the key, so that it has its default.
-        drag : int, optional
-            Number of the drag; all changes of one drag are one undo step.
-
-        Returns
-        -------
-        bool
-            True if the scene changed. `faults` has the message on an invalid value.
+        A component of a vector is "object.0.center.2". None or "" removes the key, so that it has its default. All
+        changes of one drag are one undo step.
         """
         waiting = {other: old for other, old in self.refused.items() if not _overlaps(other, path)}
         if path.endswith(".shape"):  # discard invalid values of the former shape
@@ -297,10 +267,9 @@ class Editor:
         self._tell()
 
     def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
-        """Go to another state, as one undo step.
+        """Go to another state, as one undo step, with invalid values and their messages by path.
 
-        refused: invalid values with their messages, by path. Raises SceneError if the table is invalid; then the state
-        is unchanged.
+        Raises SceneError if the table is invalid; then the state is unchanged.
         """
         scene = self._valid(state)
         self.refused = {path: value for path, (value, _) in (refused or {}).items()}

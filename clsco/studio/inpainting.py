@@ -43,11 +43,7 @@ ROWS = {  # rows of the table in figure 5.21, with their keys in `Report.figures
 
 @dataclass(frozen=True, eq=False)
 class FilledImage:
-    """An image filled by a method.
-
-    image: (rows, columns[, 3]), of the type of the original; figures: as `clsco.inpainting.report.Report.figures`
-    returns them.
-    """
+    """An image (rows, columns[, 3]) filled by a method, of the type of the original, and its `Report.figures`."""
 
     method: str
     image: NDArray[Any]
@@ -55,20 +51,7 @@ class FilledImage:
 
 
 class Inpainting:
-    """An image, the mask of its missing pixels, and the results of methods.
-
-    Parameters
-    ----------
-    root : Path
-        Folder of all files that may be read and written.
-    device : str, optional
-        As for `clsco.inpaint`.
-
-    Attributes
-    ----------
-    filler : FillingProcess
-        Runs the methods.
-    """
+    """An image, the mask of its missing pixels, and the results of methods."""
 
     def __init__(self, root: Path, device: str | None = None) -> None:
         self.root = root.resolve()
@@ -82,8 +65,7 @@ class Inpainting:
     def open(self, name: str) -> None:
         """Open another image, without a mask.
 
-        name: relative to the root. Raises FileError if it is not below the root, cannot be read, or has more than 2^24
-        pixels.
+        Raises FileError if it is not below the root, cannot be read, or has more than 2^24 pixels.
         """
         picture = self._read(name)
         image = picture.data
@@ -127,10 +109,10 @@ class Inpainting:
         return [end - start for start, end in pairwise(edges)]
 
     def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
-        """Add all pixels that look like a given pixel to the mask, as for the letters of figure 5.16.
+        """Add pixels that look like a given one to the mask, as for the letters of figure 5.16, or remove them from it.
 
-        column, row: position of the given pixel; tolerance: largest difference per channel, as a fraction of white;
-        erase: True to remove the pixels from the mask instead. Raises FileError if there is no such pixel.
+        `tolerance` is the largest difference per channel, as a fraction of white. Raises FileError if there is no such
+        pixel.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
             raise FileError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
@@ -163,10 +145,9 @@ class Inpainting:
         write_png(make_writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> FilledImage | None:
-        """Fill the missing pixels, and store the result beside those of other methods.
+        """Fill the missing pixels, and store the result beside those of other methods; None if canceled.
 
-        Returns None if canceled. Raises ClscoError as `clsco.inpaint`, or if no pixel is missing, or the process that
-        fills has ended.
+        Raises ClscoError as `clsco.inpaint`, or if no pixel is missing, or the process that fills has ended.
         """
         self._require(method)
         mask = self.mask

@@ -33,11 +33,10 @@ Status = Literal["waiting", "running", "done", "failed", "canceled"]
 
 @dataclass(eq=False)
 class CommandJob:
-    """A command line of the studio.
+    """A command line of the studio: arguments of `clsco`, and the folder or file that it writes.
 
-    arguments: arguments of `clsco`; output: folder or file that the command writes; paths are relative to the studio's
-    root. done, total: numbers of frames or samples, 0 while unknown. began: start time, s since 1970. message: error
-    output, "" without an error.
+    Paths are relative to the studio's root. `done` and `total` count frames or samples, 0 while unknown; `began`: s
+    since 1970; `message`: error output, "" without an error.
     """
 
     number: int

@@ -39,13 +39,11 @@ def tracks(session: Document) -> tuple[Track, ...]:
 
 
 def add_keyframe(session: Document, path: str, time: float) -> None:
-    """Add a keyframe with the pose, or the lens, at a time, as one undo step.
-
-    path: path of a `Track`; time: s. Raises SceneError if there is no such track, or the time is invalid or has a
-    keyframe already.
+    """Add a keyframe with the pose, or the lens, at a time in s, to a `Track`'s path, as one undo step.
 
     A motion with velocities is converted to keyframes at t = 0, at `time` and at the end of the sequence, each with the
-    pose at its time; there are more of them if the motion rotates about several axes.
+    pose at its time; there are more of them if the motion rotates about several axes. Raises SceneError if there is no
+    such track, or the time is invalid or has a keyframe already.
     """
     _known(session, path)
     if not abs(time) <= LATEST:

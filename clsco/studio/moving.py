@@ -36,12 +36,11 @@ class Grip:
     axes: NDArray[np.float64]  # rotation from the camera, at the middle of the exposure, to the scene
 
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
-        """Position of the object after the pointer has moved by a distance.
+        """New value of the key, mm, `across` and `down` px of the frame, to the right and down, from where the drag
+        began.
 
-        across, down: pixels of the frame, to the right and down, since the drag began; is_along: True to move along z,
-        where ALONG pixels up multiply the depth by e. Returns the new value of the key, mm.
-
-        At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). Validated by projections.
+        At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). With `is_along` the object
+        moves along z, where ALONG pixels up multiply the depth by e.
         """
         if is_along:
             by = np.array([0.0, 0.0, self.depth * math.expm1(-down / ALONG)])
@@ -54,24 +53,10 @@ class Grip:
 
 
 def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
-    """Begin to drag an object.
+    """Begin to drag object `object_id` of the frame, where each face of a box is an object, by a point at a depth in
+    mm.
 
-    Parameters
-    ----------
-    session : Document
-    index : int
-        Number of the frame.
-    object_id : int
-        Number of the object in the frame, where each face of a box is an object.
-    depth : float
-        Depth of the held point, mm.
-    eye : {"left", "right"}
-        View of a stereo pair.
-
-    Raises
-    ------
-    SceneError
-        There is no such object, or its shape has no position.
+    Raises SceneError if there is no such object, or its shape has no position.
     """
     entries = session.object_entries
     if not 0 <= object_id < len(entries):
@@ -151,10 +136,8 @@ class Pointer:
         self._preview.inspect(x, y, take, "grab")
 
     def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
-        """Move the dragged object; all moves of one drag are one undo step.
-
-        across, down: pixels to the right and down since the drag began. is_along: True to move the object along z, else
-        it moves at constant depth. drag: number of the drag, as given to `grab`; calls for other drags are ignored.
+        """Move the dragged object, as `Grip.value`; all moves of one drag are one undo step, those of other drags are
+        ignored.
         """
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
             _, held, camera = self._held

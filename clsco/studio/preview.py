@@ -60,12 +60,10 @@ def _now() -> float:
 
 
 class Preview:
-    """Pictures of a session for one tab.
+    """Pictures of a session for one tab, sent by `send`.
 
     Only the latest state is rendered: a waiting picture is discarded when the state changes. At most two pictures are
     in flight, so that a slow browser gets fewer pictures, not late ones.
-
-    send: sends pictures to the browser.
     """
 
     def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:

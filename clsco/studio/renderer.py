@@ -106,22 +106,10 @@ class RendererProcess:
         threading.Thread(target=_listen, args=(self._child.pipe, loop, self._answers), daemon=True).start()
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
-        """Pictures of a job, as they are finished.
+        """Pictures of a job, as they are finished; `watch` is called twice a second during long work.
 
-        Parameters
-        ----------
-        job : PictureJob
-        watch : coroutine function of RenderProgress, optional
-            Called twice a second during long work.
-
-        Raises
-        ------
-        CanceledError
-            `cancel` was called meanwhile.
-        RendererEndedError
-            The process crashed or was killed.
-        SceneError, FileError, DeviceError, KernelError
-            As `clsco.render`.
+        Raises CanceledError after `cancel`, RendererEndedError if the process crashed or was killed, and errors as
+        `clsco.render`.
         """
         async with aclosing(self._ask("render", job, watch)) as answers:
             async for answer in answers:
@@ -261,8 +249,7 @@ def _needed(job: PictureJob) -> Scene:
 class _Known:
     """A frame with all of its ground truth, kept for further questions.
 
-    asked: scene, number and view of the frame; is_tilted: True if weights depend on the gradient of R; seconds: time
-    that a measurement takes.
+    `is_tilted`: weights depend on the gradient of R; `seconds` that a measurement takes.
     """
 
     asked: tuple[Scene, int, Eye]

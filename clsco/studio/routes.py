@@ -30,14 +30,8 @@ _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm", ".jpg
 
 
 class Addresses:
-    """HTTP handlers of a server behind the guard.
-
-    Parameters
-    ----------
-    jobs : Jobs
-    state : StateFolder
-    session_of : function of str
-        Returns the session of a tab; None if there is no such tab.
+    """HTTP handlers of a server behind the guard; `session_of` returns the session of a tab, None if there is no such
+    tab.
     """
 
     def __init__(self, jobs: Jobs, state: StateFolder, session_of: Callable[[str], Document | None]) -> None:

@@ -81,17 +81,7 @@ class Tab:
 
 
 class Studio:
-    """State that all tabs share.
-
-    Parameters
-    ----------
-    root : Path
-        Folder of all files that may be read and written.
-    scene : Path, optional
-        Scene that new tabs begin with.
-    device : str, optional
-        As for `clsco.render`.
-    """
+    """State that all tabs share; new tabs begin with `scene`."""
 
     def __init__(self, root: Path, scene: Path | None = None, device: str | None = None) -> None:
         self.root, self.scene, self.device = root.resolve(), scene, device
@@ -424,25 +414,10 @@ def application(studio: Studio, draw: Draw) -> Starlette:
 
 
 def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str], None], opens_browser: bool) -> None:
-    """Serve the studio until interrupted.
+    """Serve the studio until interrupted; `show` is called with the address.
 
-    Parameters
-    ----------
-    studio : Studio
-    host : str
-        Address to listen on; "" for `own_address`, or for 127.0.0.1 if a port is given.
-    port : int
-        0 for any free port.
-    draw : function
-        `clsco.studio.page.draw`.
-    show : function of str
-        Called with the address.
-    opens_browser : bool
-
-    Raises
-    ------
-    ArgumentError
-        The port is in use.
+    An empty host stands for `own_address`, or for 127.0.0.1 if a port is given; port 0 for any free one. Raises
+    ArgumentError if the port is in use.
     """
     host = host or ("127.0.0.1" if port else own_address())
     listener = listen(host, port)

@@ -70,23 +70,11 @@ class Document(Editor):
         self._saved = target, self.table
 
     def save(self, path: Path | None = None, overwrite: bool = False) -> None:
-        """Write the scene to a file below the root; comments in the file are kept.
+        """Write the scene to a .toml or .json file below the root, by default its own; comments in the file are kept.
 
-        Parameters
-        ----------
-        path : Path, optional
-            Ends in .toml or .json; by default the file of the scene.
-        overwrite : bool
-            True to overwrite a file that has other content than this session opened or saved.
-
-        Raises
-        ------
-        ConflictError
-            The file has other content than this session opened or saved, and `overwrite` is False.
-        SceneError
-            There is no name, the file is not below the root, or its name has another extension.
-        FileError
-            The file cannot be written.
+        Raises ConflictError if the file has other content than this session opened or saved, unless `overwrite`;
+        SceneError if there is no name, the file is not below the root, or has another extension; FileError if it cannot
+        be written.
         """
         target, text, table = self._written(path)
         if not overwrite and digest_of(target) != self._digests.get(target, ""):
@@ -108,10 +96,9 @@ class Document(Editor):
         return link_of(self.table, self.folder, self.root)
 
     def load_share(self, linked: Linked) -> None:
-        """Go to the scene of a link, as an undo step.
+        """Go to the scene of a link, as an undo step; `refused` becomes its missing images.
 
-        linked: result of `from_link`; `refused` becomes its missing images. Raises SceneError; the state is then
-        unchanged.
+        Raises SceneError; the state is then unchanged.
         """
         table, missing = linked
         self.take(self._state_of(table, None), missing)
@@ -127,11 +114,7 @@ class Document(Editor):
         }
 
     def resume(self, linked: Linked, file: str, digest: str) -> None:
-        """Go to a scene that `remembered` described, as an undo step.
-
-        linked: its link, read by `from_link`; file, digest: as remembered. Raises SceneError; the state is then
-        unchanged.
-        """
+        """Go to a scene that `remembered` described, as an undo step. Raises SceneError as `load_share`."""
         table, missing = linked
         target = self.inside(Path(file)) if file else None
         start = target.parent if target is not None else self.root
@@ -186,16 +169,8 @@ KEY, KEY_BYTES = "key", 32
 class StateFolder:
     """Folder with data for the next studio with the same root: unsaved scenes, pictures and a secret.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of the studio.
-
-    Attributes
-    ----------
-    path : Path
-        `clsco/studio/DIGEST` in XDG_STATE_HOME; if no private folder is possible, a temporary one, which is removed
-        when the studio ends.
+    `path` is `clsco/studio/DIGEST` in XDG_STATE_HOME; if no private folder is possible, a temporary one, which is
+    removed when the studio ends.
     """
 
     def __init__(self, root: Path) -> None:

@@ -199,22 +199,10 @@ def moved(table: Table, start: Path, to: Path) -> Table:
 
 
 def link_of(table: Table, start: Path, root: Path) -> str:
-    """A scene as a URL fragment.
+    """A scene as a URL fragment, with file names relative to `start` in the scene and to `root` in the fragment.
 
-    Parameters
-    ----------
-    table : dict
-        A valid scene.
-    start : Path
-        Base folder of its file names.
-    root : Path
-        Folder of the studio, the base of file names in the link; files elsewhere keep only their names.
-
-    Returns
-    -------
-    str
-        "#s=" and the keys that differ from their defaults as JSON, deflated, in URL-safe base64; with the SHA-256 of
-        each file.
+    It is "#s=" and the keys that differ from their defaults as JSON, deflated, in URL-safe base64; with the SHA-256 of
+    each file. Files outside the root keep only their names.
     """
     files: dict[str, str] = {}
     digest = cache(digest_of)
@@ -233,31 +221,15 @@ def link_of(table: Table, start: Path, root: Path) -> str:
 
 
 def from_link(text: str, places: Iterable[Path]) -> Linked:
-    """The scene of a link.
+    """The scene of a link from `link_of`, with or without "#s=".
 
-    Parameters
-    ----------
-    text : str
-        From `link_of`, with or without "#s=".
-    places : iterable of Path
-        Folders to search for its files: in the first, the studio's, by their paths; in the others, by their names.
+    Files are searched in `places`: in the first, the studio's folder, by their paths, in the others by their names. The
+    table is not validated; a missing image is replaced by the default, and `missing` has its name and message by path
+    of the key. Each file is hashed once, and folders are searched once; call this in a thread, since files may be
+    large.
 
-    Returns
-    -------
-    table : dict
-        Not validated. A missing image is replaced by the default.
-    missing : dict
-        Name and message for each missing image, by path of the key.
-
-    Raises
-    ------
-    SceneError
-        The text is not a link, holds more than 1 MiB, names more than MOST_FILES files or an absolute path, or needs a
-        depth map or an image of the aperture that is missing.
-
-    Notes
-    -----
-    Each file is hashed once, and folders are searched once; call this in a thread, since files may be large.
+    Raises SceneError if the text is not a link, holds more than 1 MiB, names more than MOST_FILES files or an absolute
+    path, or needs a depth map or an image of the aperture that is missing.
     """
     content = _unpacked(text.strip().rpartition(START)[2])
     digests = content.pop("files", {})
@@ -339,24 +311,11 @@ _HEADER = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_-]+)")
 
 
 def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str]) -> str:
-    """The text with the tables of an array in another order, each with its sub-tables and the comments above it.
+    """Valid TOML with the tables of an array in another order, each with its sub-tables and the comments above it.
 
-    Parameters
-    ----------
-    text : str
-        Valid TOML.
-    key : str
-        Key of the array: "object" for [[object]].
-    order : sequence of int or None
-        For each table of the result, its number in the text, counted from 0; None for a new table.
-    new : sequence of str
-        For each table of the result, its text if it is new; other texts are ignored.
-
-    Returns
-    -------
-    str
-        The tables of the array follow each other at the position of the last one. A line inside a string may be
-        mistaken for a header, so compare the parsed content afterwards.
+    `order` has, for each table of the result, its number in the text, counted from 0, or None for a new table, whose
+    text is in `new` at the same place. The tables follow each other at the position of the last one. A line inside a
+    string may be mistaken for a header, so compare the parsed content afterwards.
     """
     parts = _parts(text.splitlines(), key)
     slots = [number for number, (is_table, _) in enumerate(parts) if is_table]

@@ -202,16 +202,9 @@ def _copied(node: Any, parts: Sequence[str]) -> Any:
 
 
 def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table, dict[str, Table]]:
-    """An object changed to another shape, and the keys of its former shapes, to restore them later.
+    """An object changed to another shape, and the keys of its former shapes, by shape, to restore them later.
 
-    Parameters
-    ----------
-    item : mapping
-        Table of the object.
-    shape : str
-        The new shape; an invalid value is left for validation to reject.
-    kept : mapping
-        Keys of the object's former shapes, by shape.
+    An invalid shape is left for validation to reject.
     """
     own = {key: value for key, value in item.items() if key not in _ALIKE}
     alike = {key: value for key, value in item.items() if key in _ALIKE}

@@ -22,19 +22,8 @@ _PAGE: ContextVar[Page] = ContextVar("page")  # being drawn, or whose event is h
 class Page:
     """A page in a browser: its HTML, the handlers of its elements, and queued messages.
 
-    Parameters
-    ----------
-    address : str
-        URL of the page.
-    told : function
-        Called when messages are queued.
-
-    Attributes
-    ----------
-    key : str
-        Distinguishes the page from pages loaded earlier.
-    endings : list of functions
-        Called when the page is closed.
+    `told` is called when messages are queued, the functions `endings` when the page is closed. `key` distinguishes the
+    page from pages loaded earlier.
     """
 
     def __init__(self, address: str = "", told: Callable[[], object] = lambda: None) -> None:
@@ -123,13 +112,7 @@ def say(tag: str, text: str = "", **attributes: Any) -> Element:
 
 
 class PagePart:
-    """A part of a page, drawn where it is created, and again when it is refreshed.
-
-    Parameters
-    ----------
-    draw : function, optional
-        Draws its content; by default empty, until it is filled.
-    """
+    """A part of a page, drawn where it is created (empty by default), and again when it is refreshed."""
 
     def __init__(self, draw: Callable[[], object] = lambda: None) -> None:
         self._page, self._draw, self._html = page(), draw, ""
@@ -214,7 +197,7 @@ def choice(
 ) -> None:
     """A labeled list of options; `chosen` is called with the selected value.
 
-    options: labels by value, or values that are their own labels; missing: by value, the reason why it cannot be
+    `options` are labels by value, or values that are their own labels; `missing` has the reason why a value cannot be
     selected, "" for none.
     """
     named = options if isinstance(options, Mapping) else {option: option for option in options}
@@ -255,14 +238,8 @@ class Dialog:
 
 
 def number(field: Field, value: Any) -> None:
-    """Draw a number field: its label, a slider if it has one, a box and its unit, and a place for its message.
-
-    Parameters
-    ----------
-    field : Field
-        Field of a number.
-    value
-        Value to show; None for an empty box.
+    """Draw a number field: its label, a slider if it has one, a box (empty for None), its unit, and a place for its
+    message.
     """
     with say("div", class_="live"):
         box = f"box-{field.path}"
