@@ -15,7 +15,7 @@ async def keep_running(
     report: Callable[[list[str]], Awaitable[None]],
     ends: tuple[type[Exception], ...] = (),
 ) -> None:
-    """Run a task again and again until canceled, also after errors, until one of `ends`.
+    """Run a task again and again, also after errors, until canceled or until one of `ends`.
 
     `report` gets the messages of an error, not again while the error stays the same.
     """

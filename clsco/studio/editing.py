@@ -17,6 +17,7 @@ from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import key_name, shown
 from clsco.studio.tables import (
     Table,
+    as_lists,
     at,
     path_parts,
     placed,
@@ -235,9 +236,7 @@ class Editor:
         value = at(self.table, parts)
         if value is None:
             value = self._derived(parts)
-        if isinstance(value, tuple):
-            return _listed(value)
-        return value
+        return as_lists(value) if isinstance(value, tuple) else value
 
     def shown(self, path: str) -> Any:
         """Value to show in a box: the invalid one, else the effective one."""
@@ -267,9 +266,8 @@ class Editor:
         self._tell()
 
     def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
-        """Go to another state, as one undo step, with invalid values and their messages by path.
-
-        Raises SceneError if the table is invalid; then the state is unchanged.
+        """Go to another state, as one undo step, with invalid values and their messages by path. Raises SceneError
+        before that.
         """
         scene = self._valid(state)
         self.refused = {path: value for path, (value, _) in (refused or {}).items()}
@@ -293,9 +291,8 @@ class Editor:
         self.revision += 1
 
     def _go(self, steps: list[_Step], others: list[_Step]) -> bool:
-        """Undo or redo: go to the last state of `steps`, if any, and append the current one to `others`.
-
-        Discards invalid values. Returns False if `steps` is empty.
+        """Undo or redo: discard invalid values, go to the last of `steps`, and add the state to `others`; False without
+        steps.
         """
         self.refused, self.faults = {}, {}
         if moved := bool(steps):
@@ -310,10 +307,7 @@ class Editor:
             listener()
 
     def _changed(self, chosen: Mapping[str, Any]) -> tuple[State, Scene]:
-        """The state with new values by path (`chosen`), and its scene; keys that a new choice forbids are removed.
-
-        Raises SceneError.
-        """
+        """State with new values by path, without keys that a new choice forbids, and its scene. Raises SceneError."""
         state = self._state
         for path, value in chosen.items():
             state = self._with(state, path, value)
@@ -336,7 +330,6 @@ class Editor:
         return state, self._valid(state)
 
     def _with(self, state: State, path: str, value: Any) -> State:
-        """A state with another value of one key."""
         parts = path_parts(path)
         if parts[-1] in FILE_KEYS and isinstance(value, str) and Path(value).is_absolute():
             rule = "must be relative to the folder of the scene"
@@ -392,7 +385,7 @@ class Editor:
             return missing_input(key, name)
 
     def _derived(self, parts: list[str]) -> Any:
-        """Effective default of a key."""
+        """The default of a key that is not given; for some keys of the camera, what follows from others."""
         camera = self.scene.camera
         if parts == ["camera", "f_number"]:
             return camera.focal_length / camera.aperture_diameter
@@ -442,7 +435,3 @@ class Editor:
 def _overlaps(path: str, other: str) -> bool:
     """True if two paths are equal, or one contains the other."""
     return path == other or path.startswith(f"{other}.") or other.startswith(f"{path}.")
-
-
-def _listed(value: Any) -> Any:
-    return [_listed(entry) for entry in value] if isinstance(value, list | tuple) else value

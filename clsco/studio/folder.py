@@ -6,6 +6,7 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 from clsco.errors import FileError, SceneError
@@ -37,11 +38,10 @@ def listed(root: Path, endings: tuple[str, ...]) -> list[str]:
     Hidden files, rendered frames and folders beside them, folders nested deeper than 4, and links out of the folder are
     omitted.
     """
-    return sorted(_found(root.resolve(), endings))
+    return sorted(islice(_found(root.resolve(), endings), MOST))
 
 
 def _found(root: Path, endings: tuple[str, ...]) -> Iterator[str]:
-    count = 0
     for place, folders, names in os.walk(root):
         here = Path(place)
         depth = len(here.relative_to(root).parts)
@@ -54,9 +54,6 @@ def _found(root: Path, endings: tuple[str, ...]) -> Iterator[str]:
             if path.is_symlink() and not path.resolve().is_relative_to(root):
                 continue
             yield path.relative_to(root).as_posix()
-            count += 1
-            if count == MOST:
-                return
 
 
 UPLOADS = "uploads"  # folder below the root

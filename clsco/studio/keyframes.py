@@ -14,7 +14,7 @@ from clsco.scene.model import Scene
 from clsco.scene.motions import ObjectMotion
 from clsco.scene.text import brief, shown
 from clsco.studio.session import Document
-from clsco.studio.tables import SHAPE_LABELS, Table, at, with_value, without, words
+from clsco.studio.tables import SHAPE_LABELS, Table, as_lists, at, with_value, without, words
 
 LATEST = 1e9  # s, of a keyframe
 LENS = "lens.keyframe"
@@ -58,10 +58,11 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
         times = [time]
         if not old and motion.moves:
             times = _moving_times(scene, motion, time)
-            given = at(table, outer.split("."))
-            table = with_value(table, outer.split("."), {"outside": "linear"} | _without_velocities(given))
+            given: Table = at(table, outer.split("."))
+            rest = {key: value for key, value in given.items() if not key.endswith(("velocity", "acceleration"))}
+            table = with_value(table, outer.split("."), {"outside": "linear"} | rest)
         new = [
-            {key: _plain(value) for key, value in keyframe_at(motion, t, scene.motion.rotation).model_dump().items()}
+            {key: as_lists(value) for key, value in keyframe_at(motion, t, scene.motion.rotation).model_dump().items()}
             for t in times
         ]
     if any(_time(each) == time for each in old):
@@ -76,17 +77,16 @@ def remove_keyframe(session: Document, path: str, index: int) -> None:
     Raises SceneError if there is no such keyframe, or the scene is invalid without it.
     """
     _known(session, path)
-    keys = list(at(session.table, path.split(".")) or [])
+    table, parts = session.table, path.split(".")
+    keys = list(at(table, parts) or [])
     if not 0 <= index < len(keys):
         raise SceneError(f"keyframe: must be one of {len(keys)}, counted from 0; got {shown(index)}")
     del keys[index]
     if keys:
-        table = with_value(session.table, path.split("."), keys)
+        table = with_value(table, parts, keys)
     else:
-        table = session.table
-        *outer, _ = path.split(".")
         for key in ("interpolation", "outside", "keyframe"):
-            table = without(table, [*outer, key])
+            table = without(table, [*parts[:-1], key])
     session.take(replace(session.state, table=table))
 
 
@@ -147,10 +147,6 @@ def _moving_times(scene: Scene, motion: ObjectMotion, time: float) -> list[float
     return sorted(times)
 
 
-def _without_velocities(motion: Table) -> Table:
-    return {key: value for key, value in motion.items() if not key.endswith(("velocity", "acceleration"))}
-
-
 def _lens_keyframe(scene: Scene, time: float) -> Table:
     """Table of a lens keyframe, with the quantities that the other keyframes have; all quantities for the first one."""
     camera = camera_at(scene, time)
@@ -158,7 +154,3 @@ def _lens_keyframe(scene: Scene, time: float) -> Table:
     names: Iterable[str] = {name for key in keys for name in key.model_fields_set} or _FIRST_OF_LENS
     values = {name: float(getattr(camera, of_camera)) for name, of_camera in _OF_LENS.items() if name in names}
     return {"time": time} | {name: float(f"{value:.9g}") for name, value in values.items() if math.isfinite(value)}
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

@@ -53,8 +53,7 @@ class Grip:
 
 
 def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
-    """Begin to drag object `object_id` of the frame, where each face of a box is an object, by a point at a depth in
-    mm.
+    """Begin to drag object `object_id` of the frame, where each face of a box is one, by a point at a depth in mm.
 
     Raises SceneError if there is no such object, or its shape has no position.
     """
@@ -81,30 +80,19 @@ MOST_PX = 1e6  # of a drag
 
 
 class Pointer:
-    """The pointer of a tab.
-
-    preview: asked for the surface at a pixel.
-    """
+    """The pointer of a tab, which asks the preview for the surface at a pixel."""
 
     def __init__(self, session: Document, preview: Preview) -> None:
         self._session, self._preview = session, preview
         self._held: tuple[int, Grip, Camera] | None = None  # drag, object, and camera at its start
 
-    def ask(self, x: int, y: int) -> None:
-        """Send the figures of a pixel."""
+    def ask(self, x: int, y: int, purpose: str = "") -> None:
+        """Send the figures of a pixel; with the purpose MEASURE, the response of its source."""
 
         async def report(found: dict[str, Any]) -> None:
-            await self._preview.tell(inspected=found)
+            await self._preview.tell(**{"measured" if purpose == MEASURE else "inspected": found})
 
-        self._preview.inspect(x, y, report)
-
-    def measure(self, x: int, y: int) -> None:
-        """Send the response of a pixel's source."""
-
-        async def report(found: dict[str, Any]) -> None:
-            await self._preview.tell(measured=found)
-
-        self._preview.inspect(x, y, report, MEASURE)
+        self._preview.inspect(x, y, report, purpose)
 
     def focus(self, x: int, y: int, drag: int) -> None:
         """Focus on the surface at a pixel; calls with the same `drag` are one undo step."""
@@ -136,9 +124,7 @@ class Pointer:
         self._preview.inspect(x, y, take, "grab")
 
     def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
-        """Move the dragged object, as `Grip.value`; all moves of one drag are one undo step, those of other drags are
-        ignored.
-        """
+        """Move the dragged object, as `Grip.value`, as one undo step for a whole drag; other drags are ignored."""
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
             _, held, camera = self._held
             value = held.value(camera, across, down, is_along)

@@ -30,9 +30,7 @@ _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm", ".jpg
 
 
 class Addresses:
-    """HTTP handlers of a server behind the guard; `session_of` returns the session of a tab, None if there is no such
-    tab.
-    """
+    """HTTP handlers of a server behind the guard; `session_of` returns the session of a tab, or None."""
 
     def __init__(self, jobs: Jobs, state: StateFolder, session_of: Callable[[str], Document | None]) -> None:
         self._jobs, self._state, self._session_of = jobs, state, session_of

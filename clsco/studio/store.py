@@ -38,12 +38,6 @@ class ConflictError(ClscoError):
     """A file on the disk has other content than the session last read from it or wrote to it."""
 
 
-def read_scene(path: Path) -> tuple[Table, str]:
-    """Content of a scene file and its digest. Raises SceneError as `clsco.load_scene`."""
-    digest = digest_of(path)  # before the file is read: if it changes in between, `save` reports a conflict
-    return read_mapping(str(path), ()), digest
-
-
 def digest_of(path: Path) -> str:
     """SHA-256 of a scene or an image, hexadecimal; "" if the file is missing, or larger than 1 GiB."""
     try:
@@ -60,7 +54,11 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     kept, as far as the scene still has them.
     """
     if path.suffix.lower() == ".json":
-        return json.dumps(_kept(sparse(table), table, _content(old)), indent=2, ensure_ascii=False) + "\n"
+        try:
+            content = read_mapping(str(old), ()) if old is not None else {}
+        except SceneError:  # the old file is missing or no longer valid
+            content = {}
+        return json.dumps(_kept(sparse(table), table, content), indent=2, ensure_ascii=False) + "\n"
     if old is None or old.suffix.lower() != ".toml":
         return toml_text(sparse(table))
     import tomlkit
@@ -77,14 +75,6 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     except (OSError, ValueError, TOMLKitError):  # the old file is missing or no longer valid
         pass
     return toml_text(sparse(table))
-
-
-def _content(path: Path | None) -> Any:
-    """Content of the scene's previous file, {} if it is missing or invalid."""
-    try:
-        return read_mapping(str(path), ()) if path is not None else {}
-    except SceneError:
-        return {}
 
 
 def _kept(fewer: Any, table: Any, old: Any) -> Any:
@@ -158,7 +148,6 @@ def _update(document: Any, table: Mapping[str, Any]) -> None:
 
 
 def _is_array(value: Any) -> bool:
-    """True if a value is an array of tables."""
     return isinstance(value, list) and bool(value) and all(isinstance(item, Mapping) for item in value)
 
 
@@ -272,7 +261,6 @@ def from_link(text: str, places: Iterable[Path]) -> Linked:
 
 
 def _unpacked(text: str) -> Table:
-    """The JSON content of a link. Raises SceneError."""
     try:
         if len(text) > 2 * LARGEST:
             raise SceneError("link: must hold at most 1 MiB")
@@ -352,7 +340,6 @@ def _parts(lines: Sequence[str], key: str) -> list[tuple[bool, list[str]]]:
 
 
 def _trimmed(lines: list[str]) -> list[str]:
-    """Lines without trailing blank ones."""
     end = len(lines)
     while end and not lines[end - 1].strip():
         end -= 1

@@ -60,18 +60,12 @@ SYMBOLS = {
     "motion.angular_velocity": "ω", "motion.acceleration": "a", "motion.angular_acceleration": "α",
 }  # fmt: skip
 COMPONENTS = {
-    "resolution": ("columns", "rows"),
-    "band": ("lowest", "highest"),
-    "quantum_efficiency": ("red", "green", "blue"),
-    "size": ("width", "height", "depth"),
-    "texture_size": ("width", "height"),
-    "texture_repeats": ("across", "up"),
-    "texture_offset": ("right", "up"),
-    "semi_axes": ("a", "b", "c"),
-    "quaternion": ("w", "x", "y", "z"),
+    "resolution": ("columns", "rows"), "band": ("lowest", "highest"), "quantum_efficiency": ("red", "green", "blue"),
+    "size": ("width", "height", "depth"), "texture_size": ("width", "height"), "texture_repeats": ("across", "up"),
+    "texture_offset": ("right", "up"), "semi_axes": ("a", "b", "c"), "quaternion": ("w", "x", "y", "z"),
     "bounds": ("x from", "x to", "y from", "y to", "z from", "z to"),
     "coefficients": ("a200", "a020", "a002", "a110", "a011", "a101", "a100", "a010", "a001", "a000"),
-}
+}  # fmt: skip
 SLIDERS = {  # ranges of useful values; typed values may be beyond
     "focal_length": (5.0, 100.0), "aperture_diameter": (0.5, 40.0), "sensor_distance": (20.0, 30.0),
     "normalization_distance": (5.0, 100.0), "focus_distance": (50.0, 1000.0), "f_number": (0.7, 22.0),
@@ -93,23 +87,21 @@ WIDE = 20.0  # ratio of a slider's ends from which on its scale is logarithmic
 OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # after the keys of the thesis
 
 
-def pose_label(path: str) -> str:
-    """Label of a key of a static rotation, "" for other keys: the label "Rotation" is that of a motion."""
-    _, _, key = path.rpartition("rotation")
-    labels = {
-        "": "Pose",
-        ".axis": "Axis of the pose",
-        ".angle": "Angle of the pose",
-        ".quaternion": "Pose as quaternion",
-    }
-    is_pose = path.startswith("object.") and ".rotation" in path and ".keyframe." not in path
-    return labels.get(key, "") if is_pose else ""
+_POSE_LABELS = {  # of a static rotation: the label "Rotation" is that of a motion
+    "rotation": "Pose", "rotation.axis": "Axis of the pose", "rotation.angle": "Angle of the pose",
+    "rotation.quaternion": "Pose as quaternion",
+}  # fmt: skip
 
 
-def keyframe_label(path: str) -> str:
-    """Label of a key of a keyframe, with the keyframe's number from 1; "" for other keys."""
-    number, _, key = path.partition(".keyframe.")[2].partition(".")
-    return f"{words(key)} of keyframe {int(number) + 1}" if key else ""
+def label_of(path: str) -> str:
+    """Label of a key; of a key of a keyframe, with the keyframe's number from 1."""
+    number, _, part = path.partition(".keyframe.")[2].partition(".")
+    if part:
+        return f"{words(part)} of keyframe {int(number) + 1}"
+    kind, _, rest = path.partition(".")
+    of_pose = _POSE_LABELS.get(rest.partition(".")[2]) if kind == "object" else None
+    key = path.rpartition(".")[2]
+    return LABELS_AT.get(path) or of_pose or LABELS.get(key) or words(key)
 
 
 def words(key: Any) -> str:
@@ -162,6 +154,11 @@ def at(node: Any, parts: Sequence[str]) -> Any:
         else:
             node = node.get(part) if isinstance(node, Mapping) else None
     return node
+
+
+def as_lists(value: Any) -> Any:
+    """A value with lists instead of tuples, as in a scene file."""
+    return [as_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def with_value(table: Table, parts: list[str], value: Any) -> Table:
@@ -278,7 +275,6 @@ def sparse(table: Mapping[str, Any]) -> Table:
 
 
 def _sparse(model: Any, table: Mapping[str, Any]) -> Table:
-    """A table without keys that have their defaults."""
     whole, left = model.model_validate(dict(table)), dict(table)
     leaves = [[key] for key in table if key not in ("shape", "name", "motion")]
     leaves += [["motion", key] for key in table.get("motion", ())]

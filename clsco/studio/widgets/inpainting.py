@@ -12,7 +12,7 @@ from clsco.studio.folder import IMAGES, listed
 from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
-from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, notify, page, say, text_box, tried
+from clsco.studio.widgets.html import Dialog, PagePart, button, check, check_box, notify, page, say, text_box, tried
 
 _TOOLS = {
     "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
@@ -161,12 +161,7 @@ def _tools() -> None:
     """Draw the tools of the brush, which `static/brush.js` reads."""
     with say("div", role="radiogroup", aria_label="Tool", class_="row"):
         for tool, label in _TOOLS.items():
-            with say("label", class_="check"):
-                say(
-                    "input", type="radio", name="brush-tool", value=tool, data_brush="tool",
-                    checked=tool == "brush",
-                )  # fmt: skip
-                say("span", label)
+            check(label, "radio", name="brush-tool", value=tool, data_brush="tool", checked=tool == "brush")
         with say("label", title="E", class_="check"):
             say("input", type="checkbox", data_brush="erase")
             say("span", "Erase")
@@ -195,6 +190,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
     now = time.monotonic_ns()
     start = f"inpainting/picture?tab={tab}&at={now}&which="
     with say("div", class_="beside"):
+        titles = {"before": "The image before it was filled", "large": "As wide as the window"}
         for method, filled in inpainting.results.items():
             place, took = f"{start}{method}", filled.figures["method"]
             with say("figure"):
@@ -202,10 +198,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
                 say("img", src=f"{start}image", alt="Before", loading="lazy")
                 with say("figcaption", class_="row"):
                     say("span", _LABELS[method] if took == method else f"{_LABELS[method]}: {_LABELS[took]}")
-                    for word, title in (
-                        ("before", "The image before it was filled"),
-                        ("large", "As wide as the window"),
-                    ):
+                    for word, title in titles.items():
                         say(
                             "button", word.capitalize(), type="button", title=title, aria_pressed="false",
                             data_figure=word, aria_label=f"{word.capitalize()}: {method}",

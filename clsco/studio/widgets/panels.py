@@ -17,7 +17,7 @@ from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Document
 from clsco.studio.tables import SHAPE_LABELS, at, words
-from clsco.studio.widgets.html import PagePart, button, check_box, choice, number, page, say
+from clsco.studio.widgets.html import PagePart, button, check, check_box, choice, number, page, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
 _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # positions among the panels of the thesis
@@ -37,21 +37,17 @@ class Chosen:
     before: dict[str, Any] = field(default_factory=dict)
 
 
-def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
+def draw_panels(session: Document) -> None:
     """Draw the objects of a session and all panels, and redraw a part when its set of controls changes."""
-    now = chosen or Chosen(scene=session.state.opened)
+    now = Chosen(scene=session.state.opened)
 
     def draw() -> None:
         for position, panel in enumerate(panels(session, now.index)):
             _draw(session, panel, position, now, method)
 
-    objects = PagePart(lambda: object_list(session, now.index, choose))
-    method, area = PagePart(partial(_method, session)), PagePart(draw)
-    parts: list[tuple[PagePart, Callable[[Document, Chosen], Any], Any]] = [
-        (objects, _names, _names(session, now)),
-        (method, _is_thesis, _is_thesis(session, now)),
-        (area, _form, _form(session, now)),
-    ]
+    objects = PagePart(lambda: object_list(session, now.index, choose), partial(_names, session, now))
+    method = PagePart(partial(_method, session), partial(is_as_the_thesis, session))
+    area = PagePart(draw, partial(_form, session, now))
 
     def choose(index: int) -> None:
         now.index = index
@@ -62,10 +58,8 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
         if now.scene != session.state.opened:  # another scene, whose keys decide which panels are open
             now.scene = session.state.opened
             now.is_open.clear()
-        for position, (part, of, before) in enumerate(parts):
-            if (after := of(session, now)) != before:
-                parts[position] = part, of, after
-                part.refresh()
+        for part in (objects, method, area):
+            part.changed()
 
     objects()
     area()
@@ -73,19 +67,11 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
 
 
 def _names(session: Document, chosen: Chosen) -> Any:
-    """Key of the list of objects, which is redrawn when the key changes."""
     return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
 
 
-def _is_thesis(session: Document, chosen: Chosen) -> Any:  # noqa: ARG001 - as `_names`
-    return is_as_the_thesis(session)
-
-
 def _form(session: Document, chosen: Chosen) -> Any:
-    """Key of the panels, which are redrawn when the key changes.
-
-    The key excludes values that are typed or dragged in the panels, because redrawing would interrupt the user.
-    """
+    """Key of the panels, without values that are typed or dragged in them: redrawing would interrupt the user."""
     path = f"object.{chosen.index}"
     moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
     counts = [len(session.table.get(key, ())) for key in ("object", "group")]
@@ -100,11 +86,7 @@ def is_chosen(session: Document, path: str) -> bool:
 
 def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
     is_open = chosen.is_open.get(panel.title, panel.is_open)
-
-    def toggled(on: object) -> None:
-        chosen.is_open[panel.title] = bool(on)
-
-    with say("details", open=is_open, class_="panel", toggle=toggled):
+    with say("details", open=is_open, class_="panel", toggle=partial(chosen.is_open.__setitem__, panel.title)):
         say("summary", panel.title)
         if panel.title == "PSF and method":
             method()
@@ -135,12 +117,8 @@ def draw_field(session: Document, shown: Field) -> None:
                 check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
     elif shown.kind == "flag":
         with say("div", class_="field"):
-            with say("label", class_="check"):
-                say(
-                    "input", type="checkbox", checked=bool(value), title=shown.help, data_path=shown.path,
-                    data_only=shown.only or None,
-                )  # fmt: skip
-                say("span", shown.label)
+            only = shown.only or None
+            check(shown.label, checked=bool(value), title=shown.help, data_path=shown.path, data_only=only)
             _back(shown)
             _fault(shown)
     else:
@@ -157,7 +135,6 @@ def draw_field(session: Document, shown: Field) -> None:
 
 
 def _components(session: Document, shown: Field) -> None:
-    """Draw the components of a vector, each in a row after its letter."""
     for index, letter in enumerate(shown.components):
         part = shown.component(index)
         with say("div", class_="component"):
@@ -198,15 +175,11 @@ def _text(session: Document, shown: Field, value: Any, box: str) -> None:
 
 
 def _back(shown: Field) -> None:
-    """Draw the button that resets a field, and its default."""
-    default = "none" if shown.default is None else _brief(shown.default)
-    unit = f" {shown.unit}" if shown.unit and shown.default is not None else ""
-    limits = (
-        "" if shown.least is None else f"; {shown.least:g} to {shown.most:g}{f' {shown.unit}' if shown.unit else ''}"
-    )
+    unit = f" {shown.unit}" if shown.unit else ""
+    title = "Default: none" if shown.default is None else f"Default: {_brief(shown.default)}{unit}"
+    title += "" if shown.least is None else f"; {shown.least:g} to {shown.most:g}{unit}"
     say(
-        "button", "↺", type="button", data_clear=shown.path, aria_label=f"Default of {shown.label}",
-        title=f"Default: {default}{unit}{limits}",
+        "button", "↺", type="button", data_clear=shown.path, aria_label=f"Default of {shown.label}", title=title,
         class_="back",
     )  # fmt: skip
 
@@ -226,17 +199,11 @@ def _shapes(session: Document, shown: Field) -> None:
     value = session.shown(shown.path)
     with say("div", role="radiogroup", aria_label=shown.label, class_="shapes"):
         for option, label in shown.choices:
-            with say("label", class_="check"):
-                say(
-                    "input", type="radio", name=shown.path, value=option, checked=option == value,
-                    data_path=shown.path,
-                )  # fmt: skip
-                say("span", label)
+            check(label, "radio", name=shown.path, value=option, checked=option == value, data_path=shown.path)
     _fault(shown)
 
 
 def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
-    """Draw the switch of a motion, and its boxes."""
     path, is_on = shown.path, is_chosen(session, shown.path)
 
     def choose(on: bool) -> None:
@@ -254,7 +221,6 @@ def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
 
 
 def _method(session: Document) -> None:
-    """Draw the switch between the method of the thesis and of clsco."""
     is_thesis = is_as_the_thesis(session)
     with say("div", role="group", aria_label="Method", class_="row"):
         for on, text in ((True, "As the thesis"), (False, "Defaults of clsco")):
@@ -263,10 +229,7 @@ def _method(session: Document) -> None:
 
 
 def object_list(session: Document, index: int, choose: Callable[[int], None]) -> None:
-    """Draw the list of objects, with the selected one marked, and buttons to edit the list.
-
-    index: index of the selected object; choose: selects another one.
-    """
+    """Draw the list of objects, with the selected one marked, and buttons to edit the list."""
     objects = session.table["object"]
     last = len(objects) - 1
 
@@ -296,13 +259,9 @@ def object_list(session: Document, index: int, choose: Callable[[int], None]) ->
 
 
 def _adding(session: Document, choose: Callable[[int], None]) -> None:
-    """Draw a list of shapes, to add an object."""
     ready = [shape for shape in SHAPES if shape != "depth_map"]  # a depth map needs a file first
-
-    def add(shape: object) -> None:
-        choose(session.add_object(str(shape)))
-
-    with say("select", aria_label="Add an object", data_once=True, change=add):
+    add = session.add_object
+    with say("select", aria_label="Add an object", data_once=True, change=lambda shape: choose(add(str(shape)))):
         say("option", "Add ...", value="")
         for shape in ready:
             say("option", SHAPE_LABELS.get(shape, words(shape)), value=shape)
@@ -318,18 +277,8 @@ def draw_sweep(session: Document) -> None:
         with say("section", aria_label="Sweep", class_="objects"):
             say("p", f"Keys with several values make {len(labels)} scenes; Generate writes them all.", role="status")
             named = {label: f"{number + 1} {label.replace('__', ', ')}" for number, label in enumerate(labels)}
-            choice("Scene that is shown", named, labels[session.state.shown], session.show_scene)
+            choice("Scene that is shown", named, labels[session.state.shown], session.show_scene, {})
 
-    area, before = PagePart(draw), [_seen(session)]
-
-    def changed() -> None:
-        if _seen(session) != before[0]:
-            before[0] = _seen(session)
-            area.refresh()
-
+    area = PagePart(draw, lambda: (session.state.labels, session.state.shown))
     area()
-    page().endings.append(session.subscribe(changed))
-
-
-def _seen(session: Document) -> tuple[tuple[str, ...], int]:
-    return session.state.labels, session.state.shown
+    page().endings.append(session.subscribe(area.changed))
