@@ -1,4 +1,4 @@
-"""Background tasks of the studio: an error is logged and reported to the page, and the task goes on."""
+"""Background tasks of the studio, which go on after errors, and objects that tell of their changes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,23 @@ import asyncio
 import traceback
 from collections.abc import Awaitable, Callable
 
-PAUSE = 1.0
-"""Seconds after an error before a task starts again."""
+PAUSE = 1.0  # s after an error before a task starts again
+
+
+class Observable:
+    """Calls functions after its changes."""
+
+    def __init__(self) -> None:
+        self._listeners: list[Callable[[], None]] = []
+
+    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call a function after each change; returns a function that unsubscribes it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
+
+    def _tell(self) -> None:
+        for listener in tuple(self._listeners):
+            listener()
 
 
 async def keep_running(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,25 +15,12 @@ from clsco.scene.model import Scene
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import key_name, shown
-from clsco.studio.tables import (
-    Table,
-    as_lists,
-    at,
-    path_parts,
-    placed,
-    pose_for,
-    reshaped,
-    seed,
-    with_value,
-    without,
-    written,
-)
+from clsco.studio.background import Observable
+from clsco.studio.tables import Table, as_lists, at, path_parts, placed, pose_for, reshaped, seed, with_value, without
 
 STEPS = 200  # of undo
-THESIS: Table = {"object": [{"shape": "plane"}]}
-"""The defaults of the thesis; except for the shape they equal those of clsco."""
-# Keys of an object whose values decide which other keys it may have.
-_CHOICES = ("texture_mapping", "unit")
+THESIS: Table = {"object": [{"shape": "plane"}]}  # the defaults of the thesis, otherwise those of clsco
+_CHOICES = ("texture_mapping", "unit")  # keys of an object whose values decide which other keys it may have
 
 
 @dataclass(frozen=True)
@@ -45,11 +32,6 @@ class State:
     path: Path | None = None  # of the scene file
     label: str = ""  # of the displayed scene of a sweep
     opened: int = 0  # number of the opened scene, counted from 1; 0 for the initial scene
-
-    @cached_property
-    def objects(self) -> list[Table]:
-        """Tables of the objects."""
-        return self.table["object"]
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -87,7 +69,7 @@ class _History:
             self.past.pop()
 
 
-class Editor:
+class Editor(Observable):
     """A scene that is edited key by key.
 
     An invalid value stays in its box with its message, and the last valid scene stays in force. The value is tried
@@ -99,42 +81,37 @@ class Editor:
     """
 
     def __init__(self, root: Path) -> None:
+        super().__init__()
         self.root = root.resolve()
         self.readable = (self.root, Path(str(folder("examples"))).resolve())
         self.revision = 0
         self.faults: dict[str, str] = {}
         self.refused: dict[str, Any] = {}
         self.is_linked = False
-        self._listeners: list[Callable[[], None]] = []
         self._history = _History()
         self._models: dict[int, Any] = {}
-        self._state = State(THESIS, ({},))
-        self.scene = self._valid(self._state)
-
-    @property
-    def state(self) -> State:
-        """Current state, to which undo can return."""
-        return self._state
+        self.state = State(THESIS, ({},))
+        self.scene = self._valid(self.state)
 
     @property
     def table(self) -> Table:
         """Content of the scene file: the explicitly given keys. It is never modified in place."""
-        return self._state.table
+        return self.state.table
 
     @property
     def path(self) -> Path | None:
         """The scene file, None before it is saved."""
-        return self._state.path
+        return self.state.path
 
     @property
     def folder(self) -> Path:
         """Base folder of the scene's relative paths."""
-        return self._state.path.parent if self._state.path is not None else self.root
+        return self.state.path.parent if self.state.path is not None else self.root
 
     @property
     def object_entries(self) -> list[int]:
         """Index in the file of each object of the scene, where each face of a box is an object."""
-        models = [self._object(index) for index in range(len(self._state.objects))]
+        models = [self._object(index) for index in range(len(self.table["object"]))]
         return [index for index, item in enumerate(models) for _ in (item.faces() if item.shape == "box" else (item,))]
 
     @property
@@ -144,11 +121,6 @@ class Editor:
     @property
     def can_redo(self) -> bool:
         return bool(self._history.future)
-
-    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call a function after each change of the scene or of faults; returns a function that unsubscribes it."""
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
     def patch(self, path: str, value: Any, drag: int | None = None) -> bool:
         """Change one key; returns True if the scene changed. `faults` has the message on an invalid value.
@@ -190,47 +162,43 @@ class Editor:
         return self._go(self._history.future, self._history.past)
 
     def reset(self, index: int = 0) -> None:
-        """Reset an object, its motion, the sequence and the camera to the thesis' defaults.
-
-        index: index of the object, which keeps its name, texture and group; the camera keeps its resolution.
-        """
-        item = self._state.objects[index]
-        objects = self._state.objects.copy()
+        """Reset an object, except name, texture and group, the sequence, and the camera, except its resolution."""
+        item = self.table["object"][index]
+        objects = self.table["object"].copy()
         objects[index] = {"shape": "plane"} | {k: v for k, v in item.items() if k in ("name", "texture", "group")}
         table = {key: value for key, value in self.table.items() if key not in ("camera", "sequence")}
         if (resolution := at(self.table, ["camera", "resolution"])) is not None:
             table["camera"] = {"resolution": resolution}
-        apart = tuple({} if k == index else kept for k, kept in enumerate(self._state.apart))
-        self.take(replace(self._state, table=table | {"object": objects}, apart=apart))
+        apart = tuple({} if k == index else kept for k, kept in enumerate(self.state.apart))
+        self.take(replace(self.state, table=table | {"object": objects}, apart=apart))
 
     def add_object(self, shape: str = "sphere") -> int:
         """Add an object at the end of the list; returns its index. Raises SceneError."""
         item, _ = reshaped({}, shape, {})
-        return self._insert(len(self._state.objects), item, {})
+        return self._insert(len(self.table["object"]), item, {})
 
     def copy_object(self, index: int) -> int:
         """Add a copy of an object after it; returns its index. Raises SceneError."""
-        item = {key: value for key, value in self._state.objects[index].items() if key != "name"}
-        return self._insert(index + 1, item, self._state.apart[index])
+        item = {key: value for key, value in self.table["object"][index].items() if key != "name"}
+        return self._insert(index + 1, item, self.state.apart[index])
 
     def delete_object(self, index: int) -> None:
         """Delete an object, and groups that become empty. Raises SceneError for the last object."""
-        objects, apart = self._state.objects.copy(), list(self._state.apart)
-        del objects[index], apart[index]
-        self._arrange(objects, apart)
+        pairs = self._pairs()
+        del pairs[index]
+        self._arrange(pairs)
 
     def move_object(self, index: int, to: int) -> None:
         """Move an object to another position in the list. Raises SceneError for an invalid position."""
-        objects, apart = self._state.objects.copy(), list(self._state.apart)
-        objects.insert(to, objects.pop(index))
-        apart.insert(to, apart.pop(index))
-        self._arrange(objects, apart)
+        pairs = self._pairs()
+        pairs.insert(to, pairs.pop(index))
+        self._arrange(pairs)
 
     def known(self, path: str) -> Any:
-        """The effective value of a key: the given value, else the default; None if there is neither.
+        """The value of a key, given or by default; None if there is neither.
 
-        The value of `f_number` follows from `aperture_diameter` if that is given, and vice versa; likewise for
-        `focus_distance` and `sensor_distance`.
+        Of `f_number` and `aperture_diameter` one follows from the other, and so do `focus_distance` and
+        `sensor_distance`.
         """
         parts = path_parts(path)
         value = at(self.table, parts)
@@ -249,16 +217,11 @@ class Editor:
                 value = [component if k == int(last) else old for k, old in enumerate(value)]
         return value
 
-    def fault(self, path: str) -> str:
-        """The message on a key, or on a component of it; "" if valid."""
-        of_parts = (message for key, message in self.faults.items() if key.startswith(f"{path}."))
-        return self.faults.get(path) or next(of_parts, "")
-
     def show_scene(self, label: str) -> None:
         """Show another scene of a sweep, given by its label, as an undo step. Raises SceneError."""
-        if label not in self._state.labels:
-            raise SceneError(f"scene: must be one of the {len(self._state.labels)} of the file; got {shown(label)}")
-        self.take(replace(self._state, label=label))
+        if label not in self.state.labels:
+            raise SceneError(f"scene: must be one of the {len(self.state.labels)} of the file; got {shown(label)}")
+        self.take(replace(self.state, label=label))
 
     def forget_past(self) -> None:
         """Clear the undo history."""
@@ -276,7 +239,7 @@ class Editor:
 
     def _accept(self, state: State, scene: Scene, drag: int | None) -> bool:
         """Make a valid state the current one; returns True if it differs."""
-        before = self._state
+        before = self.state
         changed = (state.table, state.path, state.label) != (before.table, before.path, before.label)
         if changed:
             self._history.push(_Step(before, self.scene, drag))
@@ -286,7 +249,7 @@ class Editor:
         return changed
 
     def _set(self, state: State, scene: Scene) -> None:
-        self._state, self.scene = state, scene
+        self.state, self.scene = state, scene
         self._models.clear()
         self.revision += 1
 
@@ -296,19 +259,15 @@ class Editor:
         """
         self.refused, self.faults = {}, {}
         if moved := bool(steps):
-            others.append(_Step(self._state, self.scene))
+            others.append(_Step(self.state, self.scene))
             step = steps.pop()
             self._set(step.state, step.scene)
         self._tell()
         return moved
 
-    def _tell(self) -> None:
-        for listener in tuple(self._listeners):
-            listener()
-
     def _changed(self, chosen: Mapping[str, Any]) -> tuple[State, Scene]:
         """State with new values by path, without keys that a new choice forbids, and its scene. Raises SceneError."""
-        state = self._state
+        state = self.state
         for path, value in chosen.items():
             state = self._with(state, path, value)
         for _ in range(len(_CHOICES) + 1):
@@ -333,7 +292,8 @@ class Editor:
         parts = path_parts(path)
         if parts[-1] in FILE_KEYS and isinstance(value, str) and Path(value).is_absolute():
             rule = "must be relative to the folder of the scene"
-            raise SceneError(f"scene: {written(parts)}: {rule}; got {shown(value)}")
+            place = key_name([int(part) if part.isdecimal() else part for part in parts])
+            raise SceneError(f"scene: {place}: {rule}; got {shown(value)}")
         if len(parts) == 3 and parts[0] == "object" and parts[2] == "shape":
             item = at(state.table, parts[:2])
             if item is not None and value != item["shape"]:
@@ -414,22 +374,25 @@ class Editor:
             self._models[index] = SHAPES[item["shape"]].model_validate(still)
         return self._models[index]
 
+    def _pairs(self) -> list[tuple[Table, Mapping[str, Table]]]:
+        """Each object, and the keys of its former shapes."""
+        return list(zip(self.table["object"], self.state.apart, strict=True))
+
     def _insert(self, index: int, item: Table, kept: Mapping[str, Table]) -> int:
-        objects, apart = self._state.objects.copy(), list(self._state.apart)
-        objects.insert(index, item)
-        apart.insert(index, kept)
-        self._arrange(objects, apart)
+        pairs = self._pairs()
+        pairs.insert(index, (item, kept))
+        self._arrange(pairs)
         return index
 
-    def _arrange(self, objects: list[Table], apart: list[Mapping[str, Table]]) -> None:
+    def _arrange(self, pairs: list[tuple[Table, Mapping[str, Table]]]) -> None:
         """Replace the list of objects, as one undo step; groups without objects are removed."""
-        table = self.table | {"object": objects}
-        used = {item.get("group") for item in objects}
+        table = self.table | {"object": [item for item, _ in pairs]}
+        used = {item.get("group") for item, _ in pairs}
         if "group" in table:
             table["group"] = [group for group in table["group"] if group["name"] in used]
             if not table["group"]:
                 del table["group"]
-        self.take(replace(self._state, table=table, apart=tuple(apart)))
+        self.take(replace(self.state, table=table, apart=tuple(kept for _, kept in pairs)))
 
 
 def _overlaps(path: str, other: str) -> bool:

@@ -35,7 +35,7 @@ def below(root: Path, path: str | Path) -> Path:
 def listed(root: Path, endings: tuple[str, ...]) -> list[str]:
     """Names of at most 500 files with these endings below a folder, relative to it, sorted.
 
-    Hidden files, rendered frames and folders beside them, folders nested deeper than 4, and links out of the folder are
+    Hidden files, rendered frames and folders beside them, folders deeper than 4, and links out of the folder are
     omitted.
     """
     return sorted(islice(_found(root.resolve(), endings), MOST))

@@ -24,13 +24,11 @@ from clsco.studio import tables
 from clsco.studio.session import Document
 from clsco.studio.tables import as_lists, at, label_of, without, words
 
+# Functions from values to positions on sliders, by scale: "inverse" counts diopters, "stops" thirds of a stop.
+# static/scales.js has the inverse functions.
 PLACES: Mapping[str, Callable[[float], float]] = {
     "": float, "inverse": lambda value: -1.0 / value, "log": math.log10, "stops": lambda value: 6.0 * math.log2(value),
 }  # fmt: skip
-"""Functions from values to positions on sliders, by scale: "inverse" counts diopters, "stops" thirds of a stop.
-
-static/scales.js has the inverse functions.
-"""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class Field:
     def component(self, index: int) -> Field:
         """The number field of a component of a vector, by its index in the flat vector."""
         label = self.components[index]
-        part = f"{index // 2}.{index % 2}" if self.is_paired else str(index)
+        part = f"{index // 2}.{index % 2}" if self.key == "bounds" else str(index)  # bounds are pairs
         default = flat(self.default)[index] if isinstance(self.default, list) else None
         symbol = f"{self.symbol}{label}" if self.symbol and len(label) == 1 else ""
         is_point = self.key in ("center", "apex", "position", "origin") and ".keyframe." not in self.path
@@ -91,11 +89,6 @@ class Field:
             self, path=f"{self.path}.{part}", label=f"{self.label} {label}", symbol=symbol, kind="number",
             default=default, components=(), slider=slider, step=_step(slider, self.is_integer),
         )  # fmt: skip
-
-    @property
-    def is_paired(self) -> bool:
-        """True if the value is a list of pairs."""
-        return self.key == "bounds"
 
 
 @dataclass(frozen=True)
@@ -138,23 +131,23 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     motion += taken(("frames", "interval"), "sequence.")
     of_thesis = image, kind, taken(own), motion, taken(camera, "camera.")
     found = [Panel(title, fields, True) for title, fields in zip(tables.THESIS_TITLES, of_thesis, strict=True)]
-    rest = (
-        ("PSF and method", ("psf.", "aperture.")),
-        ("Sequence and motion in detail", ("sequence.", "motion.", "camera.")),
-        ("Lens over time", ("lens.keyframe", "lens.interpolation", "lens.outside")),
-        ("Lens that is not thin", ("lens.",)),
-        ("Fill", ("fill.",)),
-        ("Light", ("light.",)),
-        ("Sensor", ("sensor.",)),
-        ("Stereo", ("stereo.",)),
-        ("Title and image", ("title", "image.")),
+    rest: tuple[tuple[str, dict[str, Field], tuple[str, ...]], ...] = (
+        ("Texture on the surface", of_object, ("texture_",)),
+        ("Motion over time", of_object, ("motion.",)),
+        ("Name, pose and bounds", of_object, ("",)),
+        ("PSF and method", scene, ("psf.", "aperture.")),
+        ("Sequence and motion in detail", scene, ("sequence.", "motion.", "camera.")),
+        ("Lens over time", scene, ("lens.keyframe", "lens.interpolation", "lens.outside")),
+        ("Lens that is not thin", scene, ("lens.",)),
+        ("Fill", scene, ("fill.",)),
+        ("Light", scene, ("light.",)),
+        ("Sensor", scene, ("sensor.",)),
+        ("Stereo", scene, ("stereo.",)),
+        ("Title and image", scene, ("title", "image.")),
     )
-    of_object_too = {"Texture on the surface": "texture_", "Motion over time": "motion.", "Name, pose and bounds": ""}
-    for title, start in of_object_too.items():
-        found.append(Panel(title, taken([key for key in of_object if key.startswith(start)])))
-    for title, starts in rest:
-        keys = [path for path in scene if path.startswith(starts)]
-        found.append(Panel(title, tuple(scene.pop(path) for path in keys)))
+    for title, source, starts in rest:
+        keys = [key for key in source if key.startswith(starts)]
+        found.append(Panel(title, tuple(source.pop(key) for key in keys)))
     found += [Panel("Groups", groups), Panel("More", tuple(scene.values()))]  # "More": keys that no row above names
     return tuple(replace(panel, is_open=panel.is_open or _is_used(session, panel)) for panel in found if panel.fields)
 
@@ -231,13 +224,9 @@ def _limits(field: Any) -> Within | None:
     """Limits and unit of a number, or of the components of a vector; None if there are none."""
     waiting: list[Any] = [*field.metadata, field.annotation]
     while waiting:
-        part = waiting.pop(0)
-        if isinstance(part, Within):
+        if isinstance(part := waiting.pop(0), Within):
             return part
-        if part is not SHAPES and not isinstance(part, type):
-            waiting += [*get_args(part), *getattr(part, "__metadata__", ())]
-        elif hasattr(part, "__metadata__"):
-            waiting += part.__metadata__
+        waiting += get_args(part)
     return None
 
 
@@ -294,10 +283,8 @@ def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tup
     if shape["type"] == "string":
         return "text", (), ()
     if shape["type"] == "array":
-        components, count = (
-            tables.COMPONENTS.get(key, ("x", "y", "z")),
-            len(shape.get("prefixItems", ())) or shape["maxItems"],
-        )
+        components = tables.COMPONENTS.get(key, ("x", "y", "z"))
+        count = len(shape.get("prefixItems", ())) or shape["maxItems"]
         return "vector", (), components if key == "bounds" else components[:count]
     return "number", (), ()
 

@@ -89,10 +89,9 @@ def stack_scenes(session: Document, nearest: float, farthest: float, steps: int)
 def make_data_set(
     session: Document, jobs: Jobs, distribution: str, folder: str, count: int, options: Sequence[str] = ()
 ) -> CommandJob:
-    """Make a data set of `count` samples by `clsco dataset make`.
+    """Make a data set of `count` samples by `clsco dataset make`. Raises ClscoError as `Jobs.add`, or without the file.
 
-    `distribution` is a file below the root; one of `shipped_distributions` is copied there first. Raises ClscoError as
-    `Jobs.add`, or if there is no such file.
+    `distribution` is a file below the root; one of `shipped_distributions` is copied there first.
     """
     source, name = _name(session, distribution), _name(session, folder)
     jobs.require_free(name)
@@ -161,10 +160,7 @@ def _is_distribution(path: Path) -> bool:
 
 
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:
-    """A small PNG of the color of the first sample in a part, counted from 0, of a data set's `parts` equal parts.
-
-    Raises ClscoError, OSError, IndexError or StopIteration if there is no such sample.
-    """
+    """A small PNG of the color of the first sample in a part, counted from 0, of a data set's `parts` equal parts."""
     from clsco.data import dataset
 
     opened = dataset.open(folder)

@@ -26,8 +26,7 @@ from clsco.studio.folder import below
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
 
-FILLERS = ("mean-median", "biharmonic", "texture", "auto")
-"""Methods of `clsco inpaint`, that of the thesis first; auto: the better one of the two before it."""
+FILLERS = ("mean-median", "biharmonic", "texture", "auto")  # "auto": the better one of the two before it
 MOST_RUNS = 2**20
 LARGEST = 2**24  # pixels of an image that can be filled interactively
 ROWS = {  # rows of the table in figure 5.21, with their keys in `Report.figures`
@@ -142,9 +141,8 @@ class Inpainting:
         write_png(make_writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> FilledImage | None:
-        """Fill the missing pixels, and store the result beside those of other methods; None if canceled.
-
-        Raises ClscoError as `clsco.inpaint`, or if no pixel is missing, or the process that fills has ended.
+        """Fill the missing pixels, and store the result beside those of other methods; None if canceled. Raises
+        ClscoError.
         """
         if method not in FILLERS:
             raise SceneError(f"method: must be one of {', '.join(FILLERS)}; got {method!r}")
@@ -196,10 +194,6 @@ class Inpainting:
         if image.dtype.kind == "f":
             return encode(np.clip(image.astype(np.float32), 0.0, 1.0), 8, "srgb").astype(np.uint8)
         return np.ascontiguousarray(image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8))
-
-    def close(self) -> None:
-        """End the process of the methods."""
-        self.filler.close()
 
     def _mask_codes(self) -> NDArray[np.uint8]:
         return np.where(self.mask, 255, 0).astype(np.uint8)
@@ -255,10 +249,7 @@ class FillingProcess:
     def fill(
         self, image: NDArray[Any], mask: NDArray[np.bool_], method: str
     ) -> tuple[NDArray[Any], dict[str, Any]] | None:
-        """Fill an image; returns it with the figures of its report, or None if `cancel` was called.
-
-        Raises ClscoError as `clsco.inpaint`, or if the process ended, or another image is being filled.
-        """
+        """Fill an image; returns it with the figures of its report, or None if canceled. Raises ClscoError."""
         if not self._working.acquire(blocking=False):
             raise FileError(f"{method}: must wait for what is being filled")
         try:

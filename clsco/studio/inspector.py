@@ -72,7 +72,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
 
 
 def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:
-    """Find the source, in the reference pose, of the point visible in a pixel at the middle of the exposure.
+    """The source, in the reference pose, of the point visible in a pixel at the middle of the exposure.
 
     Returns column, row and object, as arguments for `clsco.response`; or the reason why there is no such source.
     """

@@ -18,8 +18,8 @@ from clsco.studio.tables import SHAPE_LABELS, Table, as_lists, at, with_value, w
 
 LATEST = 1e9  # s, of a keyframe
 LENS = "lens.keyframe"
+# Attribute of the camera for each key of a lens keyframe.
 _OF_LENS = {"focal_length": "focal_length", "focus_distance": "focused_distance", "f_number": "opening"}
-"""Attribute of the camera for each key of a lens keyframe."""
 _FIRST_OF_LENS = ("focus_distance", "f_number")
 _TURN = 90.0  # deg: largest rotation between keyframes that replace angular velocities about several axes
 
@@ -72,10 +72,7 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 
 
 def remove_keyframe(session: Document, path: str, index: int) -> None:
-    """Remove a keyframe, as one undo step; with the last keyframe, remove also the keys that only keyframes use.
-
-    Raises SceneError if there is no such keyframe, or the scene is invalid without it.
-    """
+    """Remove a keyframe, and with the last one the keys that only keyframes use. Raises SceneError."""
     _known(session, path)
     table, parts = session.table, path.split(".")
     keys = list(at(table, parts) or [])

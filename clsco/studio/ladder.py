@@ -86,10 +86,7 @@ def _pixels(work: float, eighths: int) -> float:
 
 
 class Ladders:
-    """Predictions for previews of similar scenes: a `Ladder` for each member of WAYS.
-
-    of: ladders by member of WAYS.
-    """
+    """Predictions for previews of similar scenes: a `Ladder` for each member of WAYS."""
 
     def __init__(self) -> None:
         self.of = {way: Ladder() for way in WAYS}
@@ -143,10 +140,7 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
 
 
 def unblurred(scene: Scene) -> Scene:
-    """The scene with the same depth, normals and objects, without blur: one time sample and almost no aperture.
-
-    Validated: the same bits as with blur (tests/studio/test_renderer.py).
-    """
+    """The scene with the same bits of depth, normals and objects, without blur: one time sample, almost no aperture."""
     psf = scene.psf.model_copy(update={"silhouette_samples": 1, "occlusion": "none"})
     camera = scene.camera.model_copy(update={"aperture_diameter": 1e-9 * scene.camera.aperture_diameter})
     sequence = scene.sequence.model_copy(update={"samples": 1, "sampling": "midpoint"})

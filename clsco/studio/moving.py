@@ -18,8 +18,8 @@ from clsco.scene.model import Camera, Plane
 from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.session import Document
 
+# Key of an object's position by shape, "" for none; that of all other shapes is `center`.
 PLACES = {"cone": "apex", "plane": "distance", "depth_map": "", "background": ""}
-"""Key of an object's position by shape, "" for none; that of all other shapes is `center`."""
 STEEPEST = 1e-3  # least z of a plane's normal; a steeper plane follows only moves along z
 ALONG = 500.0  # px of a move along z that changes the depth by a factor of e
 _DIGITS = 4  # decimal places of mm: less than a thousandth of a pixel
@@ -61,7 +61,7 @@ def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye =
     if not 0 <= object_id < len(entries):
         raise SceneError("move: there must be an object; got none")
     scene, number = session.scene, entries[object_id]
-    surface, shape = scene.objects[object_id], session.state.objects[number]["shape"]
+    surface, shape = scene.objects[object_id], session.table["object"][number]["shape"]
     if not (key := PLACES.get(shape, "center")):
         raise SceneError(f"move: must be an object with a place of its own; got a {shape.replace('_', ' ')}")
     path = f"object.{number}.{key}"

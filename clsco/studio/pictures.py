@@ -22,20 +22,10 @@ from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
 from clsco.studio.ladder import MOTION, OCCLUSION
 
-VIEWS = {
-    "color": "color",
-    "sharp": "sharp",
-    "depth": "depth",
-    "blur radius": "blur_radius",
-    "flow": "flow",
-    "normal": "normal",
-    "id": "object_id",
-    "mask": "mask",
-    "missing": "missing",
-    "raw": "raw",
-    "noise": "noise_sigma",
-}
-"""Attribute of `Frame` for each view by name, in the order of the tabs."""
+VIEWS = {  # attribute of `Frame` for each view by name, in the order of the tabs
+    "color": "color", "sharp": "sharp", "depth": "depth", "blur radius": "blur_radius", "flow": "flow",
+    "normal": "normal", "id": "object_id", "mask": "mask", "missing": "missing", "raw": "raw", "noise": "noise_sigma",
+}  # fmt: skip
 
 UNBLURRED = ("depth", "normal", "id")  # views that do not show blur, which takes most of the time
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)  # rungs, see ViewPicture
@@ -145,10 +135,9 @@ NEAREST = 1e-3  # mm; nearer points, and points behind the lens, are not in the 
 
 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:
-    """The scene with a single time sample, in s since the reference pose, in frame `index`.
+    """The scene with a single time sample, in s since the reference pose, in frame `index`, to which all truth belongs.
 
-    The time is clamped to the frame's interval and exposure, taken together. The frame is the sub-frame at this time,
-    and all ground truth belongs to this time; the flow is the motion over one interval.
+    The time is clamped to the frame's interval and exposure, taken together; the flow is the motion over one interval.
 
     The shutter is twice as long as the time since the frame began, or since the shutter opened if earlier, so that its
     only sample is at this time; it may exceed the interval, which files do not allow.

@@ -347,9 +347,8 @@ class _RenderWorker:
                 self._send(current[0], replace(found, still=now - since))
 
     def _coarse(self, number: int, job: PictureJob) -> None:
-        size, ladders = self._size_of(job), self._ladders_of(job)
-        way, eighths = ladders.choose(_needed(job), size)
-        self._send(number, self._coarse_picture(job, size, way, eighths))
+        size = with_resolution(job.scene).camera.frame_size
+        self._send(number, self._coarse_picture(job, size, *self._ladders_of(job).choose(_needed(job), size)))
 
     def _coarse_picture(
         self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
@@ -364,7 +363,7 @@ class _RenderWorker:
         return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(wanted)))))
 
     def _rehearse(self, job: PictureJob) -> None:
-        size, ladders, wanted = self._size_of(job), self._ladders_of(job), _needed(job)
+        size, ladders, wanted = with_resolution(job.scene).camera.frame_size, self._ladders_of(job), _needed(job)
         for way in ways_of(wanted):
             ladder, work = ladders.of[way], work_of(wanted, size, way)
             if job.took:
@@ -373,9 +372,6 @@ class _RenderWorker:
                 if ladder.predicted(work, eighths) <= PATIENCE:
                     for learns in (False, True):
                         self._coarse_picture(job, size, way, eighths, learns)
-
-    def _size_of(self, job: PictureJob) -> tuple[int, int]:
-        return with_resolution(job.scene).camera.frame_size
 
     def _exact(self, number: int, job: PictureJob) -> None:
         self._check(number)

@@ -158,10 +158,7 @@ def _refused(message: str) -> JSONResponse:
 
 
 def small_picture(session: Document, path: str) -> tuple[bytes, str]:
-    """A PNG of at most 160 x 160 px of the texture at the key `path`, and a text with its size and bits.
-
-    Both are empty if the key is not one of a texture. Raises ClscoError.
-    """
+    """A PNG of at most 160 x 160 px of the texture at a key, and a text with its size and bits; else both are empty."""
     name = session.known(path) if path.rpartition(".")[2] in FILE_KEYS and not path.endswith(".depth") else None
     if not isinstance(name, str):
         return b"", ""

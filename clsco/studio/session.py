@@ -45,10 +45,10 @@ class Document(Editor):
         return self._saved == (self.path, self.table)
 
     def open(self, path: Path) -> None:
-        """Go to the scene of a file below the root, as an undo step.
+        """Go to the scene of a file below the root, as an undo step. Raises SceneError as `clsco.load_sweep` before
+        that.
 
-        Raises SceneError as `clsco.load_sweep`, or if the file is not below the root, or names a file that is neither
-        below the root nor an example; the state is then unchanged.
+        It may name only files below the root and examples.
         """
         target = self.inside(path)
         digest = store.digest_of(target)  # before the file is read: if it changes in between, `save` reports a conflict
@@ -61,8 +61,7 @@ class Document(Editor):
         """Write the scene to a .toml or .json file below the root, by default its own; comments in the file are kept.
 
         Raises ConflictError if the file has other content than this session opened or saved, unless `overwrite`;
-        SceneError if there is no name, the file is not below the root, or has another extension; FileError if it cannot
-        be written.
+        SceneError for a missing or wrong name; FileError.
         """
         target, text, table = self._written(path)
         if not overwrite and store.digest_of(target) != self._digests.get(target, ""):
@@ -70,7 +69,7 @@ class Document(Editor):
             raise ConflictError(f"{target.name}: {rule}: overwrite it, or save under another name")
         atomic_write_bytes(target, text.encode())
         self._digests[target] = store.digest_of(target)
-        self._state = replace(self._state, table=table, path=target)
+        self.state = replace(self.state, table=table, path=target)
         self._saved = target, table
         self._tell()
 

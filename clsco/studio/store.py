@@ -48,10 +48,9 @@ def digest_of(path: Path) -> str:
 
 
 def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
-    """Text of a scene file with the keys that differ from their defaults.
+    """Text of a scene file, .toml or .json, with the keys that differ from their defaults.
 
-    path: ends in .toml or .json; old: previous file of the scene, whose comments, order and keys at their defaults are
-    kept, as far as the scene still has them.
+    The comments, the order and the keys at their defaults of the scene's previous file `old` are kept.
     """
     if path.suffix.lower() == ".json":
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 from clsco.errors import SceneError
@@ -11,16 +12,12 @@ from clsco.scene.changes import displace, key_parts, put
 from clsco.scene.file import SECTIONS, swept_keys
 from clsco.scene.groups import Group
 from clsco.scene.shapes import SHAPES
-from clsco.scene.text import brief, key_name
+from clsco.scene.text import brief
 from clsco.scene.texture_keys import Textured
 
 THESIS_TITLES = (
-    "Input Image File",
-    "Select Object Type",
-    "Select Object Properties",
-    "Motion parameters",
-    "Camera Specifications",
-)
+    "Input Image File", "Select Object Type", "Select Object Properties", "Motion parameters", "Camera Specifications",
+)  # fmt: skip
 SHAPE_LABELS = {
     "plane": "Planar", "cylinder": "Cylindrical", "sphere": "Spherical", "cone": "Conical", "ellipsoid": "Elliptical",
     "quadric": "Quadric", "depth_map": "Depth map",
@@ -117,12 +114,9 @@ DEEPEST = 8  # parts of a path
 LONGEST = 200  # characters of a path
 _ALIKE = {*Textured.model_fields, "name", "motion", "group"}  # keys that an object keeps when its shape changes
 _SEEDS: dict[str, list[Any]] = {  # initial values of vectors without a default, when a component is entered
-    "direction": [0.0, 0.0, 1.0],
-    "bounds": [[-1000.0, 1000.0]] * 3,
-    "position": [0.0, 0.0, 0.0],
-    "origin": [0.0, 0.0, 0.0],
-    "texture_offset": [0.0, 0.0],
-}
+    "direction": [0.0, 0.0, 1.0], "bounds": [[-1000.0, 1000.0]] * 3, "position": [0.0, 0.0, 0.0],
+    "origin": [0.0, 0.0, 0.0], "texture_offset": [0.0, 0.0],
+}  # fmt: skip
 _ALL_ALIKE = ("resolution", "texture_size", "texture_repeats")  # all components start equal to the entered one
 _START: dict[str, Table] = {  # initial keys of shapes without defaults
     "quadric": {"coefficients": [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0], "center": [0.0, 0.0, 280.0]}
@@ -163,7 +157,7 @@ def as_lists(value: Any) -> Any:
 
 def with_value(table: Table, parts: list[str], value: Any) -> Table:
     """A copy of the table with a value at `parts`, without keys that contradict it. Raises SceneError."""
-    changed: Table = _copied({key: _shallow(entry) for key, entry in table.items()}, parts)
+    changed: Table = _copied({key: copy(entry) for key, entry in table.items()}, parts)
     displace(changed, ".".join(parts), value)
     if (fault := put(changed, parts, value)) is not None:
         raise SceneError(f"scene: {brief('.'.join(parts))}: {fault}")
@@ -183,19 +177,15 @@ def without(table: Table, parts: list[str]) -> Table:
     return without(changed, outer) if outer and not node and not outer[-1].isdecimal() else changed
 
 
-def _shallow(node: Any) -> Any:
-    return dict(node) if isinstance(node, Mapping) else node
-
-
 def _copied(node: Any, parts: Sequence[str]) -> Any:
     """A copy of the tables and lists along `parts`; other values are shared."""
     if not isinstance(node, dict | list):
         return node
-    copy = node.copy()
+    changed = node.copy()
     if parts and (inner := at(node, parts[:1])) is not None:
         key: Any = int(parts[0]) if isinstance(node, list) else parts[0]
-        copy[key] = _copied(inner, parts[1:])
-    return copy
+        changed[key] = _copied(inner, parts[1:])
+    return changed
 
 
 def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table, dict[str, Table]]:
@@ -245,11 +235,6 @@ def placed(error: SceneError) -> dict[str, str]:
     return found
 
 
-def written(place: Sequence[str]) -> str:
-    """A location in a table as in messages: object[0].texture."""
-    return key_name([int(part) if part.isdecimal() else part for part in place])
-
-
 def sparse(table: Mapping[str, Any]) -> Table:
     """The valid table of a scene without the keys that have their defaults.
 
@@ -260,12 +245,9 @@ def sparse(table: Mapping[str, Any]) -> Table:
     found: Table = {}
     for key, value in table.items():
         if key in ("object", "group"):
-            found[key] = [
-                dict(item)
-                if (key, index) in swept
-                else _sparse(SHAPES[item["shape"]] if key == "object" else Group, item)
-                for index, item in enumerate(value)
-            ]
+            models = [SHAPES[item["shape"]] if key == "object" else Group for item in value]
+            items = enumerate(zip(models, value, strict=True))
+            found[key] = [dict(item) if (key, at) in swept else _sparse(model, item) for at, (model, item) in items]
         elif key in SECTIONS:
             if part := dict(value) if (key,) in swept else _sparse(SECTIONS[key], value):
                 found[key] = part

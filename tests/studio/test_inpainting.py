@@ -29,7 +29,7 @@ def inpainting(tmp_path: Path) -> Iterator[Inpainting]:
     opened = Inpainting(tmp_path, "pocl")
     opened.open("small.png")
     yield opened
-    opened.close()
+    opened.filler.close()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

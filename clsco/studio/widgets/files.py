@@ -98,10 +98,7 @@ def _kept_name(path: Path) -> str:
 
 
 def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A dialog to save under a name.
-
-    Returns two functions: one saves at once if the scene has a file, and otherwise asks for a name; one always asks.
-    """
+    """A dialog to save under a name; returns functions that save, at once if the scene has a file, or always ask."""
     dialog = Dialog("Save the scene")
     typed = {"name": ""}
 

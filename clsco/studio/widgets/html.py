@@ -95,8 +95,8 @@ class Element:
 def say(tag: str, text: str = "", **attributes: Any) -> Element:
     """Write an element with an escaped text.
 
-    In attribute names `_` becomes `-`, and is removed at the end; attributes that are None or False are omitted. An
-    attribute named after an event of `EVENTS` is a handler, called with the element's value.
+    In attribute names `_` becomes `-`, and is removed at the end; attributes that are None or False are omitted. One
+    named after an event of `EVENTS` is a handler, called with the element's value.
     """
     out, words = page().out, ""
     for name, value in attributes.items():
@@ -203,10 +203,7 @@ def check(label: str, type: str = "checkbox", **attributes: Any) -> None:  # noq
 def choice(
     label: str, options: Mapping[str, str], value: str, chosen: Callable[[str], object], missing: Mapping[str, str]
 ) -> None:
-    """A labeled list of options, by value; `chosen` is called with the selected value.
-
-    `missing` has the reason why a value cannot be selected.
-    """
+    """A labeled list of options, by value; `missing` has the reasons why some of them cannot be `chosen`."""
     with say("label", class_="box"):
         say("span", label)
         with say("select", change=lambda option: chosen(str(option))):

@@ -47,15 +47,13 @@ class _Dialog:
         """Call a function of `static/brush.js`."""
         self.page.tell(brush=call)
 
-    def open(self, name: str) -> None:
-        self.inpainting.open(name)
-        self._loaded()
+    def open(self, name: object) -> None:
+        self.inpainting.open(str(name))
+        self._brush("load")
+        self.results.refresh()
 
     def open_removal(self, name: str) -> None:
         self.inpainting.open_removal(name)
-        self._loaded()
-
-    def _loaded(self) -> None:
         self._brush("load")
         self.results.refresh()
 
@@ -72,15 +70,12 @@ class _Dialog:
         names = self.inpainting.save(self.typed["folder"])
         notify(f"Wrote {', '.join(names)} to {self.typed['folder']}")
 
-    def chosen(self) -> list[str]:
-        return [method for method, is_on in self.wanted.items() if is_on]
-
     def fill(self) -> None:
         self.filling = asyncio.create_task(self._fill())
 
     async def _fill(self) -> None:
         self.results.refresh()
-        for method in self.chosen():
+        for method in [method for method, is_on in self.wanted.items() if is_on]:
             self.running = (method, time.monotonic())
             self.progress.refresh()
             filled = asyncio.create_task(asyncio.to_thread(self.inpainting.fill, method))
@@ -102,13 +97,11 @@ class _Dialog:
             button("Open the image", lambda: self.open(typed["name"]))
             say(
                 "input", type="file", accept=",".join(IMAGES), hidden=True, tabindex="-1", data_upload="",
-                data_after="uploaded", data_once=True, change=lambda name: self.open(str(name)),
+                data_after="uploaded", data_once=True, change=self.open,
             )  # fmt: skip
             say("button", "Browse", type="button", data_browse="", aria_label="Browse for an image")
-            say(
-                "button", "Take the frame shown", type="button", data_brush="frame", data_after="shownFrame",
-                click=lambda name: self.open(str(name)),
-            )  # fmt: skip
+            words = "Take the frame shown"
+            say("button", words, type="button", data_brush="frame", data_after="shownFrame", click=self.open)
         with say("div", role="group", aria_label="Presets", class_="row"):
             say("span", "Presets:", class_="quiet")
             for name, preset in REMOVALS.items():

@@ -114,10 +114,7 @@ def _all_frames(session: Document) -> str:
 
 
 def draw_jobs(jobs: Jobs) -> None:
-    """Draw the jobs, and redraw them when they change.
-
-    Progress alone does not redraw buttons, as clicks and the focus would be lost.
-    """
+    """Draw the jobs, and redraw them when they change; progress redraws no buttons, which would lose the focus."""
     parts: dict[int, tuple[PagePart, PagePart]] = {}
     before: dict[str, Any] = {"spoken": 0.0, "text": ""}
 

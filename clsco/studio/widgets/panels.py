@@ -25,16 +25,12 @@ _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # positions among the panels of the thesi
 
 @dataclass
 class Chosen:
-    """State of the panels of a page.
+    """State of the panels of a page."""
 
-    index: index of the selected object; is_open: by title, True for panels that the user unfolded and False for folded
-    ones, in the scene whose `State.opened` is `scene`; before: values of motions that were switched off, by path.
-    """
-
-    index: int = 0
-    scene: int = 0
-    is_open: dict[str, bool] = field(default_factory=dict)
-    before: dict[str, Any] = field(default_factory=dict)
+    index: int = 0  # of the selected object
+    scene: int = 0  # the `State.opened` to which `is_open` belongs
+    is_open: dict[str, bool] = field(default_factory=dict)  # by title, of panels that the user unfolded or folded
+    before: dict[str, Any] = field(default_factory=dict)  # values of motions that were switched off, by path
 
 
 def draw_panels(session: Document) -> None:
@@ -104,25 +100,24 @@ def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method
 def draw_field(session: Document, shown: Field) -> None:
     """Draw one field: its control or those of its components, its description, and a button to reset it."""
     value = session.shown(shown.path)
-    if shown.kind == "number":
-        with say("div", class_="field"):
-            number(shown, value)
-            _back(shown)
-    elif shown.kind == "vector":
+    if shown.kind == "vector":
         with say("fieldset", class_="vector"):
             say("legend", shown.name, title=shown.help)
             _components(session, shown)
             _back(shown)
             if shown.key == "semi_axes":
                 check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
-    elif shown.kind == "flag":
-        with say("div", class_="field"):
+        return
+    with say("div", class_="field"):
+        if shown.kind == "number":
+            number(shown, value)
+            _back(shown)
+        elif shown.kind == "flag":
             only = shown.only or None
             check(shown.label, checked=bool(value), title=shown.help, data_path=shown.path, data_only=only)
             _back(shown)
             _fault(shown)
-    else:
-        with say("div", class_="field"):
+        else:
             box = f"box-{shown.path}"
             say("label", shown.name, for_=box)
             if shown.kind == "choice":
