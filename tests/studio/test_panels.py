@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsco.cli.main import main
+from clsco.studio.pictures import VIEWS
 from clsco.studio.presets import presets
 from tests.studio.browser import EXAMPLES, SHAPES, SMALL, box, choose, chromium, number, open_scene, rest, type_in
 from tests.studio.running import Running
@@ -53,14 +54,10 @@ def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
 
 def test_a_motion_that_is_not_chosen_is_none(page: Any) -> None:
     page.get_by_label("Translation", exact=True).check()
-    page.wait_for_function(
-        "!document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')"
-    )
+    page.locator('input[data-kind][data-path="object.0.motion.velocity.0"]:enabled').wait_for()
     type_in(page, "object.0.motion.velocity.0", "3")
     page.get_by_label("Translation", exact=True).uncheck()
-    page.wait_for_function(
-        "document.querySelector('input[data-path=\"object.0.motion.velocity.0\"]').matches(':disabled')"
-    )
+    page.locator('input[data-kind][data-path="object.0.motion.velocity.0"]:disabled').wait_for()
     assert box(page, "object.0.motion.velocity.0").input_value() == "0"
 
 
@@ -147,9 +144,7 @@ def test_a_slider_is_worked_by_keys(page: Any) -> None:
         page.keyboard.press(key)
         start += factor * step
         assert number(page, "camera.sensor_distance") == pytest.approx(start)
-    for digit, view in enumerate(
-        ("color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"), 1
-    ):
+    for digit, view in enumerate([*VIEWS][:9], 1):
         page.locator("#stage").click()
         page.keyboard.press(str(digit))
         page.wait_for_function(f"studio.view === '{view}' && studio.rung === 2", timeout=30000)

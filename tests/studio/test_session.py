@@ -18,11 +18,6 @@ from clsco.studio.tables import placed
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Document:
-    return Document(tmp_path)
-
-
 def test_a_patch_changes_the_scene_and_leaves_the_old_table(session: Document) -> None:
     before, told = session.table, []
     end = session.subscribe(lambda: told.append(session.revision))
