@@ -12,10 +12,10 @@ from PIL import Image
 
 import clsco
 from clsco.files.transfer import encode
-from tests.studio.browser import PIXELS, open_scene, rest
+from tests.studio.browser import BALL, WALL, open_scene, pixels, rest
 
 pytestmark = pytest.mark.browser
-SCENE = """
+SCENE = f"""
 [camera]
 resolution = [128, 128]
 pixel_pitch = 0.04
@@ -25,21 +25,13 @@ frames = 3
 interval = 0.5
 shutter = 0.4
 
-[[object]]
-name = "ball"
-shape = "sphere"
-center = [0.0, 0.0, 250.0]
-radius = 12.0
+{BALL}
 texture = "bricks"
 
 [object.motion]
 velocity = [8.0, 0.0, 0.0]
 
-[[object]]
-name = "wall"
-shape = "plane"
-distance = 300.0
-texture = "checkerboard"
+{WALL}
 bounds = [[-20.0, 20.0], [-50.0, 50.0], [0.0, 1000.0]]
 
 [[object]]
@@ -64,11 +56,6 @@ def moving(page: Any) -> Any:
     return page
 
 
-def shown(page: Any, canvas: str = "#canvas") -> NDArray[np.int64]:
-    columns, rows, data = page.evaluate(PIXELS.replace("#canvas", canvas))
-    return np.array(data).reshape(rows, columns, 4)[..., :3]
-
-
 def codes(scene: clsco.Scene, index: int = 0) -> NDArray[np.int64]:
     return encode(clsco.render_frame(scene, index, truth=(), device="pocl").color, 8, "srgb").astype(int)
 
@@ -82,7 +69,7 @@ def at(page: Any, column: float, row: float) -> tuple[float, float]:
 def becomes(page: Any, wanted: NDArray[np.int64], most: int = 0) -> None:
     """Wait until this is shown, with codes that are off by `most` or less."""
     for _ in range(100):
-        off = np.abs(shown(page) - wanted).max()
+        off = np.abs(pixels(page) - wanted).max()
         if off <= most:
             return
         page.wait_for_timeout(100)
@@ -113,7 +100,7 @@ def values(page: Any, name: str, count: int = 3) -> list[float]:
 
 @pytest.mark.everyday
 def test_an_object_is_dragged_with_the_pointer(still: Any) -> None:
-    before = shown(still)
+    before = pixels(still)
     still.keyboard.press("m")
     assert still.locator("#move").get_attribute("aria-pressed") == "true"
     drag(still, (64, 64), (84, 54))
@@ -175,7 +162,7 @@ def test_a_time_sample_is_seen_alone(moving: Any) -> None:
     assert frame.subframes is not None
     ticks = moving.locator("#exposed button")
     assert ticks.count() == len(frame.subframes)
-    whole = shown(moving)
+    whole = pixels(moving)
     assert np.array_equal(whole, codes(scene))
     ticks.last.click()
     alone = encode(frame.subframes[-1], 8, "srgb").astype(int)
@@ -237,7 +224,7 @@ def test_a_focal_stack_is_looked_through(still: Any) -> None:
     for step, distance in ((3, 300.0), (1, 260.0)):
         still.locator("#step").fill(str(step))
         scene = clsco.parse_scene(STILL).replace("camera.focus_distance", distance)
-        assert np.array_equal(shown(still, "#stacked"), codes(scene))
+        assert np.array_equal(pixels(still, "#stacked"), codes(scene))
         assert f"{distance:g} mm" in still.locator("#step-about").inner_text()
     still.locator("#refocus").click()
     still.wait_for_function("studio.values['camera.focus_distance'] === 260")
@@ -251,7 +238,7 @@ def seen(page: Any) -> NDArray[np.uint8]:
 
 
 def test_exposure_and_gamma_are_of_the_view(still: Any) -> None:
-    before, values = shown(still), still.evaluate("studio.values")
+    before, values = pixels(still), still.evaluate("studio.values")
     look = seen(still)
     still.locator("#shown summary").click()
     still.locator("#exposure").fill("2")
@@ -260,7 +247,7 @@ def test_exposure_and_gamma_are_of_the_view(still: Any) -> None:
     still.locator("#shown summary").click()
     assert "view-filter" in still.evaluate("getComputedStyle(document.querySelector('#canvas')).filter")
     assert seen(still).astype(int).mean() > 1.3 * look.mean()
-    assert np.array_equal(shown(still), before)
+    assert np.array_equal(pixels(still), before)
     assert still.evaluate("studio.values") == values
     assert still.locator("#undo").is_disabled()
     still.locator("#shown summary").click()

@@ -61,9 +61,8 @@ def test_a_key_between_others_leaves_the_path_of_positions_as_it_is(
     for time in np.linspace(-0.5, 2.5, 13):
         old, new = pose_at(before, time, rotation), pose_at(after, time, rotation)
         np.testing.assert_allclose(new.shift, old.shift, atol=1e-8)
-    np.testing.assert_allclose(
-        pose_at(after, 0.6, rotation).rotation, pose_at(before, 0.6, rotation).rotation, atol=1e-9
-    )
+    old, new = pose_at(before, 0.6, rotation), pose_at(after, 0.6, rotation)
+    np.testing.assert_allclose(new.rotation, old.rotation, atol=1e-9)
     assert session.undo()
     assert session.scene.objects[0].motion == before
 
