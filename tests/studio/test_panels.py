@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from clsco.studio.pictures import VIEWS
 from clsco.studio.presets import presets
 from tests.studio.browser import EXAMPLES, SHAPES, SMALL, box, choose, chromium, number, open_scene, rest, type_in
 from tests.studio.running import Running
+from tests.studio.test_jobs import written
 
 pytestmark = pytest.mark.browser
 FILES, SHIPPED = {"small.toml": SMALL}, ("damaged.png",)
@@ -127,13 +127,7 @@ def assert_made_by_the_command(folder: Path, scene: Path, other: Path) -> None:
     command = ["render", str(scene), "-o", str(other), "--device", "pocl", "--quiet"]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
-    names = [path.name for path in other.glob("frame_*.png")]
-    assert sorted(path.name for path in folder.glob("frame_*.png")) == sorted(names) != []
-    for name in names:
-        assert (folder / name).read_bytes() == (other / name).read_bytes()
-        about = name.replace(".png", ".json")
-        ours, theirs = (json.loads((place / about).read_text()) for place in (folder, other))
-        assert {key for key in ours | theirs if ours.get(key) != theirs.get(key)} <= {"seconds"}
+    assert written(folder) == written(other) != {}
 
 
 def test_a_slider_is_worked_by_keys(page: Any) -> None:

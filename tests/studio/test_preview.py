@@ -120,7 +120,7 @@ async def rests(session: Session, renders: Renderer, browser: Browser, preview: 
 
 
 class Answers(list[dict[str, Any]]):
-    """What was reported of pixels."""
+    """Reports of pixels."""
 
     async def add(self, answer: dict[str, Any]) -> None:
         self.append(answer)

@@ -8,7 +8,7 @@ import os
 import re
 import signal
 from collections.abc import AsyncIterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, get_args
 
@@ -95,18 +95,9 @@ async def all_of(pictures: AsyncIterator[ViewPicture]) -> list[ViewPicture]:
 
 def test_the_renderer_from_its_start_to_its_crash() -> None:
     async def run() -> None:
-        renderer = RendererProcess("pocl")
-        try:
-            await rungs(renderer)
-            await views(renderer)
-            await eyes(renderer)
-            await pixels(renderer)
-            await faults(renderer)
-            await progress(renderer)
-            await previews(renderer)
-            await crash(renderer)
-        finally:
-            renderer.close()
+        with closing(RendererProcess("pocl")) as renderer:
+            for part in (rungs, views, eyes, pixels, faults, progress, previews, crash):
+                await part(renderer)
 
     asyncio.run(run())
 

@@ -32,17 +32,13 @@ NAMES = ("kept", "kept_one.json", "key")
 def plant(place: Path, how: str, outside: Path) -> None:
     """Something in place of each file that a studio has."""
     for name in NAMES:
-        match how:
-            case "link":
-                (place / name).symlink_to(outside / name)
-            case "dangling":
-                (place / name).symlink_to(outside / "none" / name)
-            case "zero":
-                (place / name).symlink_to("/dev/zero")
-            case "pipe":
-                os.mkfifo(place / name)
-            case "folder":
-                (place / name).mkdir()
+        links = {"link": outside / name, "dangling": outside / "none" / name, "zero": Path("/dev/zero")}
+        if how in links:
+            (place / name).symlink_to(links[how])
+        elif how == "pipe":
+            os.mkfifo(place / name)
+        else:
+            (place / name).mkdir()
 
 
 def contents(folder: Path) -> dict[str, bytes]:
