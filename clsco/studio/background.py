@@ -1,4 +1,4 @@
-"""Background tasks of the studio: an error is logged and reported to the page, and the task goes on."""
+"""Background tasks of the studio, which go on after errors, and objects that tell of their changes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,23 @@ import asyncio
 import traceback
 from collections.abc import Awaitable, Callable
 
-PAUSE = 1.0
-"""Seconds after an error before a task starts again."""
+PAUSE = 1.0  # s after an error before a task starts again
+
+
+class Observable:
+    """Calls functions after its changes."""
+
+    def __init__(self) -> None:
+        self._listeners: list[Callable[[], None]] = []
+
+    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call a function after each change; returns a function that unsubscribes it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
+
+    def _tell(self) -> None:
+        for listener in tuple(self._listeners):
+            listener()
 
 
 async def keep_running(
@@ -15,15 +30,9 @@ async def keep_running(
     report: Callable[[list[str]], Awaitable[None]],
     ends: tuple[type[Exception], ...] = (),
 ) -> None:
-    """Run a task again and again until canceled, also after errors.
+    """Run a task again and again, also after errors, until canceled or until one of `ends`.
 
-    Parameters
-    ----------
-    task : coroutine function
-    report : coroutine function of list of str
-        Called with the messages of an error; not again while the error stays the same.
-    ends : tuple of types of Exception
-        Errors that end the task.
+    `report` gets the messages of an error, not again while the error stays the same.
     """
     last = ""
     while True:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,24 +15,12 @@ from clsco.scene.model import Scene
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import key_name, shown
-from clsco.studio.tables import (
-    Table,
-    at,
-    path_parts,
-    placed,
-    pose_for,
-    reshaped,
-    seed,
-    with_value,
-    without,
-    written,
-)
+from clsco.studio.background import Observable
+from clsco.studio.tables import Table, as_lists, at, path_parts, placed, pose_for, reshaped, seed, with_value, without
 
 STEPS = 200  # of undo
-THESIS: Table = {"object": [{"shape": "plane"}]}
-"""The defaults of the thesis; except for the shape they equal those of clsco."""
-# Keys of an object whose values decide which other keys it may have.
-_CHOICES = ("texture_mapping", "unit")
+THESIS: Table = {"object": [{"shape": "plane"}]}  # the defaults of the thesis, otherwise those of clsco
+_CHOICES = ("texture_mapping", "unit")  # keys of an object whose values decide which other keys it may have
 
 
 @dataclass(frozen=True)
@@ -44,11 +32,6 @@ class State:
     path: Path | None = None  # of the scene file
     label: str = ""  # of the displayed scene of a sweep
     opened: int = 0  # number of the opened scene, counted from 1; 0 for the initial scene
-
-    @cached_property
-    def objects(self) -> list[Table]:
-        """Tables of the objects."""
-        return self.table["object"]
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -86,73 +69,49 @@ class _History:
             self.past.pop()
 
 
-class Editor:
+class Editor(Observable):
     """A scene that is edited key by key.
 
     An invalid value stays in its box with its message, and the last valid scene stays in force. The value is tried
     again with each later change, so that dependent keys can be changed one after the other.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of all files that may be read and written; the shipped examples may be read, too.
-
-    Attributes
-    ----------
-    scene : Scene
-        The last valid scene, with absolute paths; the displayed scene of a sweep.
-    revision : int
-        Incremented by each change of the scene.
-    faults : dict
-        Messages on invalid values, by path of the key.
-    refused : dict
-        Invalid values, by path.
-    is_linked : bool
-        True to change the semi-axes b and c of ellipsoids together, as they are equal in the thesis.
-
-    Notes
-    -----
-    Validated: random sequences of changes with undo, and the messages of `clsco validate`
-    (tests/studio/test_session.py).
+    All files are below `root`; the shipped examples may be read, too. `scene` is the last valid scene, with absolute
+    paths, of a sweep the displayed one; `revision` counts its changes. `refused` has the invalid values and `faults`
+    the messages, by path of the key. With `is_linked`, the semi-axes b and c of ellipsoids change together.
     """
 
     def __init__(self, root: Path) -> None:
+        super().__init__()
         self.root = root.resolve()
         self.readable = (self.root, Path(str(folder("examples"))).resolve())
         self.revision = 0
         self.faults: dict[str, str] = {}
         self.refused: dict[str, Any] = {}
         self.is_linked = False
-        self._listeners: list[Callable[[], None]] = []
         self._history = _History()
         self._models: dict[int, Any] = {}
-        self._state = State(THESIS, ({},))
-        self.scene = self._valid(self._state)
-
-    @property
-    def state(self) -> State:
-        """Current state, to which undo can return."""
-        return self._state
+        self.state = State(THESIS, ({},))
+        self.scene = self._valid(self.state)
 
     @property
     def table(self) -> Table:
         """Content of the scene file: the explicitly given keys. It is never modified in place."""
-        return self._state.table
+        return self.state.table
 
     @property
     def path(self) -> Path | None:
         """The scene file, None before it is saved."""
-        return self._state.path
+        return self.state.path
 
     @property
     def folder(self) -> Path:
         """Base folder of the scene's relative paths."""
-        return self._state.path.parent if self._state.path is not None else self.root
+        return self.state.path.parent if self.state.path is not None else self.root
 
     @property
     def object_entries(self) -> list[int]:
         """Index in the file of each object of the scene, where each face of a box is an object."""
-        models = [self._object(index) for index in range(len(self._state.objects))]
+        models = [self._object(index) for index in range(len(self.table["object"]))]
         return [index for index, item in enumerate(models) for _ in (item.faces() if item.shape == "box" else (item,))]
 
     @property
@@ -163,27 +122,11 @@ class Editor:
     def can_redo(self) -> bool:
         return bool(self._history.future)
 
-    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call a function after each change of the scene or of faults; returns a function that unsubscribes it."""
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
-
     def patch(self, path: str, value: Any, drag: int | None = None) -> bool:
-        """Change one key.
+        """Change one key; returns True if the scene changed. `faults` has the message on an invalid value.
 
-        Parameters
-        ----------
-        path : str
-            "object.0.radius"; a component of a vector is "object.0.center.2".
-        value
-            As in a scene file; None or "" removes the key, so that it has its default.
-        drag : int, optional
-            Number of the drag; all changes of one drag are one undo step.
-
-        Returns
-        -------
-        bool
-            True if the scene changed. `faults` has the message on an invalid value.
+        A component of a vector is "object.0.center.2". None or "" removes the key, so that it has its default. All
+        changes of one drag are one undo step.
         """
         waiting = {other: old for other, old in self.refused.items() if not _overlaps(other, path)}
         if path.endswith(".shape"):  # discard invalid values of the former shape
@@ -219,55 +162,49 @@ class Editor:
         return self._go(self._history.future, self._history.past)
 
     def reset(self, index: int = 0) -> None:
-        """Reset an object, its motion, the sequence and the camera to the thesis' defaults.
-
-        index: index of the object, which keeps its name, texture and group; the camera keeps its resolution.
-        """
-        item = self._state.objects[index]
-        objects = self._state.objects.copy()
+        """Reset an object, except name, texture and group, the sequence, and the camera, except its resolution."""
+        item = self.table["object"][index]
+        objects = self.table["object"].copy()
         objects[index] = {"shape": "plane"} | {k: v for k, v in item.items() if k in ("name", "texture", "group")}
         table = {key: value for key, value in self.table.items() if key not in ("camera", "sequence")}
         if (resolution := at(self.table, ["camera", "resolution"])) is not None:
             table["camera"] = {"resolution": resolution}
-        apart = tuple({} if k == index else kept for k, kept in enumerate(self._state.apart))
-        self.take(replace(self._state, table=table | {"object": objects}, apart=apart))
+        apart = tuple({} if k == index else kept for k, kept in enumerate(self.state.apart))
+        self.take(replace(self.state, table=table | {"object": objects}, apart=apart))
 
     def add_object(self, shape: str = "sphere") -> int:
         """Add an object at the end of the list; returns its index. Raises SceneError."""
         item, _ = reshaped({}, shape, {})
-        return self._insert(len(self._state.objects), item, {})
+        return self._insert(len(self.table["object"]), item, {})
 
     def copy_object(self, index: int) -> int:
         """Add a copy of an object after it; returns its index. Raises SceneError."""
-        item = {key: value for key, value in self._state.objects[index].items() if key != "name"}
-        return self._insert(index + 1, item, self._state.apart[index])
+        item = {key: value for key, value in self.table["object"][index].items() if key != "name"}
+        return self._insert(index + 1, item, self.state.apart[index])
 
     def delete_object(self, index: int) -> None:
         """Delete an object, and groups that become empty. Raises SceneError for the last object."""
-        objects, apart = self._state.objects.copy(), list(self._state.apart)
-        del objects[index], apart[index]
-        self._arrange(objects, apart)
+        pairs = self._pairs()
+        del pairs[index]
+        self._arrange(pairs)
 
     def move_object(self, index: int, to: int) -> None:
         """Move an object to another position in the list. Raises SceneError for an invalid position."""
-        objects, apart = self._state.objects.copy(), list(self._state.apart)
-        objects.insert(to, objects.pop(index))
-        apart.insert(to, apart.pop(index))
-        self._arrange(objects, apart)
+        pairs = self._pairs()
+        pairs.insert(to, pairs.pop(index))
+        self._arrange(pairs)
 
     def known(self, path: str) -> Any:
-        """The effective value of a key: the given value, else the default; None if there is neither.
+        """The value of a key, given or by default; None if there is neither.
 
-        The value of `f_number` follows from `aperture_diameter` if that is given, and vice versa; likewise for
-        `focus_distance` and `sensor_distance`.
+        Of `f_number` and `aperture_diameter` one follows from the other, and so do `focus_distance` and
+        `sensor_distance`.
         """
         parts = path_parts(path)
         value = at(self.table, parts)
         if value is None:
             value = self._derived(parts)
-        if isinstance(value, tuple):
-            return _listed(value)
-        return value
+        return as_lists(value) if isinstance(value, tuple) else value
 
     def shown(self, path: str) -> Any:
         """Value to show in a box: the invalid one, else the effective one."""
@@ -280,16 +217,11 @@ class Editor:
                 value = [component if k == int(last) else old for k, old in enumerate(value)]
         return value
 
-    def fault(self, path: str) -> str:
-        """The message on a key, or on a component of it; "" if valid."""
-        of_parts = (message for key, message in self.faults.items() if key.startswith(f"{path}."))
-        return self.faults.get(path) or next(of_parts, "")
-
     def show_scene(self, label: str) -> None:
         """Show another scene of a sweep, given by its label, as an undo step. Raises SceneError."""
-        if label not in self._state.labels:
-            raise SceneError(f"scene: must be one of the {len(self._state.labels)} of the file; got {shown(label)}")
-        self.take(replace(self._state, label=label))
+        if label not in self.state.labels:
+            raise SceneError(f"scene: must be one of the {len(self.state.labels)} of the file; got {shown(label)}")
+        self.take(replace(self.state, label=label))
 
     def forget_past(self) -> None:
         """Clear the undo history."""
@@ -297,10 +229,8 @@ class Editor:
         self._tell()
 
     def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
-        """Go to another state, as one undo step.
-
-        refused: invalid values with their messages, by path. Raises SceneError if the table is invalid; then the state
-        is unchanged.
+        """Go to another state, as one undo step, with invalid values and their messages by path. Raises SceneError
+        before that.
         """
         scene = self._valid(state)
         self.refused = {path: value for path, (value, _) in (refused or {}).items()}
@@ -309,7 +239,7 @@ class Editor:
 
     def _accept(self, state: State, scene: Scene, drag: int | None) -> bool:
         """Make a valid state the current one; returns True if it differs."""
-        before = self._state
+        before = self.state
         changed = (state.table, state.path, state.label) != (before.table, before.path, before.label)
         if changed:
             self._history.push(_Step(before, self.scene, drag))
@@ -319,33 +249,25 @@ class Editor:
         return changed
 
     def _set(self, state: State, scene: Scene) -> None:
-        self._state, self.scene = state, scene
+        self.state, self.scene = state, scene
         self._models.clear()
         self.revision += 1
 
     def _go(self, steps: list[_Step], others: list[_Step]) -> bool:
-        """Undo or redo: go to the last state of `steps`, if any, and append the current one to `others`.
-
-        Discards invalid values. Returns False if `steps` is empty.
+        """Undo or redo: discard invalid values, go to the last of `steps`, and add the state to `others`; False without
+        steps.
         """
         self.refused, self.faults = {}, {}
         if moved := bool(steps):
-            others.append(_Step(self._state, self.scene))
+            others.append(_Step(self.state, self.scene))
             step = steps.pop()
             self._set(step.state, step.scene)
         self._tell()
         return moved
 
-    def _tell(self) -> None:
-        for listener in tuple(self._listeners):
-            listener()
-
     def _changed(self, chosen: Mapping[str, Any]) -> tuple[State, Scene]:
-        """The state with new values by path (`chosen`), and its scene; keys that a new choice forbids are removed.
-
-        Raises SceneError.
-        """
-        state = self._state
+        """State with new values by path, without keys that a new choice forbids, and its scene. Raises SceneError."""
+        state = self.state
         for path, value in chosen.items():
             state = self._with(state, path, value)
         for _ in range(len(_CHOICES) + 1):
@@ -367,11 +289,11 @@ class Editor:
         return state, self._valid(state)
 
     def _with(self, state: State, path: str, value: Any) -> State:
-        """A state with another value of one key."""
         parts = path_parts(path)
         if parts[-1] in FILE_KEYS and isinstance(value, str) and Path(value).is_absolute():
             rule = "must be relative to the folder of the scene"
-            raise SceneError(f"scene: {written(parts)}: {rule}; got {shown(value)}")
+            place = key_name([int(part) if part.isdecimal() else part for part in parts])
+            raise SceneError(f"scene: {place}: {rule}; got {shown(value)}")
         if len(parts) == 3 and parts[0] == "object" and parts[2] == "shape":
             item = at(state.table, parts[:2])
             if item is not None and value != item["shape"]:
@@ -423,7 +345,7 @@ class Editor:
             return missing_input(key, name)
 
     def _derived(self, parts: list[str]) -> Any:
-        """Effective default of a key."""
+        """The default of a key that is not given; for some keys of the camera, what follows from others."""
         camera = self.scene.camera
         if parts == ["camera", "f_number"]:
             return camera.focal_length / camera.aperture_diameter
@@ -452,28 +374,27 @@ class Editor:
             self._models[index] = SHAPES[item["shape"]].model_validate(still)
         return self._models[index]
 
+    def _pairs(self) -> list[tuple[Table, Mapping[str, Table]]]:
+        """Each object, and the keys of its former shapes."""
+        return list(zip(self.table["object"], self.state.apart, strict=True))
+
     def _insert(self, index: int, item: Table, kept: Mapping[str, Table]) -> int:
-        objects, apart = self._state.objects.copy(), list(self._state.apart)
-        objects.insert(index, item)
-        apart.insert(index, kept)
-        self._arrange(objects, apart)
+        pairs = self._pairs()
+        pairs.insert(index, (item, kept))
+        self._arrange(pairs)
         return index
 
-    def _arrange(self, objects: list[Table], apart: list[Mapping[str, Table]]) -> None:
+    def _arrange(self, pairs: list[tuple[Table, Mapping[str, Table]]]) -> None:
         """Replace the list of objects, as one undo step; groups without objects are removed."""
-        table = self.table | {"object": objects}
-        used = {item.get("group") for item in objects}
+        table = self.table | {"object": [item for item, _ in pairs]}
+        used = {item.get("group") for item, _ in pairs}
         if "group" in table:
             table["group"] = [group for group in table["group"] if group["name"] in used]
             if not table["group"]:
                 del table["group"]
-        self.take(replace(self._state, table=table, apart=tuple(apart)))
+        self.take(replace(self.state, table=table, apart=tuple(kept for _, kept in pairs)))
 
 
 def _overlaps(path: str, other: str) -> bool:
     """True if two paths are equal, or one contains the other."""
     return path == other or path.startswith(f"{other}.") or other.startswith(f"{path}.")
-
-
-def _listed(value: Any) -> Any:
-    return [_listed(entry) for entry in value] if isinstance(value, list | tuple) else value

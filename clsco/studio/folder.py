@@ -6,6 +6,7 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 from clsco.errors import FileError, SceneError
@@ -32,16 +33,15 @@ def below(root: Path, path: str | Path) -> Path:
 
 
 def listed(root: Path, endings: tuple[str, ...]) -> list[str]:
-    """Names of files with these endings below a folder, relative to it.
+    """Names of at most 500 files with these endings below a folder, relative to it, sorted.
 
-    endings: `SCENES` or `IMAGES`. Returns at most 500 names, sorted. Hidden files, rendered frames and folders beside
-    them, folders nested deeper than 4, and links out of the folder are omitted.
+    Hidden files, rendered frames and folders beside them, folders deeper than 4, and links out of the folder are
+    omitted.
     """
-    return sorted(_found(root.resolve(), endings))
+    return sorted(islice(_found(root.resolve(), endings), MOST))
 
 
 def _found(root: Path, endings: tuple[str, ...]) -> Iterator[str]:
-    count = 0
     for place, folders, names in os.walk(root):
         here = Path(place)
         depth = len(here.relative_to(root).parts)
@@ -54,9 +54,6 @@ def _found(root: Path, endings: tuple[str, ...]) -> Iterator[str]:
             if path.is_symlink() and not path.resolve().is_relative_to(root):
                 continue
             yield path.relative_to(root).as_posix()
-            count += 1
-            if count == MOST:
-                return
 
 
 UPLOADS = "uploads"  # folder below the root
@@ -64,11 +61,10 @@ KINDS = ("png", "jpg", "jpeg", "tif", "tiff", "exr", "pfm", "npy")
 
 
 def keep_image(root: Path, content: bytes, kind: str) -> str:
-    """Write an image received from the browser below the root, under a name derived from its content.
+    """Write an image received from the browser below the root, under a name derived from its content, and return it.
 
-    kind: extension of its name, one of KINDS. Returns its path relative to the root. Raises FileError if
-    `clsco.files.images.read_image` rejects the image, or if it cannot be written; SceneError if a link leads out of the
-    root.
+    Raises FileError if `kind` is not one of KINDS, `read_image` rejects the image, or it cannot be written; SceneError
+    if a link leads out of the root.
     """
     if kind not in KINDS:
         raise FileError(f"image: must be one of {', '.join(KINDS)}; got {kind[:20]!r}")

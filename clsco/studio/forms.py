@@ -20,35 +20,15 @@ from clsco.scene.quantities import Within
 from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES
+from clsco.studio import tables
 from clsco.studio.session import Document
-from clsco.studio.tables import (
-    BY_FOCAL_LENGTH,
-    BY_UNIT,
-    COMPONENTS,
-    LABELS,
-    LABELS_AT,
-    OWN_ORDER,
-    POINT,
-    SCALES,
-    SHAPE_LABELS,
-    SLIDERS,
-    SYMBOLS,
-    THESIS_TITLES,
-    WIDE,
-    at,
-    keyframe_label,
-    pose_label,
-    without,
-    words,
-)
+from clsco.studio.tables import as_lists, at, label_of, without, words
 
+# Functions from values to positions on sliders, by scale: "inverse" counts diopters, "stops" thirds of a stop.
+# static/scales.js has the inverse functions.
 PLACES: Mapping[str, Callable[[float], float]] = {
     "": float, "inverse": lambda value: -1.0 / value, "log": math.log10, "stops": lambda value: 6.0 * math.log2(value),
 }  # fmt: skip
-"""Functions from values to positions on sliders, by scale: "inverse" counts diopters, "stops" thirds of a stop.
-
-static/scales.js has the inverse functions.
-"""
 
 
 @dataclass(frozen=True)
@@ -80,7 +60,7 @@ class Field:
         """Scale of the slider: "inverse", "stops" or "log", "" for linear."""
         if self.slider is None or self.slider[0] <= 0.0 or self.is_integer:
             return ""
-        return SCALES.get(self.key, "log" if self.slider[1] >= WIDE * self.slider[0] else "")
+        return tables.SCALES.get(self.key, "log" if self.slider[1] >= tables.WIDE * self.slider[0] else "")
 
     def place(self, value: float) -> float:
         """Position of a value on the slider's scale."""
@@ -100,28 +80,20 @@ class Field:
     def component(self, index: int) -> Field:
         """The number field of a component of a vector, by its index in the flat vector."""
         label = self.components[index]
-        part = f"{index // 2}.{index % 2}" if self.is_paired else str(index)
+        part = f"{index // 2}.{index % 2}" if self.key == "bounds" else str(index)  # bounds are pairs
         default = flat(self.default)[index] if isinstance(self.default, list) else None
         symbol = f"{self.symbol}{label}" if self.symbol and len(label) == 1 else ""
         is_point = self.key in ("center", "apex", "position", "origin") and ".keyframe." not in self.path
-        slider = POINT.get(label, self.slider) if is_point else self.slider
+        slider = tables.POINT.get(label, self.slider) if is_point else self.slider
         return replace(
             self, path=f"{self.path}.{part}", label=f"{self.label} {label}", symbol=symbol, kind="number",
             default=default, components=(), slider=slider, step=_step(slider, self.is_integer),
         )  # fmt: skip
 
-    @property
-    def is_paired(self) -> bool:
-        """True if the value is a list of pairs."""
-        return self.key == "bounds"
-
 
 @dataclass(frozen=True)
 class Panel:
-    """Fields under a title.
-
-    is_open: True to show the fields at first: of the thesis' panels, and of panels with a key that the scene gives.
-    """
+    """Fields under a title."""
 
     title: str
     fields: tuple[Field, ...]
@@ -136,19 +108,13 @@ def flat(value: Any) -> list[Any]:
 
 
 def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
-    """Panels with a field for every key that a scene may have.
-
-    index: index of the object whose keys are shown. Returns the five panels of the thesis first.
-    """
+    """Panels with a field for every key that a scene may have; of the objects, only one has its keys shown."""
     shape = session.shown(f"object.{index}.shape")
     shape = shape if isinstance(shape, str) and shape in SHAPES else session.known(f"object.{index}.shape")
     of_object = {field.path.split(".", 2)[2]: field for field in _fields(session, SHAPES[shape], f"object.{index}")}
     scene = {field.path: field for field in _of_scene(session)}
-    groups = [
-        field
-        for number in range(len(session.table.get("group", ())))
-        for field in _fields(session, Group, f"group.{number}")
-    ]
+    count = len(session.table.get("group", ()))
+    groups = tuple(field for number in range(count) for field in _fields(session, Group, f"group.{number}"))
 
     def taken(keys: Sequence[str], start: str = "") -> tuple[Field, ...]:
         source = scene if start else of_object
@@ -156,50 +122,37 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
 
     motion = taken(("motion.velocity", "motion.angular_velocity"))
     image, kind = taken(("texture",)), taken(("shape",))
-    shared = [
-        key
-        for key in of_object
-        if key.startswith(("texture_", "rotation", "motion")) or key in ("name", "group", "bounds")
-    ]
-    own = sorted((key for key in of_object if key not in shared), key=lambda key: key in OWN_ORDER)
+    shared = ("texture_", "rotation", "motion", "name", "group", "bounds")
+    own = sorted((key for key in of_object if not key.startswith(shared)), key=lambda key: key in tables.OWN_ORDER)
     camera = (
         "focal_length", "aperture_diameter", "pixel_pitch", "sensor_distance", "normalization_distance",
         "focus_distance", "f_number", "resolution",
     )  # fmt: skip
-    found = [
-        Panel(THESIS_TITLES[0], image, True),
-        Panel(THESIS_TITLES[1], kind, True),
-        Panel(THESIS_TITLES[2], taken(own), True),
-        Panel(THESIS_TITLES[3], motion + taken(("frames", "interval"), "sequence."), True),
-        Panel(THESIS_TITLES[4], taken(camera, "camera."), True),
-    ]
-    rest = (
-        ("PSF and method", ("psf.", "aperture.")),
-        ("Sequence and motion in detail", ("sequence.", "motion.", "camera.")),
-        ("Lens over time", ("lens.keyframe", "lens.interpolation", "lens.outside")),
-        ("Lens that is not thin", ("lens.",)),
-        ("Fill", ("fill.",)),
-        ("Light", ("light.",)),
-        ("Sensor", ("sensor.",)),
-        ("Stereo", ("stereo.",)),
-        ("Title and image", ("title", "image.")),
+    motion += taken(("frames", "interval"), "sequence.")
+    of_thesis = image, kind, taken(own), motion, taken(camera, "camera.")
+    found = [Panel(title, fields, True) for title, fields in zip(tables.THESIS_TITLES, of_thesis, strict=True)]
+    rest: tuple[tuple[str, dict[str, Field], tuple[str, ...]], ...] = (
+        ("Texture on the surface", of_object, ("texture_",)),
+        ("Motion over time", of_object, ("motion.",)),
+        ("Name, pose and bounds", of_object, ("",)),
+        ("PSF and method", scene, ("psf.", "aperture.")),
+        ("Sequence and motion in detail", scene, ("sequence.", "motion.", "camera.")),
+        ("Lens over time", scene, ("lens.keyframe", "lens.interpolation", "lens.outside")),
+        ("Lens that is not thin", scene, ("lens.",)),
+        ("Fill", scene, ("fill.",)),
+        ("Light", scene, ("light.",)),
+        ("Sensor", scene, ("sensor.",)),
+        ("Stereo", scene, ("stereo.",)),
+        ("Title and image", scene, ("title", "image.")),
     )
-    surface = taken([key for key in of_object if key.startswith("texture_")])
-    over_time = taken([key for key in of_object if key.startswith("motion.")])
-    found += [Panel("Texture on the surface", surface), Panel("Motion over time", over_time)]
-    found.append(Panel("Name, pose and bounds", taken(list(of_object))))
-    for title, starts in rest:
-        keys = [path for path in scene if path.startswith(starts)]
-        found.append(Panel(title, tuple(scene.pop(path) for path in keys)))
-    if groups:
-        found.append(Panel("Groups", tuple(groups)))
-    if scene:  # keys that no row above names
-        found.append(Panel("More", tuple(scene.values())))
+    for title, source, starts in rest:
+        keys = [key for key in source if key.startswith(starts)]
+        found.append(Panel(title, tuple(source.pop(key) for key in keys)))
+    found += [Panel("Groups", groups), Panel("More", tuple(scene.values()))]  # "More": keys that no row above names
     return tuple(replace(panel, is_open=panel.is_open or _is_used(session, panel)) for panel in found if panel.fields)
 
 
 def _is_used(session: Document, panel: Panel) -> bool:
-    """True if the scene gives an optional key of a panel."""
     paths = [field.path for field in panel.fields if field.path != "title" and not field.path.endswith(".name")]
     return any(at(session.table, path.split(".")) is not None for path in paths)
 
@@ -251,7 +204,6 @@ def _fields(session: Document, model: Any, start: str) -> Iterator[Field]:
 
 
 def _inner_model(annotation: Any, name: str) -> Any:
-    """The model named `name` in an annotation."""
     waiting = [annotation]
     while getattr(waiting[0], "__name__", "") != name:
         waiting += get_args(waiting.pop(0))
@@ -272,26 +224,15 @@ def _limits(field: Any) -> Within | None:
     """Limits and unit of a number, or of the components of a vector; None if there are none."""
     waiting: list[Any] = [*field.metadata, field.annotation]
     while waiting:
-        part = waiting.pop(0)
-        if isinstance(part, Within):
+        if isinstance(part := waiting.pop(0), Within):
             return part
-        if part is not SHAPES and not isinstance(part, type):
-            waiting += [*get_args(part), *getattr(part, "__metadata__", ())]
-        elif hasattr(part, "__metadata__"):
-            waiting += part.__metadata__
+        waiting += get_args(part)
     return None
 
 
 def _field(
-    session: Document,
-    model: Any,
-    path: str,
-    key: str,
-    entry: Mapping[str, Any],
-    kinds: Any,
-    limits: Within | None,
+    session: Document, model: Any, path: str, key: str, entry: Mapping[str, Any], kinds: Any, limits: Within | None
 ) -> Field:
-    """The field of one key."""
     shape = kinds[0]
     kind, choices, components = _kind(path, key, shape)
     instead = [(form["const"], words(form["const"])) for form in kinds[1:] if "const" in form]
@@ -300,7 +241,7 @@ def _field(
     help_text = " ".join(str(entry.get("description", "")).split())
     return Field(
         path=path,
-        label=LABELS_AT.get(path) or pose_label(path) or keyframe_label(path) or LABELS.get(key) or words(key),
+        label=label_of(path),
         symbol=_symbol(session, path, key),
         unit=limits.unit if limits is not None else "",
         kind=kind,
@@ -331,8 +272,8 @@ def _only(path: str, help_text: str) -> str:
 def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tuple[Any, str], ...], tuple[str, ...]]:
     """Kind of a field, its options, and names of its components, from the schema of its key."""
     if key == "shape" and path.startswith("object."):
-        order = [*SHAPE_LABELS, *(name for name in SHAPES if name not in SHAPE_LABELS)]
-        return "choice", tuple((name, SHAPE_LABELS.get(name, words(name))) for name in order), ()
+        order = [*tables.SHAPE_LABELS, *(name for name in SHAPES if name not in tables.SHAPE_LABELS)]
+        return "choice", tuple((name, tables.SHAPE_LABELS.get(name, words(name))) for name in order), ()
     if "enum" in shape:
         return "choice", tuple((value, words(value)) for value in shape["enum"]), ()
     if shape["type"] == "boolean":
@@ -342,7 +283,8 @@ def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tup
     if shape["type"] == "string":
         return "text", (), ()
     if shape["type"] == "array":
-        components, count = COMPONENTS.get(key, ("x", "y", "z")), len(shape.get("prefixItems", ())) or shape["maxItems"]
+        components = tables.COMPONENTS.get(key, ("x", "y", "z"))
+        count = len(shape.get("prefixItems", ())) or shape["maxItems"]
         return "vector", (), components if key == "bounds" else components[:count]
     return "number", (), ()
 
@@ -351,18 +293,17 @@ def _symbol(session: Document, path: str, key: str) -> str:
     """Symbol of a key in formulas; for an object it depends on the shape."""
     where = path.split(".")
     if where[0] != "object" or len(where) < 3:
-        return SYMBOLS.get(path, "")
-    motion = SYMBOLS.get(".".join(where[2:]), "") if where[2] == "motion" else ""
-    return SYMBOLS.get(f"{session.known('.'.join(where[:2]) + '.shape')}.{key}", "") or motion
+        return tables.SYMBOLS.get(path, "")
+    motion = tables.SYMBOLS.get(".".join(where[2:]), "") if where[2] == "motion" else ""
+    return tables.SYMBOLS.get(f"{session.known('.'.join(where[:2]) + '.shape')}.{key}", "") or motion
 
 
 def _slider(session: Document, key: str, limits: Within | None) -> tuple[float, float] | None:
-    """Ends of a slider: a useful range within the valid one."""
-    if key in BY_FOCAL_LENGTH and isinstance(f := session.known("camera.focal_length"), int | float):
-        return BY_FOCAL_LENGTH[key][0] * f, BY_FOCAL_LENGTH[key][1] * f
+    if key in tables.BY_FOCAL_LENGTH and isinstance(f := session.known("camera.focal_length"), int | float):
+        return tables.BY_FOCAL_LENGTH[key][0] * f, tables.BY_FOCAL_LENGTH[key][1] * f
     if limits is None or key in ("coefficients", "bounds", "quaternion"):
         return None
-    low, high = SLIDERS.get(key) or BY_UNIT.get(limits.unit) or (limits.low, limits.high)
+    low, high = tables.SLIDERS.get(key) or tables.BY_UNIT.get(limits.unit) or (limits.low, limits.high)
     return (max(low, limits.low), min(high, limits.high)) if high - low <= 1e4 else None
 
 
@@ -379,13 +320,9 @@ def _default(session: Document, model: Any, path: str, key: str) -> Any:
     """Default of a key, which may depend on the keys beside it; None if the key is required or has none."""
     field = model.model_fields[key]
     if field.default_factory is None:
-        return None if field.is_required() else _plain(field.default)
+        return None if field.is_required() else as_lists(field.default)
     table = at(session.table, path.split(".")[:-1])
     try:
-        return _plain(getattr(model.model_validate(without(dict(table or {}), [key])), key))
+        return as_lists(getattr(model.model_validate(without(dict(table or {}), [key])), key))
     except ValueError:  # several values, or another key is at fault
         return None
-
-
-def _plain(value: Any) -> Any:
-    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value

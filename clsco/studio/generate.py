@@ -46,10 +46,9 @@ def free_folder(session: Document, kind: str = "frames") -> str:
 def render_frames(
     session: Document, jobs: Jobs, folder: str, options: Sequence[str] = (), table: Table | None = None
 ) -> CommandJob:
-    """Write a scene into a folder below the root, and render it there by `clsco render` with these options.
+    """Write a scene (the session's without a `table`) into a folder below the root, and render it by `clsco render`.
 
-    table: scene to render; by default the session's. Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there
-    are invalid values in boxes.
+    Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there are invalid values in boxes.
     """
     if session.refused:
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
@@ -75,8 +74,7 @@ def stack_table(session: Document, nearest: float, farthest: float, steps: int) 
 def stack_scenes(session: Document, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
     """The scenes of a focal stack for viewing.
 
-    Raises SceneError if the distances are invalid, if there are fewer than 2 or more than MOST_LOOKED_AT steps, or if
-    another key of the scene has several values.
+    Raises SceneError for invalid distances, steps outside 2 to MOST_LOOKED_AT, or another key with several values.
     """
     if not 2 <= steps <= MOST_LOOKED_AT:
         raise SceneError(f"focal stack: must have 2 to {MOST_LOOKED_AT} steps to be looked at; got {steps}")
@@ -91,10 +89,9 @@ def stack_scenes(session: Document, nearest: float, farthest: float, steps: int)
 def make_data_set(
     session: Document, jobs: Jobs, distribution: str, folder: str, count: int, options: Sequence[str] = ()
 ) -> CommandJob:
-    """Make a data set by `clsco dataset make` with these options.
+    """Make a data set of `count` samples by `clsco dataset make`. Raises ClscoError as `Jobs.add`, or without the file.
 
-    distribution: name of a file below the root; one of `shipped_distributions` is copied there first. count: number of
-    samples. Raises ClscoError as `Jobs.add`, or if there is no such file.
+    `distribution` is a file below the root; one of `shipped_distributions` is copied there first.
     """
     source, name = _name(session, distribution), _name(session, folder)
     jobs.require_free(name)
@@ -163,11 +160,7 @@ def _is_distribution(path: Path) -> bool:
 
 
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:
-    """A small PNG of the color of a data set's sample: the first one in a part of the set.
-
-    part: number of the part, from 0; parts: number of equal parts. Raises ClscoError, OSError, IndexError or
-    StopIteration if there is no such sample.
-    """
+    """A small PNG of the color of the first sample in a part, counted from 0, of a data set's `parts` equal parts."""
     from clsco.data import dataset
 
     opened = dataset.open(folder)

@@ -49,25 +49,10 @@ _ADMITTED = """<!DOCTYPE html>
 class Guard:
     """The outermost layer of the studio's server, for HTTP and WebSockets.
 
-    Parameters
-    ----------
-    app : ASGI application
-        Application to guard.
-    hosts : collection of str
-        Allowed values of the header Host, with the port.
-    token : str
-        The secret of the first address, `/?t=`, which is exchanged for a cookie of this server.
-    key : bytes
-        Another secret, kept for the next server at the same port, so that open pages reconnect.
-
-    Attributes
-    ----------
-    place : str
-        Unguessable path of everything except the first address.
-    cookie : str
-        Unguessable name of the cookie.
-    proof_key : str
-        Key by which the server proves to its pages that it is the one that made them, hexadecimal.
+    `hosts` are the allowed values of the header Host, with the port. `token` is the secret of the first address,
+    `/?t=`, which is exchanged for a cookie. `key` is kept for the next server at the same port, so that open pages
+    reconnect; the unguessable `place` of everything except the first address, name of the `cookie`, and `proof_key`
+    (hexadecimal), by which the server proves to its pages that it made them, are derived from it.
     """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str], token: str, key: bytes) -> None:

@@ -26,8 +26,7 @@ from clsco.studio.folder import below
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
 
-FILLERS = ("mean-median", "biharmonic", "texture", "auto")
-"""Methods of `clsco inpaint`, that of the thesis first; auto: the better one of the two before it."""
+FILLERS = ("mean-median", "biharmonic", "texture", "auto")  # "auto": the better one of the two before it
 MOST_RUNS = 2**20
 LARGEST = 2**24  # pixels of an image that can be filled interactively
 ROWS = {  # rows of the table in figure 5.21, with their keys in `Report.figures`
@@ -43,11 +42,7 @@ ROWS = {  # rows of the table in figure 5.21, with their keys in `Report.figures
 
 @dataclass(frozen=True, eq=False)
 class FilledImage:
-    """An image filled by a method.
-
-    image: (rows, columns[, 3]), of the type of the original; figures: as `clsco.inpainting.report.Report.figures`
-    returns them.
-    """
+    """An image (rows, columns[, 3]) filled by a method, of the type of the original, and its `Report.figures`."""
 
     method: str
     image: NDArray[Any]
@@ -55,20 +50,7 @@ class FilledImage:
 
 
 class Inpainting:
-    """An image, the mask of its missing pixels, and the results of methods.
-
-    Parameters
-    ----------
-    root : Path
-        Folder of all files that may be read and written.
-    device : str, optional
-        As for `clsco.inpaint`.
-
-    Attributes
-    ----------
-    filler : FillingProcess
-        Runs the methods.
-    """
+    """An image, the mask of its missing pixels, and the results of methods."""
 
     def __init__(self, root: Path, device: str | None = None) -> None:
         self.root = root.resolve()
@@ -80,10 +62,8 @@ class Inpainting:
         self.results: dict[str, FilledImage] = {}
 
     def open(self, name: str) -> None:
-        """Open another image, without a mask.
-
-        name: relative to the root. Raises FileError if it is not below the root, cannot be read, or has more than 2^24
-        pixels.
+        """Open another image, without a mask. Raises FileError if it is not below the root, cannot be read, or is too
+        large.
         """
         picture = self._read(name)
         image = picture.data
@@ -105,7 +85,7 @@ class Inpainting:
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
         """Set the mask from run lengths, row after row: of known pixels, missing ones, known ones, and so on.
 
-        columns, rows: size of the mask. Raises FileError if it is not the image's size, or not the sum of the runs.
+        Raises FileError if the runs do not make up the image.
         """
         if (rows, columns) != self.mask.shape:
             got = f"{columns} x {rows}"
@@ -121,16 +101,14 @@ class Inpainting:
 
     def runs(self) -> list[int]:
         """The mask as runs, in the form of `paint`."""
-        flat = self.mask.ravel()
-        ends = np.flatnonzero(flat[1:] != flat[:-1]) + 1
-        edges = [0, *([0] if flat[0] else []), *ends.tolist(), flat.size]
-        return [end - start for start, end in pairwise(edges)]
+        changes = np.flatnonzero(np.diff(self.mask.ravel(), prepend=False))
+        return [end - start for start, end in pairwise([0, *changes.tolist(), self.mask.size])]
 
     def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
-        """Add all pixels that look like a given pixel to the mask, as for the letters of figure 5.16.
+        """Add pixels that look like a given one to the mask, as for the letters of figure 5.16, or remove them from it.
 
-        column, row: position of the given pixel; tolerance: largest difference per channel, as a fraction of white;
-        erase: True to remove the pixels from the mask instead. Raises FileError if there is no such pixel.
+        `tolerance` is the largest difference per channel, as a fraction of white. Raises FileError if there is no such
+        pixel.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
             raise FileError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
@@ -163,13 +141,14 @@ class Inpainting:
         write_png(make_writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> FilledImage | None:
-        """Fill the missing pixels, and store the result beside those of other methods.
-
-        Returns None if canceled. Raises ClscoError as `clsco.inpaint`, or if no pixel is missing, or the process that
-        fills has ended.
+        """Fill the missing pixels, and store the result beside those of other methods; None if canceled. Raises
+        ClscoError.
         """
-        self._require(method)
+        if method not in FILLERS:
+            raise SceneError(f"method: must be one of {', '.join(FILLERS)}; got {method!r}")
         mask = self.mask
+        if not mask.any():
+            raise FileError("mask: some pixel must be missing; paint over what is to go")
         made = self.filler.fill(self.image, mask, method)
         if made is None:
             return None
@@ -194,14 +173,20 @@ class Inpainting:
 
     def save(self, folder: str) -> list[str]:
         """Write image, mask and results to a folder as PNG, atomically; returns their names. Raises FileError."""
-        return self._write(folder, tuple(self.results.values()))
+        target = self._target(folder)
+        if self.image.dtype.kind == "f":
+            raise FileError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
+        with atomic_folder(make_writable_folder(target), "inpainting") as made:
+            write_png(made / "image.png", self.image, self.color)
+            write_png(made / "mask.png", self._mask_codes())
+            for filled in self.results.values():
+                write_png(made / f"{filled.method}.png", filled.image, self.color)
+            return sorted(path.name for path in made.iterdir())
 
     def picture(self, which: str) -> bytes:
         """8-bit PNG of "image", or of the result of a method; b"" if there is none."""
-        if which == "image":
-            return b"".join(png_parts(self.shown(self.image)))
-        filled = self.results.get(which)
-        return b"" if filled is None else b"".join(png_parts(self.shown(filled.image)))
+        images = {name: filled.image for name, filled in self.results.items()} | {"image": self.image}
+        return b"".join(png_parts(self.shown(images[which]))) if which in images else b""
 
     @staticmethod
     def shown(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -210,30 +195,8 @@ class Inpainting:
             return encode(np.clip(image.astype(np.float32), 0.0, 1.0), 8, "srgb").astype(np.uint8)
         return np.ascontiguousarray(image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8))
 
-    def close(self) -> None:
-        """End the process of the methods."""
-        self.filler.close()
-
-    def _require(self, method: str) -> None:
-        if method not in FILLERS:
-            raise SceneError(f"method: must be one of {', '.join(FILLERS)}; got {method!r}")
-        if not self.mask.any():
-            raise FileError("mask: some pixel must be missing; paint over what is to go")
-
     def _mask_codes(self) -> NDArray[np.uint8]:
         return np.where(self.mask, 255, 0).astype(np.uint8)
-
-    def _write(self, folder: str, results: Sequence[FilledImage]) -> list[str]:
-        """Write image, mask and results, atomically."""
-        target = self._target(folder)
-        if self.image.dtype.kind == "f":
-            raise FileError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
-        with atomic_folder(make_writable_folder(target), "inpainting") as made:
-            write_png(made / "image.png", self.image, self.color)
-            write_png(made / "mask.png", self._mask_codes())
-            for filled in results:
-                write_png(made / f"{filled.method}.png", filled.image, self.color)
-            return sorted(path.name for path in made.iterdir())
 
     def _target(self, name: str) -> Path:
         """A path below the root for a file to write. Raises FileError."""
@@ -275,24 +238,18 @@ def inpainting_of(session: Document, device: str | None = None) -> Inpainting:
 
 
 class FillingProcess:
-    """Fills one image at a time in a child process, which starts with the first image.
-
-    device: as for `clsco.inpaint`; share: finished fraction of the current work, from 0 to 1.
-    """
+    """Fills one image at a time in a child process, which starts with the first image."""
 
     def __init__(self, device: str | None = None) -> None:
         self.device = device
-        self.share = 0.0
+        self.share = 0.0  # finished fraction of the current work
         self._child: Child | None = None
         self._working, self._is_canceled = Lock(), False
 
     def fill(
         self, image: NDArray[Any], mask: NDArray[np.bool_], method: str
     ) -> tuple[NDArray[Any], dict[str, Any]] | None:
-        """Fill an image; returns it with the figures of its report, or None if `cancel` was called.
-
-        Raises ClscoError as `clsco.inpaint`, or if the process ended, or another image is being filled.
-        """
+        """Fill an image; returns it with the figures of its report, or None if canceled. Raises ClscoError."""
         if not self._working.acquire(blocking=False):
             raise FileError(f"{method}: must wait for what is being filled")
         try:

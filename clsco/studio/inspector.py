@@ -30,22 +30,10 @@ PLOTTED = 32  # px from the center of a plot to its border
 def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = False) -> dict[str, Any]:
     """All outputs of a frame at a pixel, and derived figures.
 
-    Parameters
-    ----------
-    frame : Frame
-        Frame with all ground truth.
-    scene : Scene
-    x, y : int
-        Column and row.
-    is_tilted : bool
-        True if weights depend on the gradient of R in this scene.
-
-    Returns
-    -------
-    dict
-        `index` and `eye` of the frame; `values` of the outputs by name, as JSON types, None for infinity; `lens`, as
-        from `lens_figures`, at the pixel's depth. If the pixel shows a surface, `psf`, as from `point_spread`; if the
-        response of its source is not available, the reason as `unmeasured`.
+    `index` and `eye` of the frame; `values` by name, None for infinity; `lens`, the `lens_figures` at the pixel's
+    depth. If the pixel shows a surface, also its `psf`, as from `point_spread`; if the response of its source is not
+    available, the reason as `unmeasured`. The frame has all ground truth; `is_tilted`: weights depend on the gradient
+    of R.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
@@ -84,7 +72,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
 
 
 def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:
-    """Find the source, in the reference pose, of the point visible in a pixel at the middle of the exposure.
+    """The source, in the reference pose, of the point visible in a pixel at the middle of the exposure.
 
     Returns column, row and object, as arguments for `clsco.response`; or the reason why there is no such source.
     """
@@ -139,24 +127,10 @@ def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.fl
 def point_spread(
     scene: Scene, radius: float, gradient: NDArray[np.float64], slopes: tuple[float, float], inverse: float
 ) -> dict[str, Any]:  # fmt: skip
-    """The PSF of the scene's lens at a signed blur radius, by the weights of `clsco.psf`.
+    """`figures_of` the PSF of the scene's lens, by the weights of `clsco.psf`, and its `radius`, the signed R in px.
 
-    Parameters
-    ----------
-    scene : Scene
-    radius : float
-        Signed blur radius R, px.
-    gradient : ndarray of float64, (2,)
-        Gradient of R, px per px, right and down, which tilts the weights.
-    slopes : tuple of float
-        X / Z and Y / Z of the source, for rims and for aberrations that vary over the frame.
-    inverse : float
-        1 / Z of the source, 1/mm.
-
-    Returns
-    -------
-    dict
-        As `figures_of`, and `radius`.
+    `gradient` (2,) of R, px per px right and down, tilts the weights. `slopes`, X / Z and Y / Z of the source, are for
+    rims and for aberrations that vary over the frame. `inverse`: 1 / Z of the source, 1/mm.
     """
     psf = scene_point_spread(scene)
     slope, spread = pixel_tilt(gradient, radius, psf.diffracted)
@@ -173,22 +147,12 @@ def point_spread(
 
 
 def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str, Any]:
-    """Measure the spread of a source's light.
+    """Measure the spread (rows, columns) of the light of a source at `column`, `row`.
 
-    Parameters
-    ----------
-    spread : ndarray of float, (rows, columns)
-        Weights.
-    column, row : int
-        Position of the source.
-
-    Returns
-    -------
-    dict
-        `largest` weight, and `sum` of the weights; `plot`: base64 of the (2 PLOTTED + 1)^2 weights around the source,
-        as bytes with a maximum of 255; `reach`: largest offset, in rows or columns, of a byte that is not 0, px. Unless
-        the sum is 0, also `centroid`: offset from the source, px right and down; `rms`: standard deviation along
-        each axis, px, which is |R| / 2 for a large disc.
+    `largest` weight, and `sum` of the weights; `plot`: base64 of the (2 PLOTTED + 1)^2 weights around the source, as
+    bytes with a maximum of 255; `reach`: largest offset, in rows or columns, of a byte that is not 0, px. Unless the
+    sum is 0, also `centroid`: offset from the source, px right and down; `rms`: standard deviation along each axis, px,
+    which is |R| / 2 for a large disc.
     """
     rows, columns = spread.shape
     found: dict[str, Any] = {"largest": float(spread.max()), "sum": float(spread.sum(dtype=np.float64))}

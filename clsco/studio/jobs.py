@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +20,7 @@ from typing import Literal
 
 from clsco.engine.child import how_ended
 from clsco.errors import ClscoError
+from clsco.studio.background import Observable
 
 MOST = 500  # jobs in the list; beyond it, the oldest finished jobs are removed
 GRACE = 10.0  # s that a canceled command has to end
@@ -33,11 +34,10 @@ Status = Literal["waiting", "running", "done", "failed", "canceled"]
 
 @dataclass(eq=False)
 class CommandJob:
-    """A command line of the studio.
+    """A command line of the studio: arguments of `clsco`, and the folder or file that it writes.
 
-    arguments: arguments of `clsco`; output: folder or file that the command writes; paths are relative to the studio's
-    root. done, total: numbers of frames or samples, 0 while unknown. began: start time, s since 1970. message: error
-    output, "" without an error.
+    Paths are relative to the studio's root. `done` and `total` count frames or samples, 0 while unknown; `began`: s
+    since 1970; `message`: error output, "" without an error.
     """
 
     number: int
@@ -71,24 +71,16 @@ class CommandJob:
         return (now - self.began) / self.done * (self.total - self.done)
 
 
-class Jobs:
-    """The commands of a studio, which end with it.
-
-    root: working folder of all commands; listed: jobs, latest first.
-    """
+class Jobs(Observable):
+    """The commands of a studio, which end with it and run in its root; `listed` has the jobs, latest first."""
 
     def __init__(self, root: Path) -> None:
+        super().__init__()
         self.root = root.resolve()
         self.listed: list[CommandJob] = []
         self._numbers = itertools.count(1)
         self._turn = asyncio.Lock()
         self._tasks: dict[int, asyncio.Task[None]] = {}
-        self._listeners: list[Callable[[], None]] = []
-
-    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call a function after each change; returns a function that unsubscribes it."""
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
     def add(self, title: str, arguments: Sequence[str], output: str) -> CommandJob:
         """Start a command, or enqueue it behind others. Raises ClscoError as `require_free`."""
@@ -196,16 +188,11 @@ class Jobs:
             self._tell()
         return True
 
-    def _tell(self) -> None:
-        for listener in tuple(self._listeners):
-            listener()
-
 
 async def _end(process: asyncio.subprocess.Process) -> None:
     """End a running command as Ctrl-C does, then kill its remaining processes, after at most GRACE.
 
-    The signal is SIGTERM, because a studio that a script starts in the background ignores SIGINT, and so do its
-    commands.
+    The signal is SIGTERM: in a studio that a script starts in the background, all commands ignore SIGINT.
     """
     if process.returncode is not None:
         return

@@ -14,12 +14,12 @@ from clsco.scene.model import Scene
 from clsco.scene.motions import ObjectMotion
 from clsco.scene.text import brief, shown
 from clsco.studio.session import Document
-from clsco.studio.tables import SHAPE_LABELS, Table, at, with_value, without, words
+from clsco.studio.tables import SHAPE_LABELS, Table, as_lists, at, with_value, without, words
 
 LATEST = 1e9  # s, of a keyframe
 LENS = "lens.keyframe"
+# Attribute of the camera for each key of a lens keyframe.
 _OF_LENS = {"focal_length": "focal_length", "focus_distance": "focused_distance", "f_number": "opening"}
-"""Attribute of the camera for each key of a lens keyframe."""
 _FIRST_OF_LENS = ("focus_distance", "f_number")
 _TURN = 90.0  # deg: largest rotation between keyframes that replace angular velocities about several axes
 
@@ -39,13 +39,11 @@ def tracks(session: Document) -> tuple[Track, ...]:
 
 
 def add_keyframe(session: Document, path: str, time: float) -> None:
-    """Add a keyframe with the pose, or the lens, at a time, as one undo step.
-
-    path: path of a `Track`; time: s. Raises SceneError if there is no such track, or the time is invalid or has a
-    keyframe already.
+    """Add a keyframe with the pose, or the lens, at a time in s, to a `Track`'s path, as one undo step.
 
     A motion with velocities is converted to keyframes at t = 0, at `time` and at the end of the sequence, each with the
-    pose at its time; there are more of them if the motion rotates about several axes.
+    pose at its time; there are more of them if the motion rotates about several axes. Raises SceneError if there is no
+    such track, or the time is invalid or has a keyframe already.
     """
     _known(session, path)
     if not abs(time) <= LATEST:
@@ -60,10 +58,11 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
         times = [time]
         if not old and motion.moves:
             times = _moving_times(scene, motion, time)
-            given = at(table, outer.split("."))
-            table = with_value(table, outer.split("."), {"outside": "linear"} | _without_velocities(given))
+            given: Table = at(table, outer.split("."))
+            rest = {key: value for key, value in given.items() if not key.endswith(("velocity", "acceleration"))}
+            table = with_value(table, outer.split("."), {"outside": "linear"} | rest)
         new = [
-            {key: _plain(value) for key, value in keyframe_at(motion, t, scene.motion.rotation).model_dump().items()}
+            {key: as_lists(value) for key, value in keyframe_at(motion, t, scene.motion.rotation).model_dump().items()}
             for t in times
         ]
     if any(_time(each) == time for each in old):
@@ -73,22 +72,18 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 
 
 def remove_keyframe(session: Document, path: str, index: int) -> None:
-    """Remove a keyframe, as one undo step; with the last keyframe, remove also the keys that only keyframes use.
-
-    Raises SceneError if there is no such keyframe, or the scene is invalid without it.
-    """
+    """Remove a keyframe, and with the last one the keys that only keyframes use. Raises SceneError."""
     _known(session, path)
-    keys = list(at(session.table, path.split(".")) or [])
+    table, parts = session.table, path.split(".")
+    keys = list(at(table, parts) or [])
     if not 0 <= index < len(keys):
         raise SceneError(f"keyframe: must be one of {len(keys)}, counted from 0; got {shown(index)}")
     del keys[index]
     if keys:
-        table = with_value(session.table, path.split("."), keys)
+        table = with_value(table, parts, keys)
     else:
-        table = session.table
-        *outer, _ = path.split(".")
         for key in ("interpolation", "outside", "keyframe"):
-            table = without(table, [*outer, key])
+            table = without(table, [*parts[:-1], key])
     session.take(replace(session.state, table=table))
 
 
@@ -149,10 +144,6 @@ def _moving_times(scene: Scene, motion: ObjectMotion, time: float) -> list[float
     return sorted(times)
 
 
-def _without_velocities(motion: Table) -> Table:
-    return {key: value for key, value in motion.items() if not key.endswith(("velocity", "acceleration"))}
-
-
 def _lens_keyframe(scene: Scene, time: float) -> Table:
     """Table of a lens keyframe, with the quantities that the other keyframes have; all quantities for the first one."""
     camera = camera_at(scene, time)
@@ -160,7 +151,3 @@ def _lens_keyframe(scene: Scene, time: float) -> Table:
     names: Iterable[str] = {name for key in keys for name in key.model_fields_set} or _FIRST_OF_LENS
     values = {name: float(getattr(camera, of_camera)) for name, of_camera in _OF_LENS.items() if name in names}
     return {"time": time} | {name: float(f"{value:.9g}") for name, value in values.items() if math.isfinite(value)}
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

@@ -33,10 +33,8 @@ _STALLS = 2  # consecutive stalls that are ignored
 class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
-    The predicted time is a constant plus a part proportional to pixels times time samples: a line through the latest
-    measurements. If all measurements had one size, changes are attributed to the pixels.
-
-    fixed: constant time of a picture, s; ns: time per pixel and time sample, ns.
+    The predicted time is `fixed` s plus `ns` per pixel and time sample: a line through the latest measurements. If all
+    measurements had one size, changes are attributed to the pixels.
     """
 
     def __init__(self) -> None:
@@ -88,10 +86,7 @@ def _pixels(work: float, eighths: int) -> float:
 
 
 class Ladders:
-    """Predictions for previews of similar scenes: a `Ladder` for each member of WAYS.
-
-    of: ladders by member of WAYS.
-    """
+    """Predictions for previews of similar scenes: a `Ladder` for each member of WAYS."""
 
     def __init__(self) -> None:
         self.of = {way: Ladder() for way in WAYS}
@@ -127,23 +122,11 @@ def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> f
 
 
 def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[str] = ()) -> Scene:
-    """The scene with the same field of view in fewer pixels, without its most expensive features.
+    """The scene with the same field of view in fewer pixels, without the features `way` and its most expensive ones.
 
-    Parameters
-    ----------
-    scene : Scene
-    size : (int, int)
-        Its columns and rows.
-    eighths : int
-        Columns and rows to keep, in eighths. A scene with depth maps keeps all, as these have one value per pixel.
-    way : collection of str
-        One of WAYS: features to omit in addition.
-
-    Returns
-    -------
-    Scene
-        With one source per pixel at silhouettes, and at most MOST_SAMPLES time samples. With a rolling shutter, each
-        row has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
+    Columns and rows become `eighths` of `size`; a scene with depth maps keeps all, as these have one value per pixel.
+    There is one source per pixel at silhouettes, and at most MOST_SAMPLES time samples. With a rolling shutter, each
+    row has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
     """
     left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if OCCLUSION in way else {})
     changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
@@ -157,10 +140,7 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
 
 
 def unblurred(scene: Scene) -> Scene:
-    """The scene with the same depth, normals and objects, without blur: one time sample and almost no aperture.
-
-    Validated: the same bits as with blur (tests/studio/test_renderer.py).
-    """
+    """The scene with the same bits of depth, normals and objects, without blur: one time sample, almost no aperture."""
     psf = scene.psf.model_copy(update={"silhouette_samples": 1, "occlusion": "none"})
     camera = scene.camera.model_copy(update={"aperture_diameter": 1e-9 * scene.camera.aperture_diameter})
     sequence = scene.sequence.model_copy(update={"samples": 1, "sampling": "midpoint"})
@@ -180,15 +160,7 @@ def _preview_sequence(scene: Scene, way: Collection[str] = ()) -> Sequence:
 
 
 def plan_line(prepared: Prepared, seconds: float) -> str:
-    """Number of kinds of passes, time, and memory on the device: "3 passes, 41 ms, 15 MiB".
-
-    Parameters
-    ----------
-    prepared : Prepared
-        The frame, as for `clsco plan`; memory is that of both views of a stereo pair.
-    seconds : float
-        Time that the frame took.
-    """
+    """Number of kinds of passes, time in s that the frame took, and memory of both views: "3 passes, 41 ms, 15 MiB"."""
     count = len({step.kind for plan in prepared.plans for step in plan.passes})
     memory = device_bytes(prepared.plan, len(prepared.plans)) / 2**20
     time = f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"

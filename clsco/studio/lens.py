@@ -12,10 +12,10 @@ from clsco.studio.tables import BY_FOCAL_LENGTH
 
 
 def lens_line(scene: Scene) -> dict[str, Any]:
-    """Figures for the strip above the picture.
+    """Figures for the strip above the picture: `lens_figures` of a point at infinity, and three in mm.
 
-    Returns `lens_figures` for a point at infinity, and in mm: `pitch` of the pixels; `scale`: the distance s0 that sets
-    the scale of the image; `ends` of the slider of the focus distance.
+    `pitch` of the pixels; `scale`: the distance s0 that sets the scale of the image; `ends` of the slider of the focus
+    distance.
     """
     camera = reference_camera(scene)
     ends = [factor * camera.focal_length for factor in BY_FOCAL_LENGTH["focus_distance"]]
@@ -27,12 +27,11 @@ def lens_line(scene: Scene) -> dict[str, Any]:
 
 
 def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
-    """Distances along the optical axis, mm, for the diagram of the lens and a point.
+    """Distances along the optical axis, mm, for the diagram of the lens and a point; infinite values are None.
 
-    depth: depth of the point, mm, None for infinity; slopes: X / Z and Y / Z of the point. Returns `focus`, `near` and
-    `far`: distance in focus, and distances where |R| = SHARP; `focal_length`; `sensor`: distance of the sensor;
-    `aperture`: diameter; `depth` of the point, distance `image` of its image, and its R, `radius`, px. Infinite values
-    are None.
+    `depth` of the point is None for infinity, `slopes` are its X / Z and Y / Z. `focus`: distance in focus; `near` and
+    `far`: distances where |R| = SHARP; `sensor`: distance of the sensor; `aperture`: diameter; `image`: distance of the
+    point's image; `radius`: its R, px.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)

@@ -25,9 +25,8 @@ def own_address() -> str:
 def listen(host: str, port: int) -> socket.socket:
     """Open a socket whose connections send without delay. Raises ArgumentError if the port is in use.
 
-    A picture is several packets, and the kernel would hold back the last one until the browser has acknowledged the
-    others. asyncio disables that only for sockets with an explicit protocol, which sockets from `create_server` do not
-    have.
+    A picture is several packets, and the kernel would hold back the last one until the browser acknowledges the others.
+    asyncio disables that only for sockets with an explicit protocol, which sockets from `create_server` do not have.
     """
     try:
         listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)

@@ -18,8 +18,8 @@ from clsco.scene.model import Camera, Plane
 from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.session import Document
 
+# Key of an object's position by shape, "" for none; that of all other shapes is `center`.
 PLACES = {"cone": "apex", "plane": "distance", "depth_map": "", "background": ""}
-"""Key of an object's position by shape, "" for none; that of all other shapes is `center`."""
 STEEPEST = 1e-3  # least z of a plane's normal; a steeper plane follows only moves along z
 ALONG = 500.0  # px of a move along z that changes the depth by a factor of e
 _DIGITS = 4  # decimal places of mm: less than a thousandth of a pixel
@@ -36,12 +36,11 @@ class Grip:
     axes: NDArray[np.float64]  # rotation from the camera, at the middle of the exposure, to the scene
 
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
-        """Position of the object after the pointer has moved by a distance.
+        """New value of the key, mm, `across` and `down` px of the frame, to the right and down, from where the drag
+        began.
 
-        across, down: pixels of the frame, to the right and down, since the drag began; is_along: True to move along z,
-        where ALONG pixels up multiply the depth by e. Returns the new value of the key, mm.
-
-        At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). Validated by projections.
+        At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). With `is_along` the object
+        moves along z, where ALONG pixels up multiply the depth by e.
         """
         if is_along:
             by = np.array([0.0, 0.0, self.depth * math.expm1(-down / ALONG)])
@@ -54,30 +53,15 @@ class Grip:
 
 
 def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
-    """Begin to drag an object.
+    """Begin to drag object `object_id` of the frame, where each face of a box is one, by a point at a depth in mm.
 
-    Parameters
-    ----------
-    session : Document
-    index : int
-        Number of the frame.
-    object_id : int
-        Number of the object in the frame, where each face of a box is an object.
-    depth : float
-        Depth of the held point, mm.
-    eye : {"left", "right"}
-        View of a stereo pair.
-
-    Raises
-    ------
-    SceneError
-        There is no such object, or its shape has no position.
+    Raises SceneError if there is no such object, or its shape has no position.
     """
     entries = session.object_entries
     if not 0 <= object_id < len(entries):
         raise SceneError("move: there must be an object; got none")
     scene, number = session.scene, entries[object_id]
-    surface, shape = scene.objects[object_id], session.state.objects[number]["shape"]
+    surface, shape = scene.objects[object_id], session.table["object"][number]["shape"]
     if not (key := PLACES.get(shape, "center")):
         raise SceneError(f"move: must be an object with a place of its own; got a {shape.replace('_', ' ')}")
     path = f"object.{number}.{key}"
@@ -96,30 +80,19 @@ MOST_PX = 1e6  # of a drag
 
 
 class Pointer:
-    """The pointer of a tab.
-
-    preview: asked for the surface at a pixel.
-    """
+    """The pointer of a tab, which asks the preview for the surface at a pixel."""
 
     def __init__(self, session: Document, preview: Preview) -> None:
         self._session, self._preview = session, preview
         self._held: tuple[int, Grip, Camera] | None = None  # drag, object, and camera at its start
 
-    def ask(self, x: int, y: int) -> None:
-        """Send the figures of a pixel."""
+    def ask(self, x: int, y: int, purpose: str = "") -> None:
+        """Send the figures of a pixel; with the purpose MEASURE, the response of its source."""
 
         async def report(found: dict[str, Any]) -> None:
-            await self._preview.tell(inspected=found)
+            await self._preview.tell(**{"measured" if purpose == MEASURE else "inspected": found})
 
-        self._preview.inspect(x, y, report)
-
-    def measure(self, x: int, y: int) -> None:
-        """Send the response of a pixel's source."""
-
-        async def report(found: dict[str, Any]) -> None:
-            await self._preview.tell(measured=found)
-
-        self._preview.inspect(x, y, report, MEASURE)
+        self._preview.inspect(x, y, report, purpose)
 
     def focus(self, x: int, y: int, drag: int) -> None:
         """Focus on the surface at a pixel; calls with the same `drag` are one undo step."""
@@ -151,11 +124,7 @@ class Pointer:
         self._preview.inspect(x, y, take, "grab")
 
     def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
-        """Move the dragged object; all moves of one drag are one undo step.
-
-        across, down: pixels to the right and down since the drag began. is_along: True to move the object along z, else
-        it moves at constant depth. drag: number of the drag, as given to `grab`; calls for other drags are ignored.
-        """
+        """Move the dragged object, as `Grip.value`, as one undo step for a whole drag; other drags are ignored."""
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
             _, held, camera = self._held
             value = held.value(camera, across, down, is_along)

@@ -33,18 +33,10 @@ KEYS = (
     ("Esc", "take back what is being dragged; cancel what takes long"),
     ("?", "this list"),
 )
-PINS = (
-    ("", "Pin …"),
-    ("this", "this frame (P)"),
-    ("thesis", "as the thesis"),
-)
-COMPARISONS = (
-    ("off", "not compared"),
-    ("wipe", "wipe"),
-    ("flip", "flip (Space)"),
-    ("8", "difference × 8"),
-    ("64", "difference × 64"),
-)
+PINS = {"": "Pin …", "this": "this frame (P)", "thesis": "as the thesis"}
+COMPARISONS = {
+    "off": "not compared", "wipe": "wipe", "flip": "flip (Space)", "8": "difference × 8", "64": "difference × 64",
+}  # fmt: skip
 DIALS = (("camera.focus_distance", "Focus"), ("camera.f_number", "f/"), ("camera.focal_length", "f"))
 _HEAD = """<!DOCTYPE html>
 <html lang="en-US"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -123,14 +115,8 @@ def _header(session: Document, studio: Studio, name: str) -> None:
 def _lens_strip(session: Document) -> None:
     """Strip with the lens, always visible: dials, "Focus by click", and the range in focus."""
     with say("section", id="lens-strip", aria_label="Lens"):
-        say(
-            "canvas",
-            id="lens-small",
-            width=110,
-            height=30,
-            role="img",
-            aria_label="Lens, and what is in focus before it",
-        )
+        about = "Lens, and what is in focus before it"
+        say("canvas", id="lens-small", width=110, height=30, role="img", aria_label=about)
         for path, label in DIALS:
             dial = field_at(session, path)
             assert dial is not None
@@ -150,10 +136,8 @@ def _middle() -> None:
     """Tabs of the views, the canvas and the time line."""
     with say("div", id="views", role="tablist", aria_label="Views"):
         for view in VIEWS:
-            say(
-                "button", view, role="tab", data_view=view, aria_selected="true" if view == "color" else "false",
-                aria_controls="stage",
-            )  # fmt: skip
+            is_first = "true" if view == "color" else "false"
+            say("button", view, role="tab", data_view=view, aria_selected=is_first, aria_controls="stage")
     with say("div", id="stage", role="tabpanel", aria_label="Picture"):
         say("canvas", id="canvas", width=1, height=1, role="img", aria_label="Rendered frame")
         say("canvas", id="pinned", width=1, height=1, hidden=True, aria_hidden="true")
@@ -179,10 +163,10 @@ def _middle() -> None:
             title="Then drag an object, with Shift along z (M)",
         )  # fmt: skip
         with say("select", id="pin", aria_label="Pin a frame to compare with"):
-            for value, label in PINS:
+            for value, label in PINS.items():
                 say("option", label, value=value)
         with say("select", id="compare", aria_label="Compare with the pinned frame", disabled=True):
-            for value, label in COMPARISONS:
+            for value, label in COMPARISONS.items():
                 say("option", label, value=value)
         say("input", id="wipe", type="range", min=0, max=100, value=50, aria_label="Wipe", hidden=True)
         say("div", class_="spread")
@@ -198,8 +182,7 @@ def _middle() -> None:
         say("button", "1:1", id="actual")
     _stack()
     with say("div", id="exposure-row", hidden=True):
-        with say("div", id="exposed", role="group", aria_label="Time samples"):
-            pass
+        say("div", id="exposed", role="group", aria_label="Time samples")
         say("div", id="band", aria_hidden="true")
         say("span", id="exposure-about")
     with say("div", id="line"):
@@ -258,17 +241,8 @@ def _stack() -> None:
             say("label", label, for_=f"stack-{name}")
             say("input", id=f"stack-{name}", type="number", value=value, min=1, step="any")
         say("button", "Render", id="render-stack")
-        say(
-            "input",
-            id="step",
-            type="range",
-            min=0,
-            max=0,
-            value=0,
-            step=1,
-            aria_label="Step of the stack",
-            disabled=True,
-        )
+        label = "Step of the stack"
+        say("input", id="step", type="range", min=0, max=0, value=0, step=1, aria_label=label, disabled=True)
         say("span", id="step-about")
         say("button", "Focus here", id="refocus", disabled=True)
         say("span", id="stack-about", role="status")

@@ -22,20 +22,10 @@ from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
 from clsco.studio.ladder import MOTION, OCCLUSION
 
-VIEWS = {
-    "color": "color",
-    "sharp": "sharp",
-    "depth": "depth",
-    "blur radius": "blur_radius",
-    "flow": "flow",
-    "normal": "normal",
-    "id": "object_id",
-    "mask": "mask",
-    "missing": "missing",
-    "raw": "raw",
-    "noise": "noise_sigma",
-}
-"""Attribute of `Frame` for each view by name, in the order of the tabs."""
+VIEWS = {  # attribute of `Frame` for each view by name, in the order of the tabs
+    "color": "color", "sharp": "sharp", "depth": "depth", "blur radius": "blur_radius", "flow": "flow",
+    "normal": "normal", "id": "object_id", "mask": "mask", "missing": "missing", "raw": "raw", "noise": "noise_sigma",
+}  # fmt: skip
 
 UNBLURRED = ("depth", "normal", "id")  # views that do not show blur, which takes most of the time
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)  # rungs, see ViewPicture
@@ -90,12 +80,12 @@ def truth_of(view: str) -> tuple[str, ...]:
 
 
 def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> ViewPicture:
-    """Encode a view of a frame.
+    """Encode a view of a frame of `full` columns and rows.
 
-    full: columns and rows of the frame; seconds: time of rendering. Images are sent as JPEG, from the rung EXACT on as
-    the PNG that `clsco render` writes. Other views are sent as floats of 32 bits, or of 16 bits in the rung DRAGGING,
-    except sensor codes. The blur radius (of green, if there are several) is NaN without a surface, so that such pixels
-    do not look in focus. Raises SceneError for a view that needs a sensor if there is none.
+    Images are sent as JPEG, from the rung EXACT on as the PNG that `clsco render` writes. Other views are sent as
+    floats of 32 bits, or of 16 bits in the rung DRAGGING, except sensor codes. The blur radius (of green, if there are
+    several) is NaN without a surface, so that such pixels do not look in focus. Raises SceneError for a view that needs
+    a sensor if there is none.
     """
     data: NDArray[Any] | None = getattr(frame, VIEWS[view])
     if data is None:
@@ -145,15 +135,12 @@ NEAREST = 1e-3  # mm; nearer points, and points behind the lens, are not in the 
 
 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:
-    """The scene with a single time sample in its frame.
+    """The scene with a single time sample, in s since the reference pose, in frame `index`, to which all truth belongs.
 
-    index: number of the frame; time: seconds since the reference pose, clamped to the frame's interval and exposure,
-    taken together. The returned scene's frame of the same number is the sub-frame at this time, and all ground truth
-    belongs to this time; the flow is the motion over one interval.
+    The time is clamped to the frame's interval and exposure, taken together; the flow is the motion over one interval.
 
     The shutter is twice as long as the time since the frame began, or since the shutter opened if earlier, so that its
-    only sample is at this time; it may exceed the interval, which files do not allow. Validated by the sub-frames of
-    `clsco.render`.
+    only sample is at this time; it may exceed the interval, which files do not allow.
     """
     sequence, interval = scene.sequence, scene.sequence.interval
     start = min(sequence.shutter_start, 0.0)
@@ -170,11 +157,10 @@ def eye_of(frame: Frame) -> Eye:
 
 
 def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
-    """Data of the time line for a frame.
+    """Data of the time line for a frame with this number of time samples.
 
-    samples: time samples of the frame, from its plan. Returns `times` of its samples and `shutter`, its opening and
-    closing time, in s since the reference pose; `arrows`: column and row of the origin of each moving object at both
-    times, and by how many mm it has come nearer.
+    `times` of its samples and `shutter`, its opening and closing time, in s since the reference pose; `arrows`: column
+    and row of the origin of each moving object at both times, and by how many mm it has come nearer.
     """
     if not scene.moves:
         return {"times": [], "shutter": None, "arrows": []}

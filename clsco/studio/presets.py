@@ -30,10 +30,7 @@ _METHOD = ("psf", "image", "motion", "fill")  # sections that set the method, no
 
 @dataclass(frozen=True)
 class ScenePreset:
-    """A scene that is shipped with the package.
-
-    name: its file among the examples, such as "sphere" or "thesis/fig_3_04_left"; title: caption; group: heading.
-    """
+    """A scene of the package: its file among the examples, as "thesis/fig_3_04_left", its caption, and a heading."""
 
     name: str
     title: str
@@ -41,7 +38,7 @@ class ScenePreset:
 
     @property
     def path(self) -> Path:
-        return Path(str(folder("examples"))) / f"{self.name}.toml"
+        return _shipped(f"{self.name}.toml")
 
     @property
     def picture(self) -> str:
@@ -53,7 +50,7 @@ class ScenePreset:
 def presets() -> tuple[ScenePreset, ...]:
     """The examples, ordered by topic, then the figures of the thesis in order."""
     groups: dict[str, list[str]] = json.loads((PICTURES / "groups.json").read_bytes())
-    paths = sorted((Path(str(folder("examples"))) / "thesis").glob("*.toml"))
+    paths = sorted(_shipped("thesis").glob("*.toml"))
     groups[OF_THE_THESIS] = [f"thesis/{path.stem}" for path in paths]
     found = [ScenePreset(name, "", group) for group, names in groups.items() for name in names]
     found = [replace(preset, title=str(read_mapping(str(preset.path), ())["title"])) for preset in found]
@@ -62,16 +59,12 @@ def presets() -> tuple[ScenePreset, ...]:
 
 
 def load_preset(session: Document, name: str) -> None:
-    """Go to the scene of a preset, as an undo step; its images are copied below the root.
-
-    Raises SceneError, FileError if the root is not writable, and KeyError if there is no such preset.
-    """
+    """Go to the scene of a preset, as an undo step; its images are copied below the root, which must be writable."""
     preset = {each.name: each for each in presets()}[name]
     table, start = read_mapping(str(preset.path), ()), preset.path.parent
-    if start.is_relative_to(session.root):
-        session.load_table(table, start)
-        return
-    session.load_table(relocated(table, lambda _, file: _copied(start / file, session.root)), session.root)
+    if not start.is_relative_to(session.root):
+        table, start = relocated(table, lambda _, file: _copied(preset.path.parent / file, session.root)), session.root
+    session.load_table(table, start)
 
 
 def _copied(path: Path, root: Path) -> str:
@@ -92,10 +85,7 @@ def is_as_the_thesis(session: Document) -> bool:
 
 
 def choose_method(session: Document, as_the_thesis: bool) -> None:
-    """Set PSF and method to those of the thesis, or to clsco's defaults, as an undo step. Raises SceneError.
-
-    The thesis' method includes forward warp and filling; objects, camera and sequence stay.
-    """
+    """Set the sections of the thesis' method, with forward warp and filling, or none of them, as an undo step."""
     table = {key: value for key, value in session.table.items() if key not in _METHOD}
     if as_the_thesis:
         table |= {key: _thesis()[key] for key in _METHOD}
@@ -105,7 +95,7 @@ def choose_method(session: Document, as_the_thesis: bool) -> None:
 @cache
 def _thesis() -> Table:
     """Sections of a thesis figure with motion."""
-    return read_mapping(str(Path(str(folder("examples"))) / "thesis" / "fig_4_13.toml"), ())
+    return read_mapping(str(_shipped("thesis/fig_4_13.toml")), ())
 
 
 def _numbered(preset: ScenePreset) -> ScenePreset:

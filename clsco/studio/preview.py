@@ -60,12 +60,10 @@ def _now() -> float:
 
 
 class Preview:
-    """Pictures of a session for one tab.
+    """Pictures of a session for one tab, sent by `send`.
 
     Only the latest state is rendered: a waiting picture is discarded when the state changes. At most two pictures are
     in flight, so that a slow browser gets fewer pictures, not late ones.
-
-    send: sends pictures to the browser.
     """
 
     def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
@@ -135,10 +133,7 @@ class Preview:
     def look(
         self, view: str | None = None, index: int | None = None, time: float | None = None, eye: Eye | None = None
     ) -> None:
-        """Show another view, frame or eye; None keeps the current one.
-
-        time: with `index`, time of the only time sample to show, s; None for the whole frame.
-        """
+        """Show another view, frame, of which only the sample at a `time` in s, if given, or eye."""
         before = self._view, self._index, self._time, self._eye
         if view in VIEWS:
             self._view = view
@@ -231,9 +226,8 @@ class Preview:
     def _is_full(self) -> bool:
         return self._is_hidden or len(self._unseen) >= MOST_UNSEEN
 
-    def _at_rest(self) -> tuple[Scene, int]:
-        """The scene and the number of the exact frame that is shown without dragging."""
-        scene = self._session.scene
+    def _at_rest(self, scene: Scene) -> tuple[Scene, int]:
+        """The scene to render for the chosen frame or time sample of a scene, and the number of the frame."""
         index = min(self._index, scene.sequence.frames - 1)
         if self._time is not None and scene.moves:
             scene = moment_of(scene, index, self._time)
@@ -290,12 +284,9 @@ class Preview:
 
     def _next_job(self, rung: int, other: Scene | None, step: tuple[int, Scene] | None) -> tuple[PictureJob, int]:
         """Job for the session's scene, another scene or a step of a focal stack, and the number of its pictures."""
-        scene = other or self._session.scene
-        index = number = min(self._index, scene.sequence.frames - 1)
-        if step is not None:
-            number, scene = step
-        if self._time is not None and scene.moves:
-            scene, number = moment_of(scene, index, self._time), number if step is not None else NO_NUMBER
+        whole = step[1] if step is not None else other or self._session.scene
+        scene, index = self._at_rest(whole)
+        number = step[0] if step is not None else index if scene is whole else NO_NUMBER
         return PictureJob(scene, index, "id" if rung == OUTLINED else self._view, rung, self._eye), number
 
     async def _post_all(self, job: PictureJob, revision: int, number: int) -> bool:
@@ -331,7 +322,7 @@ class Preview:
         x, y, report = asked = self._asked.pop(purpose)
         stops = self._stops
         self._is_exact_underway = True
-        scene, index = self._at_rest()
+        scene, index = self._at_rest(self._session.scene)
         try:
             question = Question(scene, index, x, y, self._eye, purpose == MEASURE)
             await report(await self._answer(self._renderer.inspect(question, self._watch)))

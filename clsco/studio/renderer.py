@@ -16,11 +16,26 @@ from typing import Any
 from clsco.engine.child import Child, how_ended
 from clsco.errors import CanceledError, ClscoError, DeviceError, SceneError
 from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.optics.motion import Eye
+from clsco.plan.memory import device_bytes
+from clsco.plan.prepare import prepare, with_resolution
+from clsco.plan.request import Request
 from clsco.resources import machine_bytes
 from clsco.scene.model import Scene
-from clsco.studio.ladder import Ladders, coarser, unblurred, ways_of, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, ViewPicture
+from clsco.studio.inspector import figures_of, inspected, source_of
+from clsco.studio.ladder import Ladders, coarser, plan_line, unblurred, ways_of, work_of
+from clsco.studio.pictures import (
+    DRAGGING,
+    EXACT,
+    IMAGES,
+    LOSSY,
+    UNBLURRED,
+    ViewPicture,
+    exposure_of,
+    picture_of,
+    truth_of,
+)  # fmt: skip
 
 TICK = 0.5  # s between reports on long work
 REHEARSED = (2, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
@@ -47,17 +62,14 @@ class PictureJob:
 
 @dataclass(frozen=True)
 class Question:
-    """Request for the figures of a pixel.
-
-    measures: True to request the response of the pixel's source, which needs another rendering.
-    """
+    """Request for the figures of a pixel."""
 
     scene: Scene
     index: int
     x: int
     y: int
     eye: Eye = "left"
-    measures: bool = False
+    measures: bool = False  # True for the response of the pixel's source, which needs another rendering
 
     @property
     def frame(self) -> tuple[Scene, int, Eye]:
@@ -80,10 +92,7 @@ Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]
 
 
 class RendererProcess:
-    """Handle of the renderer's process: takes jobs, one at a time, and returns pictures.
-
-    device: as for `clsco.render`.
-    """
+    """Handle of the renderer's process: takes jobs, one at a time, and returns pictures."""
 
     def __init__(self, device: str | None = None) -> None:
         self._device = device
@@ -106,22 +115,10 @@ class RendererProcess:
         threading.Thread(target=_listen, args=(self._child.pipe, loop, self._answers), daemon=True).start()
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
-        """Pictures of a job, as they are finished.
+        """Pictures of a job, as they are finished; `watch` is called twice a second during long work.
 
-        Parameters
-        ----------
-        job : PictureJob
-        watch : coroutine function of RenderProgress, optional
-            Called twice a second during long work.
-
-        Raises
-        ------
-        CanceledError
-            `cancel` was called meanwhile.
-        RendererEndedError
-            The process crashed or was killed.
-        SceneError, FileError, DeviceError, KernelError
-            As `clsco.render`.
+        Raises CanceledError after `cancel`, RendererEndedError if the process crashed or was killed, and errors as
+        `clsco.render`.
         """
         async with aclosing(self._ask("render", job, watch)) as answers:
             async for answer in answers:
@@ -261,8 +258,7 @@ def _needed(job: PictureJob) -> Scene:
 class _Known:
     """A frame with all of its ground truth, kept for further questions.
 
-    asked: scene, number and view of the frame; is_tilted: True if weights depend on the gradient of R; seconds: time
-    that a measurement takes.
+    `is_tilted`: weights depend on the gradient of R; `seconds` that a measurement takes.
     """
 
     asked: tuple[Scene, int, Eye]
@@ -321,9 +317,6 @@ class _RenderWorker:
 
     def _short_of_memory(self, content: PictureJob | Question | Scene) -> ClscoError:
         """Error for a device with too little memory even for strips, or a host with too little for the frame."""
-        from clsco.plan.memory import device_bytes
-        from clsco.plan.prepare import prepare
-
         scene = content if isinstance(content, Scene) else content.scene
         try:
             needed = device_bytes(prepare(scene, None, self._live.session.device, self._live.files).plan)
@@ -354,16 +347,13 @@ class _RenderWorker:
                 self._send(current[0], replace(found, still=now - since))
 
     def _coarse(self, number: int, job: PictureJob) -> None:
-        size, ladders = self._size_of(job), self._ladders_of(job)
-        way, eighths = ladders.choose(_needed(job), size)
-        self._send(number, self._coarse_picture(job, size, way, eighths))
+        size = with_resolution(job.scene).camera.frame_size
+        self._send(number, self._coarse_picture(job, size, *self._ladders_of(job).choose(_needed(job), size)))
 
     def _coarse_picture(
         self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
     ) -> ViewPicture:
         """Render a preview; learns: True to learn from its time."""
-        from clsco.studio.pictures import picture_of, truth_of
-
         wanted, start = _needed(job), time.perf_counter()
         scene = coarser(wanted, size, eighths, way)
         frame = self._frame(scene, job, truth_of(job.view))
@@ -373,8 +363,7 @@ class _RenderWorker:
         return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(wanted)))))
 
     def _rehearse(self, job: PictureJob) -> None:
-        """Compile the kernels for previews of a scene, and learn from their times."""
-        size, ladders, wanted = self._size_of(job), self._ladders_of(job), _needed(job)
+        size, ladders, wanted = with_resolution(job.scene).camera.frame_size, self._ladders_of(job), _needed(job)
         for way in ways_of(wanted):
             ladder, work = ladders.of[way], work_of(wanted, size, way)
             if job.took:
@@ -384,14 +373,7 @@ class _RenderWorker:
                     for learns in (False, True):
                         self._coarse_picture(job, size, way, eighths, learns)
 
-    def _size_of(self, job: PictureJob) -> tuple[int, int]:
-        from clsco.plan.prepare import with_resolution
-
-        return with_resolution(job.scene).camera.frame_size
-
     def _exact(self, number: int, job: PictureJob) -> None:
-        from clsco.studio.pictures import picture_of, truth_of
-
         self._check(number)
         start = time.perf_counter()
         scene = _needed(job)
@@ -407,11 +389,6 @@ class _RenderWorker:
             self._send(number, picture)
 
     def _about(self, job: PictureJob, rendered: Scene, frame: Frame, seconds: float) -> dict[str, Any]:
-        from clsco.plan.prepare import prepare
-        from clsco.plan.request import Request
-        from clsco.studio.ladder import plan_line
-        from clsco.studio.pictures import exposure_of, truth_of
-
         request, device, files = Request(truth_of(job.view)), self._live.session.device, self._live.files
         prepared = prepare(rendered, request, device, files)
         whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
@@ -421,8 +398,6 @@ class _RenderWorker:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
 
     def _inspect(self, number: int, question: Question) -> dict[str, Any]:
-        from clsco.studio.inspector import figures_of, inspected, source_of
-
         known, scene = self._frame_of(number, question), question.scene
         rows, columns = known.frame.color.shape[:2]
         x, y = min(question.x, columns - 1), min(question.y, rows - 1)
@@ -438,10 +413,6 @@ class _RenderWorker:
         return {"x": x, "y": y, "response": figures_of(response, x, y)}
 
     def _frame_of(self, number: int, question: Question) -> _Known:
-        """The frame in question, with all of its ground truth."""
-        from clsco.frame.outputs import ALL_TRUTH
-        from clsco.plan.prepare import prepare
-
         if self._known is None or self._known.asked != question.frame:
             self._check(number)
             self._known = None

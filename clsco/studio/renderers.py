@@ -18,8 +18,6 @@ class Renderers:
     """Two processes, so that previews are not delayed by other renders or compilations, of this tab or another.
 
     The preview process starts after the first exact frame, and then reuses the kernels that were compiled for it.
-
-    device: as for `clsco.render`.
     """
 
     def __init__(self, device: str | None = None) -> None:

@@ -30,15 +30,7 @@ _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm", ".jpg
 
 
 class Addresses:
-    """HTTP handlers of a server behind the guard.
-
-    Parameters
-    ----------
-    jobs : Jobs
-    state : StateFolder
-    session_of : function of str
-        Returns the session of a tab; None if there is no such tab.
-    """
+    """HTTP handlers of a server behind the guard; `session_of` returns the session of a tab, or None."""
 
     def __init__(self, jobs: Jobs, state: StateFolder, session_of: Callable[[str], Document | None]) -> None:
         self._jobs, self._state, self._session_of = jobs, state, session_of
@@ -166,10 +158,7 @@ def _refused(message: str) -> JSONResponse:
 
 
 def small_picture(session: Document, path: str) -> tuple[bytes, str]:
-    """A PNG of at most 160 x 160 px of the texture at the key `path`, and a text with its size and bits.
-
-    Both are empty if the key is not one of a texture. Raises ClscoError.
-    """
+    """A PNG of at most 160 x 160 px of the texture at a key, and a text with its size and bits; else both are empty."""
     name = session.known(path) if path.rpartition(".")[2] in FILE_KEYS and not path.endswith(".depth") else None
     if not isinstance(name, str):
         return b"", ""

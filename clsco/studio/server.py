@@ -37,7 +37,7 @@ from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
 from clsco.studio.presets import choose_method
-from clsco.studio.preview import Preview
+from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
@@ -81,17 +81,7 @@ class Tab:
 
 
 class Studio:
-    """State that all tabs share.
-
-    Parameters
-    ----------
-    root : Path
-        Folder of all files that may be read and written.
-    scene : Path, optional
-        Scene that new tabs begin with.
-    device : str, optional
-        As for `clsco.render`.
-    """
+    """State that all tabs share; new tabs begin with `scene`."""
 
     def __init__(self, root: Path, scene: Path | None = None, device: str | None = None) -> None:
         self.root, self.scene, self.device = root.resolve(), scene, device
@@ -234,25 +224,20 @@ class Studio:
             await preview.tell(error=[f"message: must be JSON of at most {MOST_LEVELS} levels; got something else"])
             return
         try:
-            if isinstance(said, dict):
-                await self._do(tab, preview, pointer, said)
+            match said:  # no part of it is executed as code, and unknown messages are ignored
+                case {"on": int(number)}:
+                    tab.page.hear(number, said.get("value"))
+                case dict() if not (_point(pointer, said) or await _look(tab.session, preview, said)):
+                    await self._change(tab, preview, said)
         except SceneError as error:
             await preview.tell(error=error.messages)
+        except WebSocketDisconnect:  # the tab is closed
+            raise
         except Exception as error:  # a bug: the tab stays open
-            if isinstance(error, WebSocketDisconnect):
-                raise  # the tab is closed
             traceback.print_exc()
             await preview.tell(error=[f"studio: must not fail; got {type(error).__name__}"])
 
-    async def _do(self, tab: Tab, preview: Preview, pointer: Pointer, said: dict[str, Any]) -> None:
-        """Dispatch a message; no part of it is executed as code, and unknown messages are ignored."""
-        if isinstance(number := said.get("on"), int):
-            tab.page.hear(number, said.get("value"))
-        elif not (_point(pointer, said) or await _look(tab.session, preview, said)):
-            await self._change(tab, preview, said)
-
     async def _change(self, tab: Tab, preview: Preview, said: dict[str, Any]) -> None:
-        """Handle a message about the scene."""
         match said:
             case {"path": str(path), "value": value}:
                 drag = said.get("drag")
@@ -280,8 +265,6 @@ class Studio:
                     await preview.tell(resumed=True)
             case {"do": "undo" | "redo" | "reset" as what}:
                 getattr(tab.session, what)()
-            case _:
-                return
 
 
 def _changed_at(path: Path) -> float:
@@ -289,7 +272,6 @@ def _changed_at(path: Path) -> float:
 
 
 def _shown_name(path: Path) -> str:
-    """Name, in the state folder, of the small picture of a scene file as displayed."""
     return f"{SHOWN}{digest_of(path)[:32]}.jpg"
 
 
@@ -299,7 +281,7 @@ def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
         case {"at": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y)
         case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
-            pointer.measure(x, y)
+            pointer.ask(x, y, MEASURE)
         case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
             pointer.focus(x, y, drag)
         case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
@@ -424,25 +406,10 @@ def application(studio: Studio, draw: Draw) -> Starlette:
 
 
 def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str], None], opens_browser: bool) -> None:
-    """Serve the studio until interrupted.
+    """Serve the studio until interrupted; `show` is called with the address.
 
-    Parameters
-    ----------
-    studio : Studio
-    host : str
-        Address to listen on; "" for `own_address`, or for 127.0.0.1 if a port is given.
-    port : int
-        0 for any free port.
-    draw : function
-        `clsco.studio.page.draw`.
-    show : function of str
-        Called with the address.
-    opens_browser : bool
-
-    Raises
-    ------
-    ArgumentError
-        The port is in use.
+    An empty host stands for `own_address`, or for 127.0.0.1 if a port is given; port 0 for any free one. Raises
+    ArgumentError if the port is in use.
     """
     host = host or ("127.0.0.1" if port else own_address())
     listener = listen(host, port)

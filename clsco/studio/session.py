@@ -14,32 +14,19 @@ from clsco.errors import FileError, SceneError
 from clsco.files.atomic import atomic_write_bytes
 from clsco.resources import ExposedFolderError, private_folder, read_regular, temporary_folder
 from clsco.scene.faults import items
-from clsco.scene.file import relocated
+from clsco.scene.file import read_mapping, relocated
 from clsco.scene.texture_keys import is_drawn
+from clsco.studio import store
 from clsco.studio.editing import Editor, State
 from clsco.studio.folder import below
-from clsco.studio.store import (
-    ConflictError,
-    Linked,
-    difference,
-    digest_of,
-    keep,
-    link_of,
-    moved,
-    read_kept,
-    read_scene,
-    scene_text,
-)
+from clsco.studio.store import ConflictError, Linked, moved
 from clsco.studio.tables import Table
 
 __all__ = ["ConflictError", "Document"]
 
 
 class Document(Editor):
-    """A scene that is edited key by key, opened and saved, and shared as a link.
-
-    root: folder of all files that may be read and written; the shipped examples may be read, too.
-    """
+    """A scene that is edited key by key, opened and saved, and shared as a link."""
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
@@ -58,60 +45,46 @@ class Document(Editor):
         return self._saved == (self.path, self.table)
 
     def open(self, path: Path) -> None:
-        """Go to the scene of a file below the root, as an undo step.
+        """Go to the scene of a file below the root, as an undo step. Raises SceneError as `clsco.load_sweep` before
+        that.
 
-        Raises SceneError as `clsco.load_sweep`, or if the file is not below the root, or names a file that is neither
-        below the root nor an example; the state is then unchanged.
+        It may name only files below the root and examples.
         """
         target = self.inside(path)
-        table, digest = read_scene(target)
+        digest = store.digest_of(target)  # before the file is read: if it changes in between, `save` reports a conflict
+        table = read_mapping(str(target), ())
         self.take(self._state_of(table, target))
         self._digests[target] = digest
         self._saved = target, self.table
 
     def save(self, path: Path | None = None, overwrite: bool = False) -> None:
-        """Write the scene to a file below the root; comments in the file are kept.
+        """Write the scene to a .toml or .json file below the root, by default its own; comments in the file are kept.
 
-        Parameters
-        ----------
-        path : Path, optional
-            Ends in .toml or .json; by default the file of the scene.
-        overwrite : bool
-            True to overwrite a file that has other content than this session opened or saved.
-
-        Raises
-        ------
-        ConflictError
-            The file has other content than this session opened or saved, and `overwrite` is False.
-        SceneError
-            There is no name, the file is not below the root, or its name has another extension.
-        FileError
-            The file cannot be written.
+        Raises ConflictError if the file has other content than this session opened or saved, unless `overwrite`;
+        SceneError for a missing or wrong name; FileError.
         """
         target, text, table = self._written(path)
-        if not overwrite and digest_of(target) != self._digests.get(target, ""):
+        if not overwrite and store.digest_of(target) != self._digests.get(target, ""):
             rule = "is on the disk with other content" if target in self._digests else "is there already"
             raise ConflictError(f"{target.name}: {rule}: overwrite it, or save under another name")
         atomic_write_bytes(target, text.encode())
-        self._digests[target] = digest_of(target)
-        self._state = replace(self._state, table=table, path=target)
+        self._digests[target] = store.digest_of(target)
+        self.state = replace(self.state, table=table, path=target)
         self._saved = target, table
         self._tell()
 
     def difference(self, path: Path | None = None) -> str:
         """Changes that `save` would make in a file, as a unified diff. Raises SceneError."""
         target, text, _ = self._written(path)
-        return difference(target, text)
+        return store.difference(target, text)
 
     def share(self) -> str:
         """URL fragment that contains the scene: "#s=..."."""
-        return link_of(self.table, self.folder, self.root)
+        return store.link_of(self.table, self.folder, self.root)
 
     def load_share(self, linked: Linked) -> None:
-        """Go to the scene of a link, as an undo step.
-
-        linked: result of `from_link`; `refused` becomes its missing images. Raises SceneError; the state is then
-        unchanged.
+        """Go to the scene of a link, as an undo step; `refused` becomes its missing images. Raises SceneError before
+        that.
         """
         table, missing = linked
         self.take(self._state_of(table, None), missing)
@@ -127,11 +100,7 @@ class Document(Editor):
         }
 
     def resume(self, linked: Linked, file: str, digest: str) -> None:
-        """Go to a scene that `remembered` described, as an undo step.
-
-        linked: its link, read by `from_link`; file, digest: as remembered. Raises SceneError; the state is then
-        unchanged.
-        """
+        """Go to a scene that `remembered` described, as an undo step. Raises SceneError as `load_share`."""
         table, missing = linked
         target = self.inside(Path(file)) if file else None
         start = target.parent if target is not None else self.root
@@ -141,21 +110,21 @@ class Document(Editor):
 
     def load_table(self, table: Table, start: Path) -> None:
         """Go to a scene whose file names are relative to the folder `start`, as an undo step. Raises SceneError."""
-        state = self._state_of(table, None)
         if start.is_relative_to(self.root):
-            self.take(replace(state, table=moved(table, start, self.root)))
-            return
-        self.take(replace(state, table=relocated(table, lambda _, name: str(start / name))))
+            table = moved(table, start, self.root)
+        else:
+            table = relocated(table, lambda _, name: str(start / name))
+        self.take(self._state_of(table, None))
 
     def keep(self, path: Path) -> None:
         """Save the scene for `recover`, if it has changed since the last call. Raises FileError."""
         if self._kept != self.revision:
-            keep(self.table, self.folder, path)
+            store.keep(self.table, self.folder, path)
             self._kept = self.revision
 
     def recover(self, path: Path) -> None:
         """Go to a scene saved by `keep`, as an undo step. Raises SceneError."""
-        self.load_table(*read_kept(path))
+        self.load_table(*store.read_kept(path))
 
     def inside(self, path: Path) -> Path:
         """The path, resolved against the root, with links followed; raises SceneError if it is not below the root."""
@@ -177,7 +146,7 @@ class Document(Editor):
         if target.suffix.lower() not in (".toml", ".json"):
             raise SceneError(f"{target.name}: a scene file must end in .toml or .json")
         table = moved(self.table, self.folder, target.parent)
-        return target, scene_text(table, target, self.path), table
+        return target, store.scene_text(table, target, self.path), table
 
 
 KEY, KEY_BYTES = "key", 32
@@ -186,16 +155,8 @@ KEY, KEY_BYTES = "key", 32
 class StateFolder:
     """Folder with data for the next studio with the same root: unsaved scenes, pictures and a secret.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of the studio.
-
-    Attributes
-    ----------
-    path : Path
-        `clsco/studio/DIGEST` in XDG_STATE_HOME; if no private folder is possible, a temporary one, which is removed
-        when the studio ends.
+    `path` is `clsco/studio/DIGEST` in XDG_STATE_HOME; if no private folder is possible, a temporary one, which is
+    removed when the studio ends.
     """
 
     def __init__(self, root: Path) -> None:

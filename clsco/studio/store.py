@@ -39,12 +39,6 @@ class ConflictError(ClscoError):
     """A file on the disk has other content than the session last read from it or wrote to it."""
 
 
-def read_scene(path: Path) -> tuple[Table, str]:
-    """Content of a scene file and its digest. Raises SceneError as `clsco.load_scene`."""
-    digest = digest_of(path)  # before the file is read: if it changes in between, `save` reports a conflict
-    return read_mapping(str(path), ()), digest
-
-
 def digest_of(path: Path) -> str:
     """SHA-256 of a scene or an image, hexadecimal; "" if the file is missing, or larger than 1 GiB."""
     try:
@@ -55,13 +49,16 @@ def digest_of(path: Path) -> str:
 
 
 def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
-    """Text of a scene file with the keys that differ from their defaults.
+    """Text of a scene file, .toml or .json, with the keys that differ from their defaults.
 
-    path: ends in .toml or .json; old: previous file of the scene, whose comments, order and keys at their defaults are
-    kept, as far as the scene still has them.
+    The comments, the order and the keys at their defaults of the scene's previous file `old` are kept.
     """
     if path.suffix.lower() == ".json":
-        return json.dumps(_kept(sparse(table), table, _content(old)), indent=2, ensure_ascii=False) + "\n"
+        try:
+            content = read_mapping(str(old), ()) if old is not None else {}
+        except SceneError:  # the old file is missing or no longer valid
+            content = {}
+        return json.dumps(_kept(sparse(table), table, content), indent=2, ensure_ascii=False) + "\n"
     if old is None or old.suffix.lower() != ".toml":
         return toml_text(sparse(table))
     import tomlkit
@@ -78,14 +75,6 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     except (OSError, ValueError, TOMLKitError):  # the old file is missing or no longer valid
         pass
     return toml_text(sparse(table))
-
-
-def _content(path: Path | None) -> Any:
-    """Content of the scene's previous file, {} if it is missing or invalid."""
-    try:
-        return read_mapping(str(path), ()) if path is not None else {}
-    except SceneError:
-        return {}
 
 
 def _kept(fewer: Any, table: Any, old: Any) -> Any:
@@ -159,7 +148,6 @@ def _update(document: Any, table: Mapping[str, Any]) -> None:
 
 
 def _is_array(value: Any) -> bool:
-    """True if a value is an array of tables."""
     return isinstance(value, list) and bool(value) and all(isinstance(item, Mapping) for item in value)
 
 
@@ -200,22 +188,10 @@ def moved(table: Table, start: Path, to: Path) -> Table:
 
 
 def link_of(table: Table, start: Path, root: Path) -> str:
-    """A scene as a URL fragment.
+    """A scene as a URL fragment, with file names relative to `start` in the scene and to `root` in the fragment.
 
-    Parameters
-    ----------
-    table : dict
-        A valid scene.
-    start : Path
-        Base folder of its file names.
-    root : Path
-        Folder of the studio, the base of file names in the link; files elsewhere keep only their names.
-
-    Returns
-    -------
-    str
-        "#s=" and the keys that differ from their defaults as JSON, deflated, in URL-safe base64; with the SHA-256 of
-        each file.
+    It is "#s=" and the keys that differ from their defaults as JSON, deflated, in URL-safe base64; with the SHA-256 of
+    each file. Files outside the root keep only their names.
     """
     files: dict[str, str] = {}
     digest = cache(digest_of)
@@ -234,31 +210,15 @@ def link_of(table: Table, start: Path, root: Path) -> str:
 
 
 def from_link(text: str, places: Iterable[Path]) -> Linked:
-    """The scene of a link.
+    """The scene of a link from `link_of`, with or without "#s=".
 
-    Parameters
-    ----------
-    text : str
-        From `link_of`, with or without "#s=".
-    places : iterable of Path
-        Folders to search for its files: in the first, the studio's, by their paths; in the others, by their names.
+    Files are searched in `places`: in the first, the studio's folder, by their paths, in the others by their names. The
+    table is not validated; a missing image is replaced by the default, and `missing` has its name and message by path
+    of the key. Each file is hashed once, and folders are searched once; call this in a thread, since files may be
+    large.
 
-    Returns
-    -------
-    table : dict
-        Not validated. A missing image is replaced by the default.
-    missing : dict
-        Name and message for each missing image, by path of the key.
-
-    Raises
-    ------
-    SceneError
-        The text is not a link, holds more than 1 MiB, names more than MOST_FILES files or an absolute path, or needs a
-        depth map or an image of the aperture that is missing.
-
-    Notes
-    -----
-    Each file is hashed once, and folders are searched once; call this in a thread, since files may be large.
+    Raises SceneError if the text is not a link, holds more than 1 MiB, names more than MOST_FILES files or an absolute
+    path, or needs a depth map or an image of the aperture that is missing.
     """
     content = _unpacked(text.strip().rpartition(START)[2])
     digests = content.pop("files", {})
@@ -301,7 +261,6 @@ def from_link(text: str, places: Iterable[Path]) -> Linked:
 
 
 def _unpacked(text: str) -> Table:
-    """The JSON content of a link. Raises SceneError."""
     try:
         if len(text) > 2 * LARGEST:
             raise SceneError("link: must hold at most 1 MiB")
@@ -340,24 +299,11 @@ _HEADER = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_-]+)")
 
 
 def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str]) -> str:
-    """The text with the tables of an array in another order, each with its sub-tables and the comments above it.
+    """Valid TOML with the tables of an array in another order, each with its sub-tables and the comments above it.
 
-    Parameters
-    ----------
-    text : str
-        Valid TOML.
-    key : str
-        Key of the array: "object" for [[object]].
-    order : sequence of int or None
-        For each table of the result, its number in the text, counted from 0; None for a new table.
-    new : sequence of str
-        For each table of the result, its text if it is new; other texts are ignored.
-
-    Returns
-    -------
-    str
-        The tables of the array follow each other at the position of the last one. A line inside a string may be
-        mistaken for a header, so compare the parsed content afterwards.
+    `order` has, for each table of the result, its number in the text, counted from 0, or None for a new table, whose
+    text is in `new` at the same place. The tables follow each other at the position of the last one. A line inside a
+    string may be mistaken for a header, so compare the parsed content afterwards.
     """
     parts = _parts(text.splitlines(), key)
     slots = [number for number, (is_table, _) in enumerate(parts) if is_table]
@@ -394,7 +340,6 @@ def _parts(lines: Sequence[str], key: str) -> list[tuple[bool, list[str]]]:
 
 
 def _trimmed(lines: list[str]) -> list[str]:
-    """Lines without trailing blank ones."""
     end = len(lines)
     while end and not lines[end - 1].strip():
         end -= 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 from clsco.errors import SceneError
@@ -11,16 +12,12 @@ from clsco.scene.changes import displace, key_parts, put
 from clsco.scene.file import SECTIONS, swept_keys
 from clsco.scene.groups import Group
 from clsco.scene.shapes import SHAPES
-from clsco.scene.text import brief, key_name
+from clsco.scene.text import brief
 from clsco.scene.texture_keys import Textured
 
 THESIS_TITLES = (
-    "Input Image File",
-    "Select Object Type",
-    "Select Object Properties",
-    "Motion parameters",
-    "Camera Specifications",
-)
+    "Input Image File", "Select Object Type", "Select Object Properties", "Motion parameters", "Camera Specifications",
+)  # fmt: skip
 SHAPE_LABELS = {
     "plane": "Planar", "cylinder": "Cylindrical", "sphere": "Spherical", "cone": "Conical", "ellipsoid": "Elliptical",
     "quadric": "Quadric", "depth_map": "Depth map",
@@ -60,18 +57,12 @@ SYMBOLS = {
     "motion.angular_velocity": "ω", "motion.acceleration": "a", "motion.angular_acceleration": "α",
 }  # fmt: skip
 COMPONENTS = {
-    "resolution": ("columns", "rows"),
-    "band": ("lowest", "highest"),
-    "quantum_efficiency": ("red", "green", "blue"),
-    "size": ("width", "height", "depth"),
-    "texture_size": ("width", "height"),
-    "texture_repeats": ("across", "up"),
-    "texture_offset": ("right", "up"),
-    "semi_axes": ("a", "b", "c"),
-    "quaternion": ("w", "x", "y", "z"),
+    "resolution": ("columns", "rows"), "band": ("lowest", "highest"), "quantum_efficiency": ("red", "green", "blue"),
+    "size": ("width", "height", "depth"), "texture_size": ("width", "height"), "texture_repeats": ("across", "up"),
+    "texture_offset": ("right", "up"), "semi_axes": ("a", "b", "c"), "quaternion": ("w", "x", "y", "z"),
     "bounds": ("x from", "x to", "y from", "y to", "z from", "z to"),
     "coefficients": ("a200", "a020", "a002", "a110", "a011", "a101", "a100", "a010", "a001", "a000"),
-}
+}  # fmt: skip
 SLIDERS = {  # ranges of useful values; typed values may be beyond
     "focal_length": (5.0, 100.0), "aperture_diameter": (0.5, 40.0), "sensor_distance": (20.0, 30.0),
     "normalization_distance": (5.0, 100.0), "focus_distance": (50.0, 1000.0), "f_number": (0.7, 22.0),
@@ -93,23 +84,21 @@ WIDE = 20.0  # ratio of a slider's ends from which on its scale is logarithmic
 OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # after the keys of the thesis
 
 
-def pose_label(path: str) -> str:
-    """Label of a key of a static rotation, "" for other keys: the label "Rotation" is that of a motion."""
-    _, _, key = path.rpartition("rotation")
-    labels = {
-        "": "Pose",
-        ".axis": "Axis of the pose",
-        ".angle": "Angle of the pose",
-        ".quaternion": "Pose as quaternion",
-    }
-    is_pose = path.startswith("object.") and ".rotation" in path and ".keyframe." not in path
-    return labels.get(key, "") if is_pose else ""
+_POSE_LABELS = {  # of a static rotation: the label "Rotation" is that of a motion
+    "rotation": "Pose", "rotation.axis": "Axis of the pose", "rotation.angle": "Angle of the pose",
+    "rotation.quaternion": "Pose as quaternion",
+}  # fmt: skip
 
 
-def keyframe_label(path: str) -> str:
-    """Label of a key of a keyframe, with the keyframe's number from 1; "" for other keys."""
-    number, _, key = path.partition(".keyframe.")[2].partition(".")
-    return f"{words(key)} of keyframe {int(number) + 1}" if key else ""
+def label_of(path: str) -> str:
+    """Label of a key; of a key of a keyframe, with the keyframe's number from 1."""
+    number, _, part = path.partition(".keyframe.")[2].partition(".")
+    if part:
+        return f"{words(part)} of keyframe {int(number) + 1}"
+    kind, _, rest = path.partition(".")
+    of_pose = _POSE_LABELS.get(rest.partition(".")[2]) if kind == "object" else None
+    key = path.rpartition(".")[2]
+    return LABELS_AT.get(path) or of_pose or LABELS.get(key) or words(key)
 
 
 def words(key: Any) -> str:
@@ -125,12 +114,9 @@ DEEPEST = 8  # parts of a path
 LONGEST = 200  # characters of a path
 _ALIKE = {*Textured.model_fields, "name", "motion", "group"}  # keys that an object keeps when its shape changes
 _SEEDS: dict[str, list[Any]] = {  # initial values of vectors without a default, when a component is entered
-    "direction": [0.0, 0.0, 1.0],
-    "bounds": [[-1000.0, 1000.0]] * 3,
-    "position": [0.0, 0.0, 0.0],
-    "origin": [0.0, 0.0, 0.0],
-    "texture_offset": [0.0, 0.0],
-}
+    "direction": [0.0, 0.0, 1.0], "bounds": [[-1000.0, 1000.0]] * 3, "position": [0.0, 0.0, 0.0],
+    "origin": [0.0, 0.0, 0.0], "texture_offset": [0.0, 0.0],
+}  # fmt: skip
 _ALL_ALIKE = ("resolution", "texture_size", "texture_repeats")  # all components start equal to the entered one
 _START: dict[str, Table] = {  # initial keys of shapes without defaults
     "quadric": {"coefficients": [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0], "center": [0.0, 0.0, 280.0]}
@@ -164,9 +150,14 @@ def at(node: Any, parts: Sequence[str]) -> Any:
     return node
 
 
+def as_lists(value: Any) -> Any:
+    """A value with lists instead of tuples, as in a scene file."""
+    return [as_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+
 def with_value(table: Table, parts: list[str], value: Any) -> Table:
     """A copy of the table with a value at `parts`, without keys that contradict it. Raises SceneError."""
-    changed: Table = _copied({key: _shallow(entry) for key, entry in table.items()}, parts)
+    changed: Table = _copied({key: copy(entry) for key, entry in table.items()}, parts)
     displace(changed, ".".join(parts), value)
     if (fault := put(changed, parts, value)) is not None:
         raise SceneError(f"scene: {brief('.'.join(parts))}: {fault}")
@@ -186,32 +177,21 @@ def without(table: Table, parts: list[str]) -> Table:
     return without(changed, outer) if outer and not node and not outer[-1].isdecimal() else changed
 
 
-def _shallow(node: Any) -> Any:
-    return dict(node) if isinstance(node, Mapping) else node
-
-
 def _copied(node: Any, parts: Sequence[str]) -> Any:
     """A copy of the tables and lists along `parts`; other values are shared."""
     if not isinstance(node, dict | list):
         return node
-    copy = node.copy()
+    changed = node.copy()
     if parts and (inner := at(node, parts[:1])) is not None:
         key: Any = int(parts[0]) if isinstance(node, list) else parts[0]
-        copy[key] = _copied(inner, parts[1:])
-    return copy
+        changed[key] = _copied(inner, parts[1:])
+    return changed
 
 
 def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table, dict[str, Table]]:
-    """An object changed to another shape, and the keys of its former shapes, to restore them later.
+    """An object changed to another shape, and the keys of its former shapes, by shape, to restore them later.
 
-    Parameters
-    ----------
-    item : mapping
-        Table of the object.
-    shape : str
-        The new shape; an invalid value is left for validation to reject.
-    kept : mapping
-        Keys of the object's former shapes, by shape.
+    An invalid shape is left for validation to reject.
     """
     own = {key: value for key, value in item.items() if key not in _ALIKE}
     alike = {key: value for key, value in item.items() if key in _ALIKE}
@@ -255,11 +235,6 @@ def placed(error: SceneError) -> dict[str, str]:
     return found
 
 
-def written(place: Sequence[str]) -> str:
-    """A location in a table as in messages: object[0].texture."""
-    return key_name([int(part) if part.isdecimal() else part for part in place])
-
-
 def sparse(table: Mapping[str, Any]) -> Table:
     """The valid table of a scene without the keys that have their defaults.
 
@@ -270,12 +245,9 @@ def sparse(table: Mapping[str, Any]) -> Table:
     found: Table = {}
     for key, value in table.items():
         if key in ("object", "group"):
-            found[key] = [
-                dict(item)
-                if (key, index) in swept
-                else _sparse(SHAPES[item["shape"]] if key == "object" else Group, item)
-                for index, item in enumerate(value)
-            ]
+            models = [SHAPES[item["shape"]] if key == "object" else Group for item in value]
+            items = enumerate(zip(models, value, strict=True))
+            found[key] = [dict(item) if (key, at) in swept else _sparse(model, item) for at, (model, item) in items]
         elif key in SECTIONS:
             if part := dict(value) if (key,) in swept else _sparse(SECTIONS[key], value):
                 found[key] = part
@@ -285,7 +257,6 @@ def sparse(table: Mapping[str, Any]) -> Table:
 
 
 def _sparse(model: Any, table: Mapping[str, Any]) -> Table:
-    """A table without keys that have their defaults."""
     whole, left = model.model_validate(dict(table)), dict(table)
     leaves = [[key] for key in table if key not in ("shape", "name", "motion")]
     leaves += [["motion", key] for key in table.get("motion", ())]

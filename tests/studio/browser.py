@@ -10,7 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.studio.running import Running
 
@@ -35,11 +37,18 @@ DRAG = """async ([path, first, last, steps, rate]) => {
   return { before, times, released, painted: studio.painted.slice(), revision: studio.revision };
 }"""
 
-PIXELS = """() => {
-  const canvas = document.querySelector("#canvas");
-  const { width, height } = canvas;
+PIXELS = """(selector) => {
+  const canvas = document.querySelector(selector), { width, height } = canvas;
   return [width, height, [...canvas.getContext("2d").getImageData(0, 0, width, height).data]];
 }"""
+
+
+def pixels(page: Any, canvas: str = "#canvas") -> NDArray[np.int64]:
+    """Red, green, blue of a canvas, which is opaque."""
+    columns, rows, data = page.evaluate(PIXELS, canvas)
+    codes = np.array(data).reshape(rows, columns, 4)
+    assert (codes[..., 3] == 255).all()
+    return codes[..., :3]
 
 
 @contextmanager
@@ -103,16 +112,16 @@ def rest(page: Any) -> None:
     try:
         page.wait_for_function("window.studio && studio.rung === 2", timeout=60000)
     except Exception as error:
-        state = (
-            "[studio.revision, studio.rung, studio.painted.slice(-4), document.querySelector('#message').textContent]"
-        )
-        raise AssertionError(page.evaluate(state)) from error
+        state = page.evaluate("[studio.revision, studio.rung, studio.painted.slice(-4)]")
+        raise AssertionError(state, page.locator("#message").inner_text()) from error
 
 
 SHAPES = {
     "Planar": "plane", "Cylindrical": "cylinder", "Spherical": "sphere", "Conical": "cone", "Elliptical": "ellipsoid",
 }  # fmt: skip
 SMALL = '[camera]\nresolution = [64, 48]\npixel_pitch = 0.1\n[[object]]\nshape = "plane"\ntexture = "checkerboard"\n'
+BALL = '[[object]]\nname = "ball"\nshape = "sphere"\ncenter = [0.0, 0.0, 250.0]\nradius = 12.0'
+WALL = '[[object]]\nname = "wall"\nshape = "plane"\ndistance = 300.0\ntexture = "checkerboard"'
 
 
 def box(page: Any, path: str) -> Any:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from clsco.studio.session import Document
 from tests.studio.browser import EXAMPLES, end_chromium, opened
 from tests.studio.running import Running, studio
 
@@ -42,6 +43,12 @@ def one_chromium() -> Iterator[None]:
     """All tests of a module use one Chromium, if any."""
     yield
     end_chromium()
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Document:
+    """A session with the scene that a studio begins with."""
+    return Document(tmp_path)
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from clsco.studio import background, server
 from clsco.studio.background import keep_running
 from clsco.studio.jobs import Jobs
 from clsco.studio.server import Studio, Tab
+from tests.studio.test_jobs import until
 
 
 class Reports:
@@ -31,16 +32,10 @@ class Reports:
         self.messages += error
 
 
-async def soon(is_done: Callable[[], bool]) -> None:
-    async with asyncio.timeout(10.0):
-        while not is_done():
-            await asyncio.sleep(0.001)
-
-
 async def run_for(task: Awaitable[None], is_done: Callable[[], bool]) -> None:
     running = asyncio.ensure_future(task)
     try:
-        await soon(is_done)
+        await until(is_done, 10.0)
     finally:
         running.cancel()
 
@@ -102,7 +97,7 @@ def test_a_job_that_raises_has_failed(error: Exception, tmp_path: Path, monkeypa
         jobs = Jobs(tmp_path)
         monkeypatch.setattr(jobs, "_work", work)
         job = jobs.add("a job", ["plan", "scene.toml"], "out")
-        await soon(lambda: not job.is_unfinished)
+        await until(lambda: not job.is_unfinished, 10.0)
         assert (job.status, job.message) == ("failed", f"clsco: must run; got {error or type(error).__name__}")
 
     asyncio.run(run())

@@ -12,18 +12,11 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.files.transfer import encode
-from tests.studio.browser import DRAG, EXAMPLES, PIXELS, rest
+from tests.studio.browser import DRAG, EXAMPLES, pixels, rest
 from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
 SHIPPED, OPENS = ("sphere.toml",), "sphere.toml"
-
-
-def canvas(page: Any) -> NDArray[np.uint8]:
-    columns, rows, data = page.evaluate(PIXELS)
-    found = np.array(data, np.uint8).reshape(rows, columns, 4)
-    assert (found[..., 3] == 255).all()
-    return found[..., :3]
 
 
 def codes(focus: float) -> NDArray[Any]:
@@ -44,7 +37,7 @@ def test_a_drag_of_the_focus_is_quick_and_ends_exactly(page: Any) -> None:
     assert best["median"] <= 50
     assert best["p95"] <= 150
     assert best["exact"] <= 300
-    assert np.array_equal(canvas(page), np.broadcast_to(codes(300.0), (512, 512, 3)))
+    assert np.array_equal(pixels(page), np.broadcast_to(codes(300.0), (512, 512, 3)))
 
 
 def figures(drag: dict[str, Any]) -> dict[str, float]:

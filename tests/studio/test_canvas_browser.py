@@ -12,10 +12,10 @@ from PIL import Image
 
 import clsco
 from clsco.files.transfer import encode
-from tests.studio.browser import PIXELS, open_scene, rest
+from tests.studio.browser import BALL, WALL, open_scene, pixels, rest
 
 pytestmark = pytest.mark.browser
-SCENE = """
+SCENE = f"""
 [camera]
 resolution = [128, 128]
 pixel_pitch = 0.04
@@ -25,21 +25,13 @@ frames = 3
 interval = 0.5
 shutter = 0.4
 
-[[object]]
-name = "ball"
-shape = "sphere"
-center = [0.0, 0.0, 250.0]
-radius = 12.0
+{BALL}
 texture = "bricks"
 
 [object.motion]
 velocity = [8.0, 0.0, 0.0]
 
-[[object]]
-name = "wall"
-shape = "plane"
-distance = 300.0
-texture = "checkerboard"
+{WALL}
 bounds = [[-20.0, 20.0], [-50.0, 50.0], [0.0, 1000.0]]
 
 [[object]]
@@ -54,19 +46,9 @@ FILES, OPENS = {"still.toml": STILL, "moving.toml": SCENE}, "still.toml"
 
 
 @pytest.fixture
-def still(page: Any) -> Any:
-    return page
-
-
-@pytest.fixture
 def moving(page: Any) -> Any:
     open_scene(page, "moving.toml")
     return page
-
-
-def shown(page: Any, canvas: str = "#canvas") -> NDArray[np.int64]:
-    columns, rows, data = page.evaluate(PIXELS.replace("#canvas", canvas))
-    return np.array(data).reshape(rows, columns, 4)[..., :3]
 
 
 def codes(scene: clsco.Scene, index: int = 0) -> NDArray[np.int64]:
@@ -82,7 +64,7 @@ def at(page: Any, column: float, row: float) -> tuple[float, float]:
 def becomes(page: Any, wanted: NDArray[np.int64], most: int = 0) -> None:
     """Wait until this is shown, with codes that are off by `most` or less."""
     for _ in range(100):
-        off = np.abs(shown(page) - wanted).max()
+        off = np.abs(pixels(page) - wanted).max()
         if off <= most:
             return
         page.wait_for_timeout(100)
@@ -112,61 +94,61 @@ def values(page: Any, name: str, count: int = 3) -> list[float]:
 
 
 @pytest.mark.everyday
-def test_an_object_is_dragged_with_the_pointer(still: Any) -> None:
-    before = shown(still)
-    still.keyboard.press("m")
-    assert still.locator("#move").get_attribute("aria-pressed") == "true"
-    drag(still, (64, 64), (84, 54))
+def test_an_object_is_dragged_with_the_pointer(page: Any) -> None:
+    before = pixels(page)
+    page.keyboard.press("m")
+    assert page.locator("#move").get_attribute("aria-pressed") == "true"
+    drag(page, (64, 64), (84, 54))
     step = 0.04 * 250.0 / 20.0  # mm per pixel at the center of the ball, whose front is nearer
     front = (250.0 - 12.0) / 250.0
-    x, y, z = values(still, "object.0.center")
+    x, y, z = values(page, "object.0.center")
     assert (x, y) == pytest.approx((20 * step * front, 10 * step * front), rel=0.03)
     assert z == 250.0
     scene = clsco.parse_scene(STILL).replace("object.0.center", [x, y, z])
-    becomes(still, codes(scene))
+    becomes(page, codes(scene))
     whole = "all => all.map((each) => +(each.dataset.full ?? each.value))"
-    boxes = still.locator("[data-path='object.0.center.0']").evaluate_all(whole)
+    boxes = page.locator("[data-path='object.0.center.0']").evaluate_all(whole)
     assert boxes == [x, x]  # slider and number
-    still.keyboard.press("Control+z")  # the drag was one step
-    becomes(still, before)
-    assert values(still, "object.0.center") == [0.0, 0.0, 250.0]
-    assert still.locator("#undo").is_disabled()
+    page.keyboard.press("Control+z")  # the drag was one step
+    becomes(page, before)
+    assert values(page, "object.0.center") == [0.0, 0.0, 250.0]
+    assert page.locator("#undo").is_disabled()
 
 
-def test_a_drag_is_taken_back_and_goes_along_z_with_shift(still: Any) -> None:
-    still.locator("#move").click()
-    drag(still, (64, 64), (84, 54), escape=True)
-    assert values(still, "object.0.center") == [0.0, 0.0, 250.0]
-    assert still.locator("#undo").is_disabled()
-    still.keyboard.down("Shift")
-    drag(still, (64, 64), (84, 44))
-    still.keyboard.up("Shift")
-    x, y, z = values(still, "object.0.center")
+def test_a_drag_is_taken_back_and_goes_along_z_with_shift(page: Any) -> None:
+    page.locator("#move").click()
+    drag(page, (64, 64), (84, 54), escape=True)
+    assert values(page, "object.0.center") == [0.0, 0.0, 250.0]
+    assert page.locator("#undo").is_disabled()
+    page.keyboard.down("Shift")
+    drag(page, (64, 64), (84, 44))
+    page.keyboard.up("Shift")
+    x, y, z = values(page, "object.0.center")
     assert (x, y) == (0.0, 0.0)
     assert z > 255.0
 
 
 @pytest.mark.everyday
-def test_planes_are_dragged_and_the_background_is_not(still: Any) -> None:
-    still.keyboard.press("m")
-    still.keyboard.down("Shift")
-    drag(still, (64, 100), (64, 60))
-    still.keyboard.up("Shift")
-    still.locator("button", has_text="2 wall").click()
-    still.wait_for_function("studio.values['object.1.distance'] > 305")
-    still.mouse.move(*at(still, 3, 64))
-    still.mouse.down()
-    still.wait_for_function("document.querySelector('#message').textContent.includes('move: there must be an object')")
-    still.mouse.up()
+def test_planes_are_dragged_and_the_background_is_not(page: Any) -> None:
+    page.keyboard.press("m")
+    page.keyboard.down("Shift")
+    drag(page, (64, 100), (64, 60))
+    page.keyboard.up("Shift")
+    page.locator("button", has_text="2 wall").click()
+    page.wait_for_function("studio.values['object.1.distance'] > 305")
+    page.mouse.move(*at(page, 3, 64))
+    page.mouse.down()
+    page.wait_for_function("document.querySelector('#message').textContent.includes('move: there must be an object')")
+    page.mouse.up()
 
 
-def test_the_name_of_what_would_be_moved_is_shown(still: Any) -> None:
-    still.keyboard.press("m")
+def test_the_name_of_what_would_be_moved_is_shown(page: Any) -> None:
+    page.keyboard.press("m")
     for pixel, name in (((64, 64), "ball"), ((64, 110), "wall")):
-        still.mouse.move(*at(still, *pixel), steps=3)
-        still.wait_for_function(f"document.querySelector('#hint').textContent === '{name}'")
-    still.keyboard.press("Escape")
-    assert still.locator("#move").get_attribute("aria-pressed") == "false"
+        page.mouse.move(*at(page, *pixel), steps=3)
+        page.wait_for_function(f"document.querySelector('#hint').textContent === '{name}'")
+    page.keyboard.press("Escape")
+    assert page.locator("#move").get_attribute("aria-pressed") == "false"
 
 
 def test_a_time_sample_is_seen_alone(moving: Any) -> None:
@@ -175,7 +157,7 @@ def test_a_time_sample_is_seen_alone(moving: Any) -> None:
     assert frame.subframes is not None
     ticks = moving.locator("#exposed button")
     assert ticks.count() == len(frame.subframes)
-    whole = shown(moving)
+    whole = pixels(moving)
     assert np.array_equal(whole, codes(scene))
     ticks.last.click()
     alone = encode(frame.subframes[-1], 8, "srgb").astype(int)
@@ -228,21 +210,21 @@ def test_motion_is_shown_as_arrows(moving: Any) -> None:
     moving.wait_for_function(f"({drawn})() > 30", timeout=5000)  # by the next animation frame
 
 
-def test_a_focal_stack_is_looked_through(still: Any) -> None:
-    still.locator("#stack").click()
+def test_a_focal_stack_is_looked_through(page: Any) -> None:
+    page.locator("#stack").click()
     for name, value in (("nearest", "240"), ("farthest", "300"), ("steps", "4")):
-        still.locator(f"#stack-{name}").fill(value)
-    still.locator("#render-stack").click()
-    still.wait_for_function("document.querySelector('#stack-about').textContent === '4 frames'", timeout=30000)
+        page.locator(f"#stack-{name}").fill(value)
+    page.locator("#render-stack").click()
+    page.wait_for_function("document.querySelector('#stack-about').textContent === '4 frames'", timeout=30000)
     for step, distance in ((3, 300.0), (1, 260.0)):
-        still.locator("#step").fill(str(step))
+        page.locator("#step").fill(str(step))
         scene = clsco.parse_scene(STILL).replace("camera.focus_distance", distance)
-        assert np.array_equal(shown(still, "#stacked"), codes(scene))
-        assert f"{distance:g} mm" in still.locator("#step-about").inner_text()
-    still.locator("#refocus").click()
-    still.wait_for_function("studio.values['camera.focus_distance'] === 260")
-    becomes(still, codes(clsco.parse_scene(STILL).replace("camera.focus_distance", 260.0)))
-    assert still.locator("#stacked").is_hidden()
+        assert np.array_equal(pixels(page, "#stacked"), codes(scene))
+        assert f"{distance:g} mm" in page.locator("#step-about").inner_text()
+    page.locator("#refocus").click()
+    page.wait_for_function("studio.values['camera.focus_distance'] === 260")
+    becomes(page, codes(clsco.parse_scene(STILL).replace("camera.focus_distance", 260.0)))
+    assert page.locator("#stacked").is_hidden()
 
 
 def seen(page: Any) -> NDArray[np.uint8]:
@@ -250,48 +232,48 @@ def seen(page: Any) -> NDArray[np.uint8]:
     return np.asarray(Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB"))
 
 
-def test_exposure_and_gamma_are_of_the_view(still: Any) -> None:
-    before, values = shown(still), still.evaluate("studio.values")
-    look = seen(still)
-    still.locator("#shown summary").click()
-    still.locator("#exposure").fill("2")
-    still.locator("#gamma").fill("1.6")
-    assert still.locator("#view-about").inner_text() == "+2 EV, gamma 1.6"
-    still.locator("#shown summary").click()
-    assert "view-filter" in still.evaluate("getComputedStyle(document.querySelector('#canvas')).filter")
-    assert seen(still).astype(int).mean() > 1.3 * look.mean()
-    assert np.array_equal(shown(still), before)
-    assert still.evaluate("studio.values") == values
-    assert still.locator("#undo").is_disabled()
-    still.locator("#shown summary").click()
-    still.locator("#neutral").click()
-    still.locator("#shown summary").click()
-    assert still.evaluate("getComputedStyle(document.querySelector('#canvas')).filter") == "none"
-    assert np.count_nonzero((seen(still) != look).any(axis=-1)) < 10  # corners of the badge are drawn in another layer
+def test_exposure_and_gamma_are_of_the_view(page: Any) -> None:
+    before, values = pixels(page), page.evaluate("studio.values")
+    look = seen(page)
+    page.locator("#shown summary").click()
+    page.locator("#exposure").fill("2")
+    page.locator("#gamma").fill("1.6")
+    assert page.locator("#view-about").inner_text() == "+2 EV, gamma 1.6"
+    page.locator("#shown summary").click()
+    assert "view-filter" in page.evaluate("getComputedStyle(document.querySelector('#canvas')).filter")
+    assert seen(page).astype(int).mean() > 1.3 * look.mean()
+    assert np.array_equal(pixels(page), before)
+    assert page.evaluate("studio.values") == values
+    assert page.locator("#undo").is_disabled()
+    page.locator("#shown summary").click()
+    page.locator("#neutral").click()
+    page.locator("#shown summary").click()
+    assert page.evaluate("getComputedStyle(document.querySelector('#canvas')).filter") == "none"
+    assert np.count_nonzero((seen(page) != look).any(axis=-1)) < 10  # corners of the badge are drawn in another layer
 
 
-def test_the_right_eye_of_a_pair_is_seen(still: Any) -> None:
-    assert still.locator("#eye").is_hidden()
-    still.evaluate("studio.set('stereo.baseline', 4)")
-    still.wait_for_function("!document.querySelector('#eye').hidden")
+def test_the_right_eye_of_a_pair_is_seen(page: Any) -> None:
+    assert page.locator("#eye").is_hidden()
+    page.evaluate("studio.set('stereo.baseline', 4)")
+    page.wait_for_function("!document.querySelector('#eye').hidden")
     scene = clsco.parse_scene(STILL).replace("stereo", {"baseline": 4.0})
     frames = clsco.render(scene, frames=[0], device="pocl")
     left, right = (encode(frame.color, 8, "srgb").astype(int) for frame in frames)
-    becomes(still, left)
-    still.keyboard.press("e")
-    assert still.locator("#eye").get_attribute("aria-pressed") == "true"
-    becomes(still, right)
-    still.keyboard.press("m")
-    drag(still, (46, 64), (56, 64))
-    assert values(still, "object.0.center")[0] == pytest.approx(10 * 0.04 * 238.0 / 20.0, rel=0.03)
-    still.evaluate("studio.set('stereo.baseline', null)")
-    still.wait_for_function("document.querySelector('#eye').hidden")
-    rest(still)
-    assert still.locator("#eye").get_attribute("aria-pressed") == "false"
+    becomes(page, left)
+    page.keyboard.press("e")
+    assert page.locator("#eye").get_attribute("aria-pressed") == "true"
+    becomes(page, right)
+    page.keyboard.press("m")
+    drag(page, (46, 64), (56, 64))
+    assert values(page, "object.0.center")[0] == pytest.approx(10 * 0.04 * 238.0 / 20.0, rel=0.03)
+    page.evaluate("studio.set('stereo.baseline', null)")
+    page.wait_for_function("document.querySelector('#eye').hidden")
+    rest(page)
+    assert page.locator("#eye").get_attribute("aria-pressed") == "false"
 
 
-def test_the_header_says_what_the_picture_takes(still: Any) -> None:
-    passes, time, memory = still.locator("#plan").inner_text().split(", ")
+def test_the_header_says_what_the_picture_takes(page: Any) -> None:
+    passes, time, memory = page.locator("#plan").inner_text().split(", ")
     assert passes.endswith(" passes")
     assert time.endswith(("ms", " s"))
     assert memory.endswith(" MiB")

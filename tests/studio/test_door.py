@@ -29,7 +29,7 @@ from clsco.studio.guard import MOST_WAITING, close_half_open
 from clsco.studio.listener import listen
 from clsco.studio.server import MAX_HEADER
 from tests.studio.browser import chromium, rest
-from tests.studio.running import Running, studio
+from tests.studio.running import Running, studio, until
 
 DEVICE = ()
 
@@ -57,10 +57,7 @@ def test_connections_without_a_header_do_not_keep_others_out(running: Running) -
             held[-1].sendall(b"GET / HTTP/1.1\r\nHost: "[: k % 20])
         with running.client() as client:
             assert client.get("/").status_code == 200
-        end = time.monotonic() + 10.0
-        while handles(running) > before + MOST_WAITING + 8:
-            assert time.monotonic() < end
-            time.sleep(0.1)
+        until(lambda: handles(running) <= before + MOST_WAITING + 8, 10.0)
     finally:
         for each in held:
             each.close()
@@ -76,9 +73,8 @@ def test_connections_send_at_once() -> None:
 def test_a_port_in_use_is_one_message() -> None:
     with listen("127.0.0.1", 0) as listener:
         port = listener.getsockname()[1]
-        with pytest.raises(
-            ArgumentError, match=rf"^port: must be free at 127\.0\.0\.1; got {port} \(Address already in use\)$"
-        ):
+        rule = rf"^port: must be free at 127\.0\.0\.1; got {port} \(Address already in use\)$"
+        with pytest.raises(ArgumentError, match=rule):
             listen("127.0.0.1", port)
 
 
@@ -174,10 +170,7 @@ def waiting_browser(folder: Path) -> tuple[str, Path]:
 
 
 def asked_to_open(said: Path) -> str:
-    end = time.monotonic() + 20
-    while not said.exists():
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    until(said.exists)
     return said.read_text().strip()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,11 +11,6 @@ from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.studio.forms import Field, Panel, field_at, flat, panels
 from clsco.studio.session import Document
-
-
-@pytest.fixture
-def session(tmp_path: Path) -> Document:
-    return Document(tmp_path)
 
 
 def of_shape(session: Document, shape: str) -> dict[str, Panel]:

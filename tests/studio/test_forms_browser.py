@@ -36,9 +36,8 @@ def test_a_link_opens_the_scene(running: Running, root: Path) -> None:
     session.patch("object.0.distance", 333.0)
     with opened(running) as page:
         page.evaluate("link => { location.hash = link; }", session.share())
-        page.wait_for_function(
-            "document.querySelector('input[data-kind=number][data-path=\"object.0.distance\"]').value === '333'"
-        )
+        page.wait_for_function("studio.values['object.0.distance'] === 333")
+        assert box(page, "object.0.distance").input_value() == "333"
         assert page.evaluate("location.hash") == ""
 
 
@@ -166,9 +165,8 @@ def test_a_data_set_is_made_and_survives_a_reload(page: Any) -> None:
         "clsco dataset make mine.toml -o sets/scene --count 18 --shard-size 2 --seed 0 --format webdataset "
         "--device pocl --resume --quiet"
     )
-    page.wait_for_function(
-        "[...document.querySelectorAll('.job img')].filter((image) => image.naturalWidth === 24).length === 12"
-    )
+    loaded = "[...document.querySelectorAll('.job img')].filter((image) => image.naturalWidth === 24)"
+    page.wait_for_function(f"{loaded}.length === 12")
 
 
 def test_each_scene_of_a_sweep_is_shown(page: Any) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,8 +17,7 @@ from clsco.cli.main import main
 from clsco.files.images import read_image, write_png
 from clsco.studio.inpainting import Inpainting
 from clsco.studio.presets import REMOVALS
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from tests.studio.running import until
 
 
 @pytest.fixture
@@ -29,7 +27,7 @@ def inpainting(tmp_path: Path) -> Iterator[Inpainting]:
     opened = Inpainting(tmp_path, "pocl")
     opened.open("small.png")
     yield opened
-    opened.close()
+    opened.filler.close()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
@@ -123,9 +121,7 @@ def test_what_is_being_filled_is_canceled(inpainting: Inpainting) -> None:
     found: list[object] = []
     work = threading.Thread(target=lambda: found.append(inpainting.fill("texture")))
     work.start()
-    until = time.monotonic() + 60.0
-    while not (0.0 < inpainting.filler.share < 1.0) and time.monotonic() < until:
-        time.sleep(0.01)
+    until(lambda: 0.0 < inpainting.filler.share < 1.0, 60.0)
     with pytest.raises(FileError, match="must wait for what is being filled"):
         inpainting.fill("texture")
     inpainting.filler.cancel()
@@ -144,11 +140,8 @@ def test_masks_are_written_and_read(inpainting: Inpainting) -> None:
     inpainting.paint(16, 12, [192])
     inpainting.load_mask("masks/one.png")
     assert np.array_equal(inpainting.mask, mask)
-    for name, rule in (
-        ("../m.png", "below the folder"),
-        ("m.jpg", r"ends in \.png"),
-        ("small.png", "place of the image"),
-    ):
+    rules = {"../m.png": "below the folder", "m.jpg": r"ends in \.png", "small.png": "place of the image"}
+    for name, rule in rules.items():
         with pytest.raises(FileError, match=rule):
             inpainting.save_mask(name)
 

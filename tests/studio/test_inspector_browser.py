@@ -33,15 +33,11 @@ def page(running: Running) -> Iterator[Any]:
 def point_at(page: Any, place: tuple[float, float]) -> tuple[int, int]:
     """Move to a place of the picture, in parts of its sides; gives the pixel."""
     box = page.locator("#canvas").bounding_box()
-    x, y = (
-        round(box[start] + part * box[side])
-        for start, side, part in (("x", "width", place[0]), ("y", "height", place[1]))
-    )
+    x, y = round(box["x"] + place[0] * box["width"]), round(box["y"] + place[1] * box["height"])
     page.mouse.move(x, y)
     column, row = page.evaluate("([x, y]) => studio.viewport.pixelAt(x, y)", [x, y])
-    page.wait_for_function(
-        f"window.latest_inspected?.values.x === {column} && latest_inspected.values.y === {row}", timeout=20000
-    )
+    shown = f"window.latest_inspected?.values.x === {column} && latest_inspected.values.y === {row}"
+    page.wait_for_function(shown, timeout=20000)
     return column, row
 
 
@@ -54,12 +50,8 @@ def test_values_are_those_of_the_files(page: Any, root: Path, tmp_path: Path) ->
         for place in PLACES:
             column, row = point_at(page, place)
             values = page.evaluate("latest_inspected.values")
-            for name, key in (
-                ("depth", "depth"),
-                ("blur_radius", "coc"),
-                ("normal", "normal"),
-                ("object_id", "object_id"),
-            ):
+            names = {"depth": "depth", "blur_radius": "coc", "normal": "normal", "object_id": "object_id"}
+            for name, key in names.items():
                 np.testing.assert_array_equal(np.float32(values[name]), truth[key][row, column], name)
 
 

@@ -12,8 +12,8 @@ import pytest
 import clsco
 from clsco.files.images import read_image
 from clsco.studio.lens import lens_line
-from tests.studio.browser import axe_faults, number, rest
-from tests.studio.test_canvas_browser import STILL, at, codes, shown
+from tests.studio.browser import axe_faults, number, pixels, rest
+from tests.studio.test_canvas_browser import STILL, at, codes
 
 pytestmark = pytest.mark.browser
 FILES, OPENS = {"scene.toml": STILL}, "scene.toml"
@@ -148,7 +148,7 @@ def test_this_picture_is_saved_as_it_is(page: Any, tmp_path: Path) -> None:
         page.locator("#save-picture").click()
     assert waits.value.suggested_filename == "untitled-color-exact_of_these_values.png"
     waits.value.save_as(tmp_path / "picture.png")
-    assert np.array_equal(read_image(tmp_path / "picture.png").data[..., :3], shown(page))
+    assert np.array_equal(read_image(tmp_path / "picture.png").data[..., :3], pixels(page))
 
 
 def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:

@@ -19,21 +19,8 @@ from clsco import ClscoError, load_scene
 from clsco.cli.main import main
 from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.frame.files import TRUTH_FORMATS
-from clsco.studio import generate as generate_module
+from clsco.studio import generate
 from clsco.studio import jobs as jobs_module
-from clsco.studio.generate import (
-    clip_presets,
-    distributions,
-    first_format,
-    free_folder,
-    make_data_set,
-    render_frames,
-    sample_picture,
-    set_formats,
-    shipped_distributions,
-    stack_table,
-    truth_formats,
-)
 from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.presets import load_preset, presets
 from clsco.studio.session import Document
@@ -95,7 +82,7 @@ def written(folder: Path) -> dict[str, bytes]:
 
 def rendered(session: Document, jobs: Jobs, folder: str, *options: str) -> CommandJob:
     async def run() -> CommandJob:
-        render_frames(session, jobs, folder, options)
+        generate.render_frames(session, jobs, folder, options)
         return await finish(jobs, 300.0)
 
     job = asyncio.run(run())
@@ -105,7 +92,7 @@ def rendered(session: Document, jobs: Jobs, folder: str, *options: str) -> Comma
 
 def assert_same_as_the_command(session: Document) -> Jobs:
     """Generate, save, and render what was saved."""
-    jobs, folder = Jobs(session.root), free_folder(session)
+    jobs, folder = Jobs(session.root), generate.free_folder(session)
     job = rendered(session, jobs, folder)
     assert job.done == job.total >= 1
     session.save(Path("saved.toml"), overwrite=True)
@@ -123,11 +110,11 @@ def test_generated_files_are_those_of_the_command(tmp_path: Path) -> None:
     for path, value in {"title": "A; b $(c)", "camera.resolution": [24, 16], "sequence.frames": 2}.items():
         session.patch(path, value)
     session.patch("object.0.motion.velocity.0", 1.0)
-    assert free_folder(session) == "frames/a_b_c"
+    assert generate.free_folder(session) == "frames/a_b_c"
     jobs = assert_same_as_the_command(session)
     assert jobs.listed[0].line == "clsco render frames/a_b_c/scene.toml -o frames/a_b_c"
     assert [path.name for path in jobs.results(jobs.job(1))] == ["frame_0000.png", "frame_0001.png"]
-    assert free_folder(session) == "frames/saved"
+    assert generate.free_folder(session) == "frames/saved"
 
 
 @pytest.mark.slow
@@ -141,7 +128,7 @@ def test_presets_generated_are_those_of_the_command(tmp_path: Path, name: str) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*truth_formats()])
+@pytest.mark.parametrize("name", [*generate.truth_formats()])
 def test_all_formats_of_truth_are_written(tmp_path: Path, name: str) -> None:
     session = Document(tmp_path)
     load_preset(session, {"kitti_disparity": "stereo", "png": "night", "tiff": "night"}.get(name, "sphere_moving"))
@@ -292,7 +279,7 @@ def test_results_are_listed_while_folders_of_unfinished_work_come_and_go(tmp_pat
 def test_nothing_is_written_elsewhere(tmp_path: Path) -> None:
     jobs = Jobs(tmp_path)
     with pytest.raises(ClscoError, match="below the folder of the studio"):
-        render_frames(Document(tmp_path), jobs, "../x")
+        generate.render_frames(Document(tmp_path), jobs, "../x")
     with pytest.raises(ClscoError, match="below the folder of the studio"):
         jobs.add("x", ["render"], "../x")
     assert not jobs.listed
@@ -302,14 +289,14 @@ def test_scenes_that_cannot_be_rendered_are_refused_before_a_job_begins(tmp_path
     session, jobs = Document(tmp_path), Jobs(tmp_path)
     session.patch("object.0.distance", -1.0)
     with pytest.raises(ClscoError, match=r"object\.0\.distance: must be valid before frames"):
-        render_frames(session, jobs, "out")
+        generate.render_frames(session, jobs, "out")
     session.undo()
     session.patch("camera.pixel_pitch", 1e-4)
     session.patch("camera.focus_distance", 30.0)
     with pytest.raises(ClscoError, match="the blur radius must be at most 512 px"):
-        render_frames(session, jobs, "out")
+        generate.render_frames(session, jobs, "out")
     with pytest.raises(ClscoError, match=r"at most 512 px.*\(with focus_distance_30\)"):
-        render_frames(session, jobs, "out", table=stack_table(session, 30.0, 250.0, 3))
+        generate.render_frames(session, jobs, "out", table=generate.stack_table(session, 30.0, 250.0, 3))
     assert not jobs.listed
     assert not (tmp_path / "out").exists()
 
@@ -318,8 +305,8 @@ def test_command_lines(tmp_path: Path, slow: None) -> None:
     (tmp_path / "mine.toml").write_text(DISTRIBUTION)
     (tmp_path / "scene.toml").write_text('[[object]]\nshape = "plane"\n')
     (tmp_path / "broken.toml").write_text("[vary")
-    names = distributions(tmp_path)
-    assert names == ["mine.toml", *shipped_distributions()]
+    names = generate.distributions(tmp_path)
+    assert names == ["mine.toml", *generate.shipped_distributions()]
     session = Document(tmp_path)
     load_preset(session, "depth_map")
     (tmp_path / names[1]).parent.mkdir()
@@ -327,14 +314,14 @@ def test_command_lines(tmp_path: Path, slow: None) -> None:
 
     async def run() -> list[str]:
         jobs = Jobs(tmp_path)
-        render_frames(session, jobs, "-o/x", ["--video", "mp4"])
+        generate.render_frames(session, jobs, "-o/x", ["--video", "mp4"])
         session.patch("object.0.shape", "plane")
-        render_frames(session, jobs, "stack", table=stack_table(session, 200.0, 300.0, 5))
-        make_data_set(session, jobs, "mine.toml", "data", 100, ["--seed", "7"])
+        generate.render_frames(session, jobs, "stack", table=generate.stack_table(session, 200.0, 300.0, 5))
+        generate.make_data_set(session, jobs, "mine.toml", "data", 100, ["--seed", "7"])
         for number, name in enumerate(names[1:3]):
-            make_data_set(session, jobs, name, f"other{number}", 5)
+            generate.make_data_set(session, jobs, name, f"other{number}", 5)
         with pytest.raises(ClscoError, match=r"distribution: must be an existing file; got 'none\.toml'"):
-            make_data_set(session, jobs, "none.toml", "none", 5)
+            generate.make_data_set(session, jobs, "none.toml", "none", 5)
         lines = [job.line for job in reversed(jobs.listed)]
         await jobs.close()
         return lines
@@ -345,7 +332,7 @@ def test_command_lines(tmp_path: Path, slow: None) -> None:
         "clsco dataset make mine.toml -o data --count 100 --shard-size 7 --seed 7 --resume --quiet",
     ]
     assert (tmp_path / names[1]).read_text() == DISTRIBUTION
-    assert (tmp_path / names[2]).read_bytes() == shipped_distributions()[names[2]].read_bytes()
+    assert (tmp_path / names[2]).read_bytes() == generate.shipped_distributions()[names[2]].read_bytes()
     scene = load_scene(tmp_path / "-o/x/scene.toml")  # whose images are found from its folder
     assert all(Path(str(source)).is_file() for item in scene.objects for source in item.inputs().values())
     stack = tomllib.loads((tmp_path / "stack/scene.toml").read_text())
@@ -358,7 +345,7 @@ def test_a_data_set_counts_its_samples_and_goes_on_after_a_cancel(tmp_path: Path
 
     async def run() -> None:
         jobs = Jobs(tmp_path)
-        job = make_data_set(Document(tmp_path), jobs, "d.toml", "data", 40, ["--device", "pocl"])
+        job = generate.make_data_set(Document(tmp_path), jobs, "d.toml", "data", 40, ["--device", "pocl"])
         await until(lambda: job.done > 0, 120.0)
         jobs.cancel(job)
         await finish(jobs)
@@ -370,28 +357,26 @@ def test_a_data_set_counts_its_samples_and_goes_on_after_a_cancel(tmp_path: Path
         assert job.done == job.total
 
     asyncio.run(run())
-    assert sample_picture(tmp_path / "data", 11, 12).startswith(b"\x89PNG")
+    assert generate.sample_picture(tmp_path / "data", 11, 12).startswith(b"\x89PNG")
     result = CliRunner().invoke(main, ["dataset", "verify", str(tmp_path / "data"), "--sample", "2", "--quiet"])
     assert result.exit_code == 0, result.output
 
 
 def test_what_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert set(truth_formats()) >= {"npz", "exr", "flo", "kitti_depth", "colmap"}
-    assert set(clip_presets()) >= {"mp4", "webm", "ffv1-16", "prores-hq"}
-    assert set(truth_formats().values()) == {""}
-    monkeypatch.setattr(generate_module, "find_spec", lambda name: None)
-    assert truth_formats()["exr"] == "needs OpenEXR: pip install 'clsco[exr]'"
-    assert truth_formats()["npz"] == ""
-    assert clip_presets()["mp4"] == "needs av: pip install 'clsco[video]'"
-    assert set_formats()["webdataset"] == "needs imagecodecs: pip install 'clsco[formats]'"
-    assert first_format() == "webdataset+raw"
+    assert set(generate.truth_formats()) >= {"npz", "exr", "flo", "kitti_depth", "colmap"}
+    assert set(generate.clip_presets()) >= {"mp4", "webm", "ffv1-16", "prores-hq"}
+    assert set(generate.truth_formats().values()) == {""}
+    monkeypatch.setattr(generate, "find_spec", lambda name: None)
+    assert generate.truth_formats()["exr"] == "needs OpenEXR: pip install 'clsco[exr]'"
+    assert generate.truth_formats()["npz"] == ""
+    assert generate.clip_presets()["mp4"] == "needs av: pip install 'clsco[video]'"
+    assert generate.set_formats()["webdataset"] == "needs imagecodecs: pip install 'clsco[formats]'"
+    assert generate.first_format() == "webdataset+raw"
 
 
 def test_the_extra_of_the_studio_brings_what_its_forms_offer_first() -> None:
-    assert first_format() == DEFAULT
-    extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"][
-        "optional-dependencies"
-    ]
-    (own,) = (line for line in extras["studio"] if line.startswith("clsco["))
+    assert generate.first_format() == DEFAULT
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    (own,) = (line for line in project["optional-dependencies"]["studio"] if line.startswith("clsco["))
     needed = [CONTAINERS[DEFAULT].needs, TRUTH_FORMATS["exr"].needs, ("av", "video")]
     assert {extra for _, extra in filter(None, needed)} <= set(own[6:-1].split(","))

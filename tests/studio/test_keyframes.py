@@ -61,9 +61,8 @@ def test_a_key_between_others_leaves_the_path_of_positions_as_it_is(
     for time in np.linspace(-0.5, 2.5, 13):
         old, new = pose_at(before, time, rotation), pose_at(after, time, rotation)
         np.testing.assert_allclose(new.shift, old.shift, atol=1e-8)
-    np.testing.assert_allclose(
-        pose_at(after, 0.6, rotation).rotation, pose_at(before, 0.6, rotation).rotation, atol=1e-9
-    )
+    old, new = pose_at(before, 0.6, rotation), pose_at(after, 0.6, rotation)
+    np.testing.assert_allclose(new.rotation, old.rotation, atol=1e-9)
     assert session.undo()
     assert session.scene.objects[0].motion == before
 
@@ -145,7 +144,7 @@ def test_a_time_that_is_refused_stays_at_its_mark(tmp_path: Path) -> None:
     session = session_of(tmp_path)
     session.patch(BALL, CURVE)
     assert not session.patch(f"{BALL}.1.time", 2.5, 7)
-    assert session.fault(f"{BALL}.1.time") or session.fault(f"{BALL}.2.time")
+    assert {f"{BALL}.1.time", f"{BALL}.2.time"} & session.faults.keys()
     assert times(session)[BALL] == (0.0, 2.5, 2.0)
     assert session.patch(f"{BALL}.1.time", 0.5, 7)
     assert times(session)[BALL] == (0.0, 0.5, 2.0)

@@ -11,11 +11,11 @@ import pytest
 
 import clsco
 from clsco.optics.motion import keyframe_at
-from tests.studio.browser import PIXELS, axe_faults, box, number, open_scene, opened, rest, type_in
+from tests.studio.browser import BALL, WALL, axe_faults, box, number, open_scene, opened, pixels, rest, type_in
 from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
-SCENE = """
+SCENE = f"""
 [camera]
 resolution = [96, 72]
 pixel_pitch = 0.06
@@ -24,18 +24,10 @@ pixel_pitch = 0.06
 frames = 2
 interval = 0.5
 
-[[object]]
-name = "ball"
-shape = "sphere"
-center = [0.0, 0.0, 250.0]
-radius = 12.0
+{BALL}
 texture = "#c08040"
 
-[[object]]
-name = "wall"
-shape = "plane"
-distance = 300.0
-texture = "checkerboard"
+{WALL}
 
 [[object.motion.keyframe]]
 time = 0.0
@@ -81,9 +73,7 @@ def table(page: Any) -> Any:
 
 
 def valued(page: Any, path: str, value: float) -> None:
-    page.wait_for_function(
-        "([path, value]) => Math.abs(studio.values[path] - value) < 1e-6", arg=[path, value], timeout=20000
-    )
+    page.wait_for_function(f"Math.abs(studio.values['{path}'] - {value}) < 1e-6", timeout=20000)
 
 
 def test_a_key_is_added_at_the_time_and_removed(page: Any) -> None:
@@ -193,8 +183,7 @@ def test_views_of_a_sensor(page: Any, view: str) -> None:
     """Gray by code, or a color map by electrons: lightness grows with what the frame has."""
     page.get_by_role("tab", name=view, exact=True).click()
     page.wait_for_function(f"studio.view === '{view}' && studio.rung === 2", timeout=60000)
-    wide, high, data = page.evaluate(PIXELS)
-    shown = np.array(data, dtype=float).reshape(high, wide, 4)[..., :3] @ [0.299, 0.587, 0.114]
+    shown = pixels(page) @ [0.299, 0.587, 0.114]
     frame = clsco.render_frame(table(page), truth=("raw", "noise_sigma"))
     plane = frame.arrays()["raw" if view == "raw" else "noise_sigma"].astype(float)
     plane = plane.mean(axis=2) if plane.ndim == 3 else plane

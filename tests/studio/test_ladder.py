@@ -1,10 +1,18 @@
-"""Previews: how small they are, and what they leave out."""
+"""Previews: how small they are, and what they leave out; and the line of what a picture takes."""
 
 from __future__ import annotations
 
-import pytest
+from functools import partial
 
-from clsco.studio.ladder import BUDGET, OCCLUSION, WAYS, Ladder, Ladders, coarser, ways_of, work_of
+import pytest
+from click.testing import CliRunner
+
+import clsco
+from clsco.cli.main import main
+from clsco.engine.probe import measure_frame
+from clsco.plan.prepare import prepare
+from clsco.studio.ladder import BUDGET, OCCLUSION, WAYS, Ladder, Ladders, coarser, plan_line, ways_of, work_of
+from tests.studio.browser import EXAMPLES
 from tests.studio.test_preview import scene
 
 
@@ -89,3 +97,16 @@ def test_coarser_scenes_have_the_same_field_of_view(eighths: int) -> None:
     assert small.psf.silhouette_samples == 1
     assert small.sequence.samples == 3
     assert work_of(full, (64, 48)) == 3 * 64 * 48
+
+
+@pytest.mark.parametrize(("name", "views"), [("sphere", 1), ("stereo", 2)])
+def test_the_line_is_that_of_the_command(name: str, views: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clsco.engine.probe.measure_frame", partial(measure_frame, seconds=0.0))  # the first steps
+    path = EXAMPLES / f"{name}.toml"
+    prepared = prepare(clsco.load_scene(path))
+    passes, time, memory = plan_line(prepared, 0.0414).split(", ")
+    assert passes == "3 passes"
+    assert time == "41 ms"
+    printed = CliRunner().invoke(main, ["plan", str(path)], env={"COLUMNS": "200"}).output
+    (line,) = (line for line in printed.splitlines() if "memory on the device" in line)
+    assert float(memory.removesuffix(" MiB")) == pytest.approx(views * float(line.split("MiB")[0].split()[-1]), abs=0.6)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 import copy
 import json
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,7 @@ from clsco.studio.preview import Preview
 from clsco.studio.server import Studio, Tab, _tell
 from clsco.studio.session import Document
 from tests.studio.test_preview import Renderer
+from tests.studio.test_store import linked
 
 GOOD: tuple[dict[str, Any], ...] = (
     {"ack": [1, 2]}, {"path": "object.0.distance", "value": 300.0, "drag": 3}, {"hidden": False},
@@ -64,24 +63,13 @@ def spoiled(message: Any) -> Iterator[Any]:
 
 
 RAW = [
-    "",
-    "{",
-    "[" * 30000,
-    '{"path":' * 5000,
-    "[]",
-    "1",
-    "null",
-    '"x"',
-    '{"path": "title", "value": "\\ud800"}',
-    "\ufeff{}",
-    "NaN",
-]
+    "", "{", "[" * 30000, '{"path":' * 5000, "[]", "1", "null", '"x"', '{"path": "title", "value": "\\ud800"}',
+    "\ufeff{}", "NaN",
+]  # fmt: skip
 
 
 def link_of(content: Any) -> str:
-    pressed = zlib.compressobj(9, zlib.DEFLATED, -15)
-    data = pressed.compress(json.dumps(content).encode()) + pressed.flush()
-    return "#s=" + base64.urlsafe_b64encode(data).decode().rstrip("=")
+    return linked(json.dumps(content).encode())
 
 
 NAMES = ("x" * 5000, "a/" * 2500, "\0", "*", "..", "/", "a/..", "**/*", "\ud800", "", ".")

@@ -66,32 +66,25 @@ def test_planes_move_by_their_distance(tmp_path: Path) -> None:
     assert moved[28, 25] == pytest.approx(depth[30, 20], rel=1e-6)
 
 
-def test_a_camera_that_turned_moves_things_along_its_own_axes(tmp_path: Path) -> None:
-    camera = {"motion": {"angular_velocity": [0.0, 8.0, 4.0], "velocity": [0.0, 0.0, 10.0]}}
-    session = session_of(tmp_path, ROUND[0], camera=camera, sequence={"frames": 3, "interval": 1.0})
+TURNED = {
+    "camera": {"motion": {"angular_velocity": [0.0, 8.0, 4.0], "velocity": [0.0, 0.0, 10.0]}},
+    "sequence": {"frames": 3, "interval": 1.0},
+}
+PAIR = {"stereo": {"baseline": 8.0, "toe_in": 6.0}}
+
+
+@pytest.mark.parametrize(("sections", "index", "eye"), [(TURNED, 2, "left"), (PAIR, 0, "left"), (PAIR, 0, "right")])
+def test_a_camera_that_turned_and_each_eye_move_things_along_their_own_axes(
+    tmp_path: Path, sections: dict[str, Any], index: int, eye: Eye
+) -> None:
+    session = session_of(tmp_path, ROUND[0], **sections)
 
     def seen() -> Any:
-        pose = poses_at(session.scene, middle_time(session.scene.sequence, 2))[0]
+        pose = poses_at(session.scene, middle_time(session.scene.sequence, index), eye)[0]
         return rest_center(session.scene.objects[0]) + pose.shift
 
     before = seen()
-    held = grip(session, 2, 0, float(before[2]))
-    session.patch(held.path, held.value(session.scene.camera, 4.0, 6.0, False))
-    row, column = project(session.scene.camera, np.stack([before, seen()]))
-    assert column[1] - column[0] == pytest.approx(4.0, abs=1e-3)
-    assert row[1] - row[0] == pytest.approx(6.0, abs=1e-3)
-
-
-@pytest.mark.parametrize("eye", ["left", "right"])
-def test_each_eye_moves_things_along_its_own_axes(tmp_path: Path, eye: Eye) -> None:
-    session = session_of(tmp_path, ROUND[0], stereo={"baseline": 8.0, "toe_in": 6.0})
-
-    def seen() -> Any:
-        pose = poses_at(session.scene, 0.0, eye)[0]
-        return rest_center(session.scene.objects[0]) + pose.shift
-
-    before = seen()
-    held = grip(session, 0, 0, float(before[2]), eye)
+    held = grip(session, index, 0, float(before[2]), eye)
     session.patch(held.path, held.value(session.scene.camera, 4.0, 6.0, False))
     row, column = project(session.scene.camera, np.stack([before, seen()]))
     assert column[1] - column[0] == pytest.approx(4.0, abs=1e-3)

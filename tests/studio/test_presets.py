@@ -16,11 +16,6 @@ from clsco.studio.session import Document
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Document:
-    return Document(tmp_path)
-
-
 def bare(scene: Scene) -> dict[str, Any]:
     """Content of a scene, with names of files in place of their paths."""
     content = scene.model_dump()

@@ -115,11 +115,19 @@ def played(play: Play, **renderer: Any) -> tuple[Session, Renderer, Browser]:
     return fast_forward.run(run())
 
 
-def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
-    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        await asyncio.sleep(2 * REST)
+async def rests(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+    await asyncio.sleep(3 * REST)
 
-    _, renders, browser = played(play)
+
+class Answers(list[dict[str, Any]]):
+    """Reports of pixels."""
+
+    async def add(self, answer: dict[str, Any]) -> None:
+        self.append(answer)
+
+
+def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
+    _, renders, browser = played(rests)
     assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT)]
     assert [job.rung for job in renders.jobs] == [DRAGGING, EXACT]
     assert len(renders.warmed) == 1  # afterwards
@@ -244,15 +252,12 @@ def test_pixels_are_told_of_when_the_exact_frame_is_there() -> None:
 
 
 def test_a_response_is_measured_after_all_else_and_again_after_a_change() -> None:
-    found: list[dict[str, Any]] = []
+    found = Answers()
 
     async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        async def told(answer: dict[str, Any]) -> None:
-            found.append(answer)
-
         await asyncio.sleep(2 * REST)
         renders.seconds = 0.05
-        preview.inspect(3, 2, told, MEASURE)
+        preview.inspect(3, 2, found.add, MEASURE)
         await asyncio.sleep(0.02)
         session.step()
         preview.changed()
@@ -318,24 +323,21 @@ def test_what_takes_long_says_how_far_it_is_and_is_left_when_it_is_canceled() ->
 
 
 def test_a_cancel_of_nothing_changes_nothing() -> None:
-    found: list[dict[str, Any]] = []
+    found = Answers()
 
     async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        async def told(answer: dict[str, Any]) -> None:
-            found.append(answer)
-
         await asyncio.sleep(2 * REST)
         preview.stop()
-        preview.inspect(1, 1, told)
+        preview.inspect(1, 1, found.add)
         await asyncio.sleep(0.05)
         renders.seconds = 0.2
-        preview.inspect(2, 2, told)
+        preview.inspect(2, 2, found.add)
         await asyncio.sleep(0.05)
         renders.faults = [CanceledError("canceled")]
         preview.stop()
         await asyncio.sleep(0.3)
         renders.seconds = 0.001
-        preview.inspect(3, 3, told)
+        preview.inspect(3, 3, found.add)
         await asyncio.sleep(0.05)
 
     _, renders, _ = played(play)
@@ -344,24 +346,18 @@ def test_a_cancel_of_nothing_changes_nothing() -> None:
 
 
 def test_a_fault_of_the_scene_is_told_once() -> None:
-    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        await asyncio.sleep(2 * REST)
-
-    _, renders, browser = played(play, faults=[SceneError("scene: must fit; got none")])
+    _, renders, browser = played(rests, faults=[SceneError("scene: must fit; got none")])
     assert browser.said == [{"error": ["scene: must fit; got none"]}]
     assert len(renders.jobs) == 1
 
 
 def test_a_renderer_that_ends_is_asked_again_but_not_for_ever() -> None:
-    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        await asyncio.sleep(3 * REST)
-
-    _, renders, browser = played(play, faults=[RendererEndedError("ended")])
+    _, renders, browser = played(rests, faults=[RendererEndedError("ended")])
     assert browser.said == [{"error": ["ended"]}]
     assert browser.got[-1] == (0, EXACT)
-    _, renders, browser = played(play, faults=[RendererEndedError("ended") for _ in range(9)])
+    _, renders, browser = played(rests, faults=[RendererEndedError("ended") for _ in range(9)])
     assert len(renders.jobs) == 3
-    _, _, browser = played(play, ends=[RendererEndedError("ended")])  # when nobody waits for it
+    _, _, browser = played(rests, ends=[RendererEndedError("ended")])  # when nobody waits for it
     assert browser.said == [{"error": ["ended"]}]
-    _, _, browser = played(play, ends=[SceneError("scene: must fit; got none")])  # which pictures report
+    _, _, browser = played(rests, ends=[SceneError("scene: must fit; got none")])  # which pictures report
     assert browser.said == []

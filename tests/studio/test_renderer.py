@@ -1,4 +1,4 @@
-"""The renderer's process: its pictures are those of `clsco.render`, and its end is no end of the studio."""
+"""The renderers' processes: their pictures are those of `clsco.render`, and their end is no end of the studio."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import re
 import signal
 from collections.abc import AsyncIterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, get_args
 
@@ -38,14 +38,8 @@ from clsco.studio.pictures import (
     ViewPicture,
 )
 from clsco.studio.preview import Preview
-from clsco.studio.renderer import (
-    PictureJob,
-    Question,
-    RendererEndedError,
-    RendererProcess,
-    RenderProgress,
-    _RenderWorker,
-)
+from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RendererProcess, RenderProgress
+from clsco.studio.renderers import Renderers
 from tests.studio.test_preview import Browser, Session
 
 
@@ -82,7 +76,7 @@ class Pipe:
 @pytest.mark.parametrize("error", [MemoryError(), DeviceError("device: must go on; got -4", short_of_memory=True)])
 def test_a_want_of_memory_is_told_with_the_number(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     pipe = Pipe()
-    worker = _RenderWorker(pipe, "pocl")  # type: ignore[arg-type]
+    worker = renderer_module._RenderWorker(pipe, "pocl")  # type: ignore[arg-type]
 
     def short(*_: Any) -> None:
         raise error
@@ -91,9 +85,8 @@ def test_a_want_of_memory_is_told_with_the_number(error: Exception, monkeypatch:
     worker.answer("render", 3, PictureJob(small(), 0, "color", EXACT))
     ((number, said),) = pipe.said
     assert number == 3
-    assert re.fullmatch(
-        r"memory: must be about \d+ MiB for this frame, beside its arrays; got \d+ MiB", said.messages[0]
-    )
+    rule = r"memory: must be about \d+ MiB for this frame, beside its arrays; got \d+ MiB"
+    assert re.fullmatch(rule, said.messages[0])
 
 
 async def all_of(pictures: AsyncIterator[ViewPicture]) -> list[ViewPicture]:
@@ -102,18 +95,9 @@ async def all_of(pictures: AsyncIterator[ViewPicture]) -> list[ViewPicture]:
 
 def test_the_renderer_from_its_start_to_its_crash() -> None:
     async def run() -> None:
-        renderer = RendererProcess("pocl")
-        try:
-            await rungs(renderer)
-            await views(renderer)
-            await eyes(renderer)
-            await pixels(renderer)
-            await faults(renderer)
-            await progress(renderer)
-            await previews(renderer)
-            await crash(renderer)
-        finally:
-            renderer.close()
+        with closing(RendererProcess("pocl")) as renderer:
+            for part in (rungs, views, eyes, pixels, faults, progress, previews, crash):
+                await part(renderer)
 
     asyncio.run(run())
 
@@ -243,9 +227,8 @@ async def previews(renderer: RendererProcess) -> None:
 async def crash(renderer: RendererProcess) -> None:
     before = renderer.pid
     assert before is not None
-    waiting = asyncio.ensure_future(
-        all_of(renderer.pictures(PictureJob(small().replace("camera.resolution", [1024, 1024]), 0, "color", EXACT)))
-    )
+    large = small().replace("camera.resolution", [1024, 1024])
+    waiting = asyncio.ensure_future(all_of(renderer.pictures(PictureJob(large, 0, "color", EXACT))))
     await asyncio.sleep(0.05)
     os.kill(before, signal.SIGKILL)
     with pytest.raises(RendererEndedError, match="signal 9"):
@@ -277,3 +260,52 @@ def test_a_process_that_is_stopped_is_given_up(monkeypatch: pytest.MonkeyPatch) 
             renderer.close()  # and does not wait for ever
 
     asyncio.run(play())
+
+
+def test_previews_come_while_a_frame_is_rendered() -> None:
+    async def run() -> None:
+        renderers = Renderers("pocl")
+        try:
+            await all_of(renderers.pictures(PictureJob(several(), 0, "color", EXACT)))
+            await renderers.warm(several())
+            assert renderers._rehearsal is not None
+            await renderers._rehearsal
+            long = several().replace("sequence.samples", 4000).replace("camera.resolution", [512, 512])
+            exact = asyncio.ensure_future(all_of(renderers.pictures(PictureJob(long, 0, "color", EXACT))))
+            await asyncio.sleep(0.2)
+            (coarse,) = await all_of(renderers.pictures(PictureJob(several(), 0, "color", DRAGGING)))
+            assert (coarse.rung, coarse.full) == (DRAGGING, (48, 40))
+            assert not exact.done()
+            exact.cancel()
+            (other,) = await all_of(renderers.pictures(PictureJob(small(), 0, "color", DRAGGING)))  # by the first
+            assert other.full == (48, 40)
+        finally:
+            renderers.close()
+
+    asyncio.run(run())
+
+
+def test_every_kind_is_rehearsed_the_latest_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[tuple[str, int]] = []
+
+    async def rehearse(job: PictureJob) -> None:
+        await asyncio.sleep(0)
+        done.append(("rehearsed", len(job.scene.objects)))
+
+    async def warm(scene: Scene) -> None:
+        done.append(("warmed", len(scene.objects)))
+
+    async def run() -> None:
+        renderers = Renderers("pocl")
+        monkeypatch.setattr(renderers._quick, "rehearse", rehearse)
+        monkeypatch.setattr(renderers._main, "warm", warm)
+        one, two = small(), several()
+        three = two.model_copy(update={"objects": (*two.objects, one.objects[0])})
+        for scene in (one, two, three):
+            await renderers.warm(scene)
+        assert renderers._rehearsal is not None
+        await renderers._rehearsal
+
+    asyncio.run(run())
+    counts = [len(several().objects) + 1, len(several().objects), 1]
+    assert done == [(what, count) for count in counts for what in ("rehearsed", "warmed")]

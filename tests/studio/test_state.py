@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import stat
 from collections.abc import Callable
@@ -14,7 +13,6 @@ import pytest
 
 pytest.importorskip("starlette", reason="needs the extra studio")
 
-import httpx
 from starlette.applications import Starlette
 
 from clsco import SceneError
@@ -26,6 +24,7 @@ from clsco.studio.routes import Addresses
 from clsco.studio.server import Studio, Tab
 from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of
+from tests.studio.test_routes import Client
 
 NAMES = ("kept", "kept_one.json", "key")
 
@@ -33,17 +32,13 @@ NAMES = ("kept", "kept_one.json", "key")
 def plant(place: Path, how: str, outside: Path) -> None:
     """Something in place of each file that a studio has."""
     for name in NAMES:
-        match how:
-            case "link":
-                (place / name).symlink_to(outside / name)
-            case "dangling":
-                (place / name).symlink_to(outside / "none" / name)
-            case "zero":
-                (place / name).symlink_to("/dev/zero")
-            case "pipe":
-                os.mkfifo(place / name)
-            case "folder":
-                (place / name).mkdir()
+        links = {"link": outside / name, "dangling": outside / "none" / name, "zero": Path("/dev/zero")}
+        if how in links:
+            (place / name).symlink_to(links[how])
+        elif how == "pipe":
+            os.mkfifo(place / name)
+        else:
+            (place / name).mkdir()
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -102,14 +97,10 @@ def test_scenes_that_were_shown_have_pictures(tmp_path: Path, monkeypatch: pytes
     (kept,) = studio.kept_scenes()
     assert studio.picture_of(kept) == "scene-picture?name=kept_one.jpg"
     assert studio.state.read("kept_one.jpg", 100) == b"kept"
-    app = Starlette(routes=Addresses(studio.jobs, studio.state, lambda _: None).routes())
-
-    async def answers() -> list[bytes]:
-        names = ("kept_one.jpg", "key", "kept_one.json", "../kept_one.jpg", "kept_two.jpg")
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://studio") as client:
-            return [(await client.get("/scene-picture", params={"name": name})).content for name in names]
-
-    assert asyncio.run(answers()) == [b"kept", *[b"no such picture"] * 4]
+    client = Client(Starlette(routes=Addresses(studio.jobs, studio.state, lambda _: None).routes()))
+    names = ("kept_one.jpg", "key", "kept_one.json", "../kept_one.jpg", "kept_two.jpg")
+    answers = [client.get("/scene-picture", params={"name": name}).content for name in names]
+    assert answers == [b"kept", *[b"no such picture"] * 4]
 
 
 def test_the_state_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

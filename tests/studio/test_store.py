@@ -292,7 +292,7 @@ def test_a_link_asks_for_images_that_are_not_there(session: Document, elsewhere:
     other.load_share(from_link(link, other.readable))
     assert other.scene.objects[1].texture == "bricks"
     assert other.refused == {"object.1.texture": "a.png"}
-    assert "needs the file a.png" in other.fault("object.1.texture")
+    assert "needs the file a.png" in other.faults["object.1.texture"]
     shutil.copy(EXAMPLES / "damaged.png", other.root / "a.png")  # another image of this name
     other.load_share(from_link(link, other.readable))
     assert other.refused

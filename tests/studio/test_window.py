@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from tests.studio.browser import SMALL, axe_faults, number, open_scene, opened, rest, type_in
-from tests.studio.running import Running
+from tests.studio.running import Running, until
 
 pytestmark = pytest.mark.browser
 FILES = {
@@ -19,7 +19,6 @@ FILES = {
     "many.toml": SMALL.replace("[[object]]", "[sequence]\nframes = 3000\n[[object]]"),
 }
 SHIPPED = ("sphere.toml",)
-SCENE = "fetch(`scene?tab=${studio.tab}`).then((answer) => answer.text())"
 FOCUSED = """() => {
   const element = document.activeElement, style = getComputedStyle(element);
   const part = ["dialog", "header", "#panels", "#lens-strip", "#middle", "#side"].find((each) => element.closest(each));
@@ -90,10 +89,7 @@ def save_as(dialog: Any, name: str) -> None:
 
 def becomes(path: Path, text: str) -> None:
     """Wait until a file has a text."""
-    end = time.monotonic() + 20.0
-    while not path.is_file() or text not in path.read_text():
-        assert time.monotonic() < end, path
-        time.sleep(0.02)
+    until(lambda: path.is_file() and text in path.read_text())
 
 
 def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root: Path) -> None:

@@ -160,11 +160,8 @@ const drawn = () => {
     const [a, b] = [path[0], path[path.length - 1]];
     outline(context, tool === "lasso" ? path : [a, [b[0], a[1]], b, [a[0], b[1]]]);
   } else if (pointer !== null && tool === "brush") {
-    const radius = Number(part("size").value) / 2, corners = [];
-    for (let k = 0; k < 48; k += 1) {
-      corners.push([pointer[0] + radius * Math.cos((k * Math.PI) / 24), pointer[1] + radius * Math.sin((k * Math.PI) / 24)]);
-    }
-    outline(context, corners);
+    const radius = Number(part("size").value) / 2, [x, y] = pointer, turns = Array.from({ length: 48 }, (_, k) => (k * Math.PI) / 24);
+    outline(context, turns.map((turn) => [x + radius * Math.cos(turn), y + radius * Math.sin(turn)]));
   }
 };
 

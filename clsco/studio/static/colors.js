@@ -42,13 +42,17 @@ const each = (width, height, color) => {
 
 const nothing = (x, y) => ((x + y) % 8 < 2 ? [90, 90, 90] : [40, 40, 40]); // hatched
 
+const bright = (unit, about) => (values, width, height) => { // the brighter, the more; of colors the green
+  const [least, most] = extremes(values), channels = values.length / (width * height), span = (LEVELS - 1) / (most - least || 1);
+  const data = each(width, height, (at, x, y) => {
+    const value = values[channels * at + (channels > 1 ? 1 : 0)];
+    return Number.isFinite(value) ? VIRIDIS[Math.round((value - least) * span)] : nothing(x, y);
+  });
+  return { data, legend: { least: `${short(least)} ${unit}`, most: `${short(most)} ${unit}`, about, color: viridis } };
+};
+
 const VIEWS = {
-  depth: (values, width, height) => {
-    const [least, most] = extremes(values), span = (LEVELS - 1) / (most - least || 1);
-    const data = each(width, height, (at, x, y) => (Number.isFinite(values[at])
-      ? VIRIDIS[Math.round((values[at] - least) * span)] : nothing(x, y)));
-    return { data, legend: { least: `${short(least)} mm`, most: `${short(most)} mm`, about: "depth Z; hatched: nothing there", color: viridis } };
-  },
+  depth: bright("mm", "depth Z; hatched: nothing there"),
   "blur radius": (values, width, height) => {
     const [least, most] = extremes(values), size = Math.max(Math.abs(least), Math.abs(most), 0.5), half = (LEVELS - 1) / 2;
     const inFocus = (at) => Math.abs(values[at]) < 0.5;
@@ -91,12 +95,7 @@ const VIEWS = {
     const data = each(width, height, (at) => [code(at, 0), code(at, 1), code(at, 2)]);
     return { data, legend: { least: `${least} DN`, most: `${most} DN`, about: "codes of the sensor; of a mosaic one for each pixel", color: gray } };
   },
-  noise: (values, width, height) => {
-    const [least, most] = extremes(values), channels = values.length / (width * height), span = (LEVELS - 1) / (most - least || 1);
-    const data = each(width, height, (at) => VIRIDIS[Math.round((values[channels * at + (channels > 1 ? 1 : 0)] - least) * span)]);
-    const about = "standard deviation of the noise, in color that of green";
-    return { data, legend: { least: `${short(least)} e−`, most: `${short(most)} e−`, about, color: viridis } };
-  },
+  noise: bright("e−", "standard deviation of the noise, in color that of green"),
 };
 
 export const colored = (view, values, width, height) => VIEWS[view](values, width, height);

@@ -1,7 +1,7 @@
 // Comparing what is shown with a pinned frame: of before or as the thesis.
 
 import { RUNG } from "./protocol.js";
-import { on, one, studio } from "./shared.js";
+import { MARK, made, on, one, studio, written } from "./shared.js";
 
 const WHAT = { [RUNG.EXACT]: "pinned frame", [RUNG.PINNED]: "as the thesis" };
 
@@ -19,8 +19,7 @@ studio.pinned = (image, { full, rung, revision, view }) => {
 };
 
 const keep = (source, rung, revision, view, width = source.width, height = source.height) => {
-  const image = document.createElement("canvas");
-  [image.width, image.height] = [width, height];
+  const image = made("canvas", { width, height });
   image.getContext("2d")?.drawImage(source, 0, 0);
   pinned = { image, what: WHAT[rung], revision, view };
   choose(mode === "off" ? "wipe" : mode);
@@ -52,19 +51,15 @@ const compare = () => {
     badge.textContent = !fits ? `${of}: of another view or size` : waits ? `${about}: once it is exact` : about;
     return;
   }
-  draw(over, image);
-  wipe(over);
+  lay(over, image);
   badge.textContent = factor ? `${about}: ${difference(canvas, over, factor)}` : about;
 };
 
-const wipe = (over) => {
+const lay = (over, image) => { // over the picture, as far as the wipe leaves it
+  if (over.width !== image.width) over.width = image.width;
+  if (over.height !== image.height) over.height = image.height;
+  over.getContext("2d").drawImage(image, 0, 0);
   over.style.clipPath = mode === "wipe" && !flipped ? `inset(0 0 0 ${one("#wipe").value}%)` : "";
-};
-
-const draw = (over, { width, height }) => {
-  if (over.width !== width) over.width = width;
-  if (over.height !== height) over.height = height;
-  over.getContext("2d").drawImage(pinned?.image, 0, 0);
 };
 
 const difference = (canvas, over, factor) => { // shown in place of the pinned frame; gives it in words
@@ -96,11 +91,7 @@ studio.overlays.push((context, place) => { // the line of the wipe, and what is 
   context.font = "12px system-ui, sans-serif";
   for (const [text, align, at] of /** @type {[string, CanvasTextAlign, number][]} */ ([["now", "right", x - 8], [pinned?.what ?? "", "left", x + 8]])) {
     context.textAlign = align;
-    context.lineWidth = 4;
-    context.strokeStyle = "#141517";
-    context.strokeText(text, at, height - 44);
-    context.fillStyle = "#ffd24d";
-    context.fillText(text, at, height - 44);
+    written(context, MARK, text, at, height - 44);
   }
 });
 

@@ -1,10 +1,10 @@
 // Handles of the object that is outlined: one in its middle moves it at its depth, one above that along z.
 
-import { one, studio } from "./shared.js";
+import { one, stroked, studio, written } from "./shared.js";
 
 const REACH = 13; // px from the middle of a handle within which the pointer takes hold of it
 const ARM = 36; // px between the two
-const EDGE = "#141517", COLOR = "#9fd4ff";
+const COLOR = "#9fd4ff";
 /** @typedef {[number, number]} Point */
 
 /** @typedef {{ middle: Point, on: Point }} Grip */
@@ -50,9 +50,7 @@ studio.dropped = ([across, down]) => { // the object is let go there, px of the 
 };
 
 const drawn = (context, [x, y], arms) => { // a ring with arrows in it
-  for (const [width, color] of /** @type {[number, string][]} */ ([[5, EDGE], [2, COLOR]])) {
-    [context.lineWidth, context.strokeStyle] = [width, color];
-    context.beginPath();
+  stroked(context, COLOR, [5, 2], () => {
     context.arc(x, y, REACH - 3, 0, 2 * Math.PI);
     for (const [dx, dy] of arms) {
       context.moveTo(x, y);
@@ -61,8 +59,7 @@ const drawn = (context, [x, y], arms) => { // a ring with arrows in it
       context.lineTo(x + 7 * dx, y + 7 * dy);
       context.lineTo(x + 4 * dx + 3 * dy, y + 4 * dy + 3 * dx);
     }
-    context.stroke();
-  }
+  });
 };
 
 studio.overlays.push((context) => {
@@ -71,11 +68,7 @@ studio.overlays.push((context) => {
   drawn(context, found.across, [[1, 0], [-1, 0], [0, 1], [0, -1]]);
   drawn(context, found.along, [[0, 1], [0, -1]]);
   context.font = "11px sans-serif";
-  for (const [width, color] of /** @type {[number, string][]} */ ([[3, EDGE], [0, COLOR]])) {
-    [context.lineWidth, context.strokeStyle, context.fillStyle] = [width, color, color];
-    if (width) context.strokeText("z", found.along[0] + REACH, found.along[1] + 4);
-    else context.fillText("z", found.along[0] + REACH, found.along[1] + 4);
-  }
+  written(context, COLOR, "z", found.along[0] + REACH, found.along[1] + 4, 3);
 });
 
 studio.parts.push(() => {

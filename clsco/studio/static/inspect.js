@@ -1,6 +1,6 @@
 // What is known of the pixel under the cursor, and how the light of its source spreads.
 
-import { one, studio } from "./shared.js";
+import { made, one, studio } from "./shared.js";
 
 const SOON = 0.1, REST = 150; // s up to which a response is measured unasked; ms of rest before that
 const PLOTTED = 32; // px from the middle of a plot to its border
@@ -31,18 +31,15 @@ const ROWS = [
   ["noise_sigma", "Standard deviation of the noise", "e−"], ["saturated", "Saturated", ""],
 ];
 
+const row = (label, ...texts) => made("tr", {}, made("th", { scope: "row" }, label), ...texts.map((text) => made("td", {}, text)));
+
 const inspected = ({ values, psf, lens, unmeasured, seconds }) => {
   asked = false;
   studio.done();
   one("#pixel").textContent = `x ${values.x}, y ${values.y}`;
-  const table = one("#values");
-  table.replaceChildren(...ROWS.filter(([name]) => name in values).map(([name, label, unit]) => {
-    const row = document.createElement("tr"), head = document.createElement("th"), cell = document.createElement("td");
-    head.textContent = label;
-    head.scope = "row";
-    cell.textContent = typeof values[name] === "boolean" ? (values[name] ? "yes" : "no") : `${number(values[name])}${unit && ` ${unit}`}`;
-    row.append(head, cell);
-    return row;
+  one("#values").replaceChildren(...ROWS.filter(([name]) => name in values).map(([name, label, unit]) => {
+    const text = typeof values[name] === "boolean" ? (values[name] ? "yes" : "no") : `${number(values[name])}${unit && ` ${unit}`}`;
+    return row(label, text);
   }));
   shownAt = [values.x, values.y];
   model = psf;
@@ -102,16 +99,7 @@ const spread = () => {
   plot(one("#response"), response, side);
   one("#psf-side").textContent = `${side} × ${side} px about the source, each as bright as its largest weight`;
   const rows = [["Sum", "sum"], ["Centroid, px", "centroid"], ["RMS per axis, px", "rms"], ["Largest weight", "largest"]];
-  one("#psf-values").replaceChildren(...rows.map(([label, name]) => {
-    const row = document.createElement("tr");
-    [label, rounded(weights[name]), response === null ? "–" : rounded(response[name])].forEach((text, at) => {
-      const cell = document.createElement(at ? "td" : "th");
-      if (!at) cell.scope = "row";
-      cell.textContent = text;
-      row.append(cell);
-    });
-    return row;
-  }));
+  one("#psf-values").replaceChildren(...rows.map(([label, name]) => row(label, rounded(weights[name]), rounded(response?.[name]))));
   const half = rounded(Math.abs(model.radius) / 2);
   one("#psf-about").textContent = `R ${number(model.radius)} px at Z ${number(depth)} mm; of a wide disc RMS is |R| / 2 = ${half} px`;
 };
@@ -193,7 +181,7 @@ const pointer = () => {
     studio.take("");
   });
 };
-studio.rested = () => ask();
+studio.rested = ask;
 
 studio.extra = (event) => {
   if (event.key === "f" || event.key === "F") studio.take("focus");

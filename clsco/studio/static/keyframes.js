@@ -1,7 +1,7 @@
 // Keyframes as marks on lines of time: sliders of the keys' times, one upon the other, so that a mark is dragged, stepped
 // and taken back as all that has an attribute data-path.
 
-import { all, one, studio } from "./shared.js";
+import { all, made, one, studio, toggles } from "./shared.js";
 
 const MARK = 14; // px, the width of a mark
 const NAMES = 200; // tracks that can be chosen
@@ -46,18 +46,14 @@ const draw = () => {
 };
 
 const lane = (track, number) => {
-  const name = document.createElement("span"), line = document.createElement("div");
-  name.textContent = name.title = track.name;
-  line.className = "lane";
-  line.dataset.track = track.path;
-  line.append(...track.times.map((time, key) => {
-    const input = document.createElement("input");
-    Object.assign(input, { type: "range", disabled: time === null });
+  const line = made("div", { className: "lane" }, ...track.times.map((time, key) => {
+    const input = made("input", { type: "range", disabled: time === null });
     Object.assign(input.dataset, { path: `${track.path}.${key}.time`, track: number, number: key });
     input.setAttribute("aria-label", `Time of keyframe ${key + 1} of ${track.name}`);
     return input;
   }));
-  return [name, line];
+  line.dataset.track = track.path;
+  return [made("span", { title: track.name }, track.name), line];
 };
 
 const mark = (path) => one(`#lanes [data-path="${CSS.escape(path)}"]`);
@@ -168,9 +164,5 @@ studio.parts.push(() => {
     const time = event.key === "Enter" ? typed() : null;
     if (time !== null) studio.seekTime(time);
   });
-  one("#keyframes").addEventListener("click", () => {
-    const part = one("#keyframes-part");
-    part.hidden = !part.hidden;
-    one("#keyframes").setAttribute("aria-pressed", String(!part.hidden));
-  });
+  toggles("#keyframes", "#keyframes-part");
 });

@@ -23,6 +23,40 @@ export const on = (kind, handle, options) => {
   document.addEventListener(kind, (event) => { handle(event, event.target); }, options);
 };
 
+/** A new element. @type {(tag: string, properties?: object, ...content: (Node | string)[]) => any} */
+export const made = (tag, properties = {}, ...content) => {
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...content);
+  return element;
+};
+
+/** Has a button show and hide a part of the page. */
+export const toggles = (button, part, hidden = () => {}) => one(button).addEventListener("click", () => {
+  one(part).hidden = !one(part).hidden;
+  one(button).setAttribute("aria-pressed", String(!one(part).hidden));
+  if (one(part).hidden) hidden();
+});
+
+const EDGE = "#141517"; // about what is drawn over the picture, so that it is seen on light and dark
+export const MARK = "#ffd24d";
+
+/** Strokes a path in a color, with an edge; both widths in px. */
+export const stroked = (context, color, [edge, width], trace) => {
+  for (const [wide, style] of [[edge, EDGE], [width, color]]) {
+    [context.lineWidth, context.strokeStyle] = [wide, style];
+    context.beginPath();
+    trace();
+    context.stroke();
+  }
+};
+
+/** Writes a text in a color, with an edge. */
+export const written = (context, color, text, x, y, edge = 4) => {
+  [context.lineWidth, context.strokeStyle, context.fillStyle] = [edge, EDGE, color];
+  context.strokeText(text, x, y);
+  context.fillText(text, x, y);
+};
+
 /** Gives an element its text; one that has it is not laid out again. */
 export const reword = (element, text) => { if (element.textContent !== text) element.textContent = text; };
 

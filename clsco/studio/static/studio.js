@@ -384,9 +384,7 @@ const valued = (values) => {
 };
 
 let failing = 0;
-const fail = (messages) => {
-  notify(messages.join("\n"), false);
-};
+const fail = (messages) => notify(messages.join("\n"), false);
 const notify = (text, isGood) => { // above all, dialogs too
   const place = one("#message");
   place.textContent = text;
@@ -394,13 +392,8 @@ const notify = (text, isGood) => { // above all, dialogs too
   place.hidden = false;
   place.showPopover();
   clearTimeout(failing);
-  failing = setTimeout(hush, isGood ? 5000 : 12000);
+  failing = setTimeout(() => { place.hidden = true; place.hidePopover(); }, isGood ? 5000 : 12000);
 };
-const hush = () => {
-  one("#message").hidden = true;
-  one("#message").hidePopover();
-};
-
 Object.assign(studio, { fail, notify });
 
 const CLICKS = { // what a click on an element with such an attribute does

@@ -1,6 +1,6 @@
 // The time line: frames, the time samples of each, playing; and the focal stack, which is a line of focus distances.
 
-import { all, one, studio } from "./shared.js";
+import { all, made, one, studio, toggles } from "./shared.js";
 
 const KEPT = 256 * 2 ** 20; // bytes of frames that are kept for playing, and of a focal stack
 const digits = (value) => Number(value.toPrecision(6));
@@ -65,11 +65,9 @@ const exposure = ({ times, shutter, arrows }) => {
   one("#exposure-about").textContent = `${times.length} time sample${times.length === 1 ? "" : "s"}, shutter open `
     + `${digits(shutter[1] - shutter[0])} of ${digits(interval)} s`;
   ticks.replaceChildren(...times.map((time, number) => {
-    const tick = document.createElement("button");
-    tick.type = "button";
+    const tick = made("button", { type: "button", title: `Time sample ${number + 1} alone, t = ${digits(time)} s` });
     tick.dataset.time = time;
     tick.style.left = share(time);
-    tick.title = `Time sample ${number + 1} alone, t = ${digits(time)} s`;
     tick.setAttribute("aria-label", tick.title);
     tick.setAttribute("aria-pressed", "false");
     return tick;
@@ -190,11 +188,6 @@ studio.parts.push(() => {
   one("#step").addEventListener("input", turn);
   one("#render-stack").addEventListener("click", begin);
   one("#refocus").addEventListener("click", () => studio.set("camera.focus_distance", digits(distances[Number(one("#step").value)])));
-  one("#stack").addEventListener("click", () => {
-    const row = one("#stack-row");
-    row.hidden = !row.hidden;
-    one("#stack").setAttribute("aria-pressed", String(!row.hidden));
-    if (row.hidden) forget();
-  });
+  toggles("#stack", "#stack-row", forget);
   line();
 });

@@ -1,7 +1,6 @@
 // What the pointer does in the picture besides moving it, and how the picture is shown: nothing here changes its codes.
 
-import { all, on, one, studio } from "./shared.js";
-
+import { MARK, all, on, one, stroked, studio, written } from "./shared.js";
 
 // ---- tools ------------------------------------------------------------------------------------------------------
 studio.take = (name) => { // a tool; the same once more, or "", puts it away
@@ -151,18 +150,14 @@ studio.overlays.push((context, place) => {
     const moves = Math.hypot(to[0] - from[0], to[1] - from[1]) > 1;
     return [...(moves ? across(from, to) : []), ...(nearer ? along(to, nearer > 0) : [])];
   });
-  for (const [width, color] of /** @type {[number, string][]} */ ([[6, "#141517"], [2.5, "#ffd24d"]])) { // the first is its edge, on light and dark
-    [context.lineWidth, context.strokeStyle] = [width, color];
-    context.beginPath();
+  stroked(context, MARK, [6, 2.5], () => {
     for (const line of lines) line.forEach(([left, top], at) => { if (at) context.lineTo(left, top); else context.moveTo(left, top); });
-    context.stroke();
-  }
+  });
   studio.arrows.forEach(([, , x, y, nearer]) => {
     if (!nearer) return;
     const text = `${Number(Math.abs(nearer).toPrecision(3))} mm ${nearer > 0 ? "nearer" : "away"}`, [left, top] = place(x, y);
-    [context.font, context.lineWidth, context.strokeStyle, context.fillStyle] = ["12px sans-serif", 4, "#141517", "#ffd24d"];
-    context.strokeText(text, left + 2 * RING, top + 4);
-    context.fillText(text, left + 2 * RING, top + 4);
+    context.font = "12px sans-serif";
+    written(context, MARK, text, left + 2 * RING, top + 4);
   });
 });
 

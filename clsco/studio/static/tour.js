@@ -1,6 +1,6 @@
 // A tour of two minutes: what is where, one part of the page after the other, with something to try.
 
-import { on, one, studio } from "./shared.js";
+import { all, made, on, one, studio } from "./shared.js";
 
 /** @type {[string, string][]} */
 const STEPS = [ // a part of the page, and words
@@ -21,13 +21,7 @@ let at = -1;
 /** @type {HTMLDialogElement | null} */
 let dialog = null;
 
-const button = (text, pressed) => {
-  const found = document.createElement("button");
-  found.type = "button";
-  found.textContent = text;
-  found.addEventListener("click", pressed);
-  return found;
-};
+const button = (text, onclick, id = "") => made("button", { type: "button", id, onclick }, text);
 
 const place = (box) => { // below the part or above it, wherever there is room; beside the whole of a tall one
   if (dialog === null) return;
@@ -40,7 +34,7 @@ const place = (box) => { // below the part or above it, wherever there is room; 
 };
 
 const show = (step) => {
-  for (const marked of document.querySelectorAll("[data-toured]")) marked.removeAttribute("data-toured");
+  for (const marked of all("[data-toured]")) marked.removeAttribute("data-toured");
   if (step < 0 || step >= STEPS.length) { dialog?.close(); return; }
   at = step;
   const [selector, text] = STEPS[step], part = one(selector);
@@ -54,15 +48,14 @@ const show = (step) => {
   place(part.getBoundingClientRect());
 };
 
-const made = () => {
-  const found = document.createElement("dialog"), words = document.createElement("p"), row = document.createElement("div");
-  [found.id, words.id, row.className] = ["tour", "tour-words", "row"];
-  found.setAttribute("aria-label", "Tour");
+/** @returns {HTMLDialogElement} */
+const drawn = () => {
+  const words = made("p", { id: "tour-words" }), next = button("Next", () => show(at + 1), "tour-next");
   words.setAttribute("aria-live", "polite");
-  const count = document.createElement("span"), back = button("Back", () => show(at - 1)), next = button("Next", () => show(at + 1));
-  [count.id, count.className, back.id, next.id, next.className] = ["tour-at", "spread", "tour-back", "tour-next", "primary"];
-  row.append(count, back, next, button("Close", () => show(-1)));
-  found.append(words, row);
+  next.className = "primary";
+  const count = made("span", { id: "tour-at", className: "spread" }), back = button("Back", () => show(at - 1), "tour-back");
+  const found = made("dialog", { id: "tour" }, words, made("div", { className: "row" }, count, back, next, button("Close", () => show(-1))));
+  found.setAttribute("aria-label", "Tour");
   found.addEventListener("close", () => { one("#studio").classList.remove("open", "sided"); show(-1); });
   one("#studio").append(found);
   return found;
@@ -72,7 +65,7 @@ studio.parts.push(() => {
   const keys = one("#keys");
   keys.append(button("Tour of the studio", () => {
     keys.close();
-    dialog ??= made();
+    dialog ??= drawn();
     if (!dialog.open) dialog.show(); // not as a modal: what is shown can be tried
     show(0);
     one("#tour-next").focus();

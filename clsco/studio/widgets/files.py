@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,17 +18,33 @@ from clsco.studio.widgets.html import Dialog, button, notify, page, say, text_bo
 
 
 class Tile(NamedTuple):
-    """A scene to choose: its name, and the address of its picture, or ""."""
+    """A scene to choose: its name, the address of its picture, or "", and a function that goes to the scene."""
 
     name: str
     picture: str
+    choose: Callable[[], object]
 
 
-def draw_tiles(groups: Mapping[str, list[Tile]], chosen: Callable[[str, int], object], search: str) -> None:
-    """Draw scenes as pictures in groups, with a search box that filters them by words in their names or groups.
+def _tile_dialog(title: str, search: str, groups: Callable[[], Mapping[str, list[Tile]]]) -> Callable[[], None]:
+    """A dialog with scenes by heading, "" for none; returns a function that opens it with the scenes of that time."""
+    dialog = Dialog(title, wide=True)
 
-    groups: scenes by heading, "" for none; chosen: called with the group and the number of a scene in it.
-    """
+    def show() -> None:
+        with dialog.filled():
+            if tiles := groups():
+                _draw_tiles(tiles, dialog, search)
+        dialog.open()
+
+    return show
+
+
+def _draw_tiles(groups: Mapping[str, list[Tile]], dialog: Dialog, search: str) -> None:
+    """Draw scenes as pictures, with a search box that filters them by words in their names or groups."""
+
+    def chosen(tile: Tile, _: object) -> None:
+        tile.choose()
+        dialog.close()
+
     with say("label", class_="box"):
         say("span", search)
         say("input", type="search", autocomplete="off", data_search="")
@@ -38,9 +53,8 @@ def draw_tiles(groups: Mapping[str, list[Tile]], chosen: Callable[[str, int], ob
             if heading:
                 say("h3", heading)
             with say("ul", class_="names tiles"):
-                for number, tile in enumerate(tiles):
-                    pressed = partial(chosen, heading, number)
-                    with say("li"), say("button", type="button", title=tile.name, click=lambda _, do=pressed: do()):
+                for tile in tiles:
+                    with say("li"), say("button", type="button", title=tile.name, click=partial(chosen, tile)):
                         if tile.picture:
                             say("img", src=tile.picture, alt="", loading="lazy")
                         else:
@@ -51,47 +65,31 @@ def draw_tiles(groups: Mapping[str, list[Tile]], chosen: Callable[[str, int], ob
 
 def open_dialog(session: Document, studio: Studio) -> Callable[[], None]:
     """A dialog with the scenes of the studio's folder; returns a function that opens it."""
-    dialog = Dialog("Open a scene", wide=True)
+    root = session.root
 
-    def show() -> None:
-        names = listed(session.root, SCENES)
+    def tiles() -> dict[str, list[Tile]]:
+        names = listed(root, SCENES)
+        if not names:
+            say("p", f"There is no scene in {root.name}.")
+            return {}
+        return {"": [Tile(name, studio.picture_of(root / name), partial(session.open, Path(name))) for name in names]}
 
-        def chosen(_: str, number: int) -> None:
-            session.open(Path(names[number]))
-            dialog.close()
-
-        with dialog.filled():
-            if names:
-                tiles = [Tile(name, studio.picture_of(session.root / name)) for name in names]
-                draw_tiles({"": tiles}, chosen, f"Search the scenes in {session.root.name}")
-            else:
-                say("p", f"There is no scene in {session.root.name}.")
-        dialog.open()
-
-    return show
+    return _tile_dialog("Open a scene", f"Search the scenes in {root.name}", tiles)
 
 
 def recover_dialog(session: Document, studio: Studio) -> Callable[[], None]:
     """A dialog with unsaved scenes of former studios; returns a function that opens it."""
-    dialog = Dialog("Recover a scene that was not saved", wide=True)
 
-    def show() -> None:
-        kept = studio.kept_scenes()
+    def tile(path: Path) -> Tile:
+        return Tile(_kept_name(path), studio.picture_of(path), partial(session.recover, path))
 
-        def chosen(_: str, number: int) -> None:
-            session.recover(kept[number])
-            dialog.close()
+    def tiles() -> dict[str, list[Tile]]:
+        return {"": [tile(path) for path in studio.kept_scenes()]}
 
-        with dialog.filled():
-            tiles = [Tile(_kept_name(path), studio.picture_of(path)) for path in kept]
-            draw_tiles({"": tiles}, chosen, "Search by title or time")
-        dialog.open()
-
-    return show
+    return _tile_dialog("Recover a scene that was not saved", "Search by title or time", tiles)
 
 
 def _kept_name(path: Path) -> str:
-    """Title of a recoverable scene, with its time."""
     try:
         title = str(read_kept(path)[0].get("title") or "untitled")
     except (SceneError, AttributeError):
@@ -100,10 +98,7 @@ def _kept_name(path: Path) -> str:
 
 
 def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A dialog to save under a name.
-
-    Returns two functions: one saves at once if the scene has a file, and otherwise asks for a name; one always asks.
-    """
+    """A dialog to save under a name; returns functions that save, at once if the scene has a file, or always ask."""
     dialog = Dialog("Save the scene")
     typed = {"name": ""}
 
@@ -117,21 +112,19 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
         notify(f"Saved {session.path.name}")
         dialog.close()
 
-    def conflict(path: Path | None, message: str) -> None:
+    def conflict(path: Path | None, message: str = "") -> None:
+        """Show the message, or without one the difference, and the choices."""
         with dialog.filled():
-            say("p", message, role="alert")
+            if message:
+                say("p", message, role="alert")
+            else:
+                say("pre", session.difference(path) or "There is none.", class_="difference")
             with say("div", class_="row"):
                 button("Overwrite", partial(save, path, True))
                 button("Save under another name", ask)
-                button("Show the difference", partial(difference, path))
+                if message:
+                    button("Show the difference", partial(conflict, path))
         dialog.open()
-
-    def difference(path: Path | None) -> None:
-        with dialog.filled():
-            say("pre", session.difference(path) or "There is none.", class_="difference")
-            with say("div", class_="row"):
-                button("Overwrite", partial(save, path, True))
-                button("Save under another name", ask)
 
     def ask() -> None:
         known = session.path.relative_to(session.root).as_posix() if session.path is not None else "scene.toml"
@@ -182,17 +175,8 @@ def share_dialog(session: Document) -> Callable[[], None]:
 
 def preset_dialog(session: Document) -> Callable[[], None]:
     """A dialog with the examples and the figures of the thesis; returns a function that opens it."""
-    dialog = Dialog("Presets", wide=True)
-    groups = {heading: list(each) for heading, each in groupby(presets(), lambda preset: preset.group)}
-
-    def chosen(heading: str, number: int) -> None:
-        load_preset(session, groups[heading][number].name)
-        dialog.close()
-
-    def show() -> None:
-        with dialog.filled():
-            tiles = {heading: [Tile(each.title, each.picture) for each in found] for heading, found in groups.items()}
-            draw_tiles(tiles, chosen, "Search examples and figures")
-        dialog.open()
-
-    return show
+    groups: dict[str, list[Tile]] = {}
+    for each in presets():
+        tile = Tile(each.title, each.picture, partial(load_preset, session, each.name))
+        groups.setdefault(each.group, []).append(tile)
+    return _tile_dialog("Presets", "Search examples and figures", lambda: groups)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import itertools
 import secrets
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -22,19 +22,8 @@ _PAGE: ContextVar[Page] = ContextVar("page")  # being drawn, or whose event is h
 class Page:
     """A page in a browser: its HTML, the handlers of its elements, and queued messages.
 
-    Parameters
-    ----------
-    address : str
-        URL of the page.
-    told : function
-        Called when messages are queued.
-
-    Attributes
-    ----------
-    key : str
-        Distinguishes the page from pages loaded earlier.
-    endings : list of functions
-        Called when the page is closed.
+    `told` is called when messages are queued, the functions `endings` when the page is closed. `key` distinguishes the
+    page from pages loaded earlier.
     """
 
     def __init__(self, address: str = "", told: Callable[[], object] = lambda: None) -> None:
@@ -106,8 +95,8 @@ class Element:
 def say(tag: str, text: str = "", **attributes: Any) -> Element:
     """Write an element with an escaped text.
 
-    In attribute names `_` becomes `-`, and is removed at the end; attributes that are None or False are omitted. An
-    attribute named after an event of `EVENTS` is a handler, called with the element's value.
+    In attribute names `_` becomes `-`, and is removed at the end; attributes that are None or False are omitted. One
+    named after an event of `EVENTS` is a handler, called with the element's value.
     """
     out, words = page().out, ""
     for name, value in attributes.items():
@@ -123,16 +112,11 @@ def say(tag: str, text: str = "", **attributes: Any) -> Element:
 
 
 class PagePart:
-    """A part of a page, drawn where it is created, and again when it is refreshed.
+    """A part of a page, drawn where it is created, and again when it is refreshed, or when its `key` has `changed`."""
 
-    Parameters
-    ----------
-    draw : function, optional
-        Draws its content; by default empty, until it is filled.
-    """
-
-    def __init__(self, draw: Callable[[], object] = lambda: None) -> None:
+    def __init__(self, draw: Callable[[], object] = lambda: None, key: Callable[[], object] = lambda: None) -> None:
         self._page, self._draw, self._html = page(), draw, ""
+        self._key, self._drawn_key = key, key()
         self._number = next(self._page.numbers)
         self._first = self._last = 0  # numbers of its elements
 
@@ -146,6 +130,12 @@ class PagePart:
         """Draw the part again."""
         with self.filled():
             self._draw()
+
+    def changed(self) -> None:
+        """Draw the part again if its key has changed."""
+        if (key := self._key()) != self._drawn_key:
+            self._drawn_key = key
+            self.refresh()
 
     @contextmanager
     def filled(self) -> Iterator[None]:
@@ -200,39 +190,31 @@ def text_box(label: str, value: str, typed: Callable[[str], object], **attribute
 
 def check_box(label: str, is_on: bool, changed: Callable[[bool], object], **attributes: Any) -> None:
     """A labeled check box; `changed` is called with its new state."""
+    check(label, checked=is_on, change=lambda on: changed(bool(on)), **attributes)
+
+
+def check(label: str, type: str = "checkbox", **attributes: Any) -> None:  # noqa: A002 - as in HTML
+    """A labeled check box or radio button."""
     with say("label", class_="check"):
-        say("input", type="checkbox", checked=is_on, change=lambda on: changed(bool(on)), **attributes)
+        say("input", type=type, **attributes)
         say("span", label)
 
 
 def choice(
-    label: str,
-    options: Mapping[str, str] | Sequence[str],
-    value: str,
-    chosen: Callable[[str], object],
-    missing: Mapping[str, str] | None = None,
+    label: str, options: Mapping[str, str], value: str, chosen: Callable[[str], object], missing: Mapping[str, str]
 ) -> None:
-    """A labeled list of options; `chosen` is called with the selected value.
-
-    options: labels by value, or values that are their own labels; missing: by value, the reason why it cannot be
-    selected, "" for none.
-    """
-    named = options if isinstance(options, Mapping) else {option: option for option in options}
-    needs = missing or {}
+    """A labeled list of options, by value; `missing` has the reasons why some of them cannot be `chosen`."""
     with say("label", class_="box"):
         say("span", label)
         with say("select", change=lambda option: chosen(str(option))):
-            for option, text in named.items():
-                lacks = needs.get(option, "")
+            for option, text in options.items():
+                lacks = missing.get(option, "")
                 shown = f"{text} ({lacks})" if lacks else text
                 say("option", shown, value=option, selected=option == value, disabled=bool(lacks))
 
 
 class Dialog:
-    """A native dialog of the browser, which keeps the focus inside, and closes with Esc.
-
-    draw: draws its initial content; filled: `PagePart.filled` of its content.
-    """
+    """A native dialog of the browser, which keeps the focus inside, and closes with Esc."""
 
     def __init__(self, title: str, draw: Callable[[], object] = lambda: None, wide: bool = False) -> None:
         self._page = page()
@@ -255,15 +237,7 @@ class Dialog:
 
 
 def number(field: Field, value: Any) -> None:
-    """Draw a number field: its label, a slider if it has one, a box and its unit, and a place for its message.
-
-    Parameters
-    ----------
-    field : Field
-        Field of a number.
-    value
-        Value to show; None for an empty box.
-    """
+    """Draw a number field: its label, a slider if it has one, its box and unit, and a place for its message."""
     with say("div", class_="live"):
         box = f"box-{field.path}"
         say("label", field.name, for_=box)

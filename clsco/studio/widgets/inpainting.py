@@ -12,7 +12,7 @@ from clsco.studio.folder import IMAGES, listed
 from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
-from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, notify, page, say, text_box, tried
+from clsco.studio.widgets.html import Dialog, PagePart, button, check, check_box, notify, page, say, text_box, tried
 
 _TOOLS = {
     "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
@@ -47,15 +47,13 @@ class _Dialog:
         """Call a function of `static/brush.js`."""
         self.page.tell(brush=call)
 
-    def open(self, name: str) -> None:
-        self.inpainting.open(name)
-        self._loaded()
+    def open(self, name: object) -> None:
+        self.inpainting.open(str(name))
+        self._brush("load")
+        self.results.refresh()
 
     def open_removal(self, name: str) -> None:
         self.inpainting.open_removal(name)
-        self._loaded()
-
-    def _loaded(self) -> None:
         self._brush("load")
         self.results.refresh()
 
@@ -72,15 +70,12 @@ class _Dialog:
         names = self.inpainting.save(self.typed["folder"])
         notify(f"Wrote {', '.join(names)} to {self.typed['folder']}")
 
-    def chosen(self) -> list[str]:
-        return [method for method, is_on in self.wanted.items() if is_on]
-
     def fill(self) -> None:
         self.filling = asyncio.create_task(self._fill())
 
     async def _fill(self) -> None:
         self.results.refresh()
-        for method in self.chosen():
+        for method in [method for method, is_on in self.wanted.items() if is_on]:
             self.running = (method, time.monotonic())
             self.progress.refresh()
             filled = asyncio.create_task(asyncio.to_thread(self.inpainting.fill, method))
@@ -102,13 +97,11 @@ class _Dialog:
             button("Open the image", lambda: self.open(typed["name"]))
             say(
                 "input", type="file", accept=",".join(IMAGES), hidden=True, tabindex="-1", data_upload="",
-                data_after="uploaded", data_once=True, change=lambda name: self.open(str(name)),
+                data_after="uploaded", data_once=True, change=self.open,
             )  # fmt: skip
             say("button", "Browse", type="button", data_browse="", aria_label="Browse for an image")
-            say(
-                "button", "Take the frame shown", type="button", data_brush="frame", data_after="shownFrame",
-                click=lambda name: self.open(str(name)),
-            )  # fmt: skip
+            words = "Take the frame shown"
+            say("button", words, type="button", data_brush="frame", data_after="shownFrame", click=self.open)
         with say("div", role="group", aria_label="Presets", class_="row"):
             say("span", "Presets:", class_="quiet")
             for name, preset in REMOVALS.items():
@@ -161,12 +154,7 @@ def _tools() -> None:
     """Draw the tools of the brush, which `static/brush.js` reads."""
     with say("div", role="radiogroup", aria_label="Tool", class_="row"):
         for tool, label in _TOOLS.items():
-            with say("label", class_="check"):
-                say(
-                    "input", type="radio", name="brush-tool", value=tool, data_brush="tool",
-                    checked=tool == "brush",
-                )  # fmt: skip
-                say("span", label)
+            check(label, "radio", name="brush-tool", value=tool, data_brush="tool", checked=tool == "brush")
         with say("label", title="E", class_="check"):
             say("input", type="checkbox", data_brush="erase")
             say("span", "Erase")
@@ -195,6 +183,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
     now = time.monotonic_ns()
     start = f"inpainting/picture?tab={tab}&at={now}&which="
     with say("div", class_="beside"):
+        titles = {"before": "The image before it was filled", "large": "As wide as the window"}
         for method, filled in inpainting.results.items():
             place, took = f"{start}{method}", filled.figures["method"]
             with say("figure"):
@@ -202,10 +191,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
                 say("img", src=f"{start}image", alt="Before", loading="lazy")
                 with say("figcaption", class_="row"):
                     say("span", _LABELS[method] if took == method else f"{_LABELS[method]}: {_LABELS[took]}")
-                    for word, title in (
-                        ("before", "The image before it was filled"),
-                        ("large", "As wide as the window"),
-                    ):
+                    for word, title in titles.items():
                         say(
                             "button", word.capitalize(), type="button", title=title, aria_pressed="false",
                             data_figure=word, aria_label=f"{word.capitalize()}: {method}",

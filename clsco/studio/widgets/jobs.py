@@ -11,17 +11,7 @@ from urllib.parse import quote
 
 from clsco.errors import ClscoError
 from clsco.scene.formatting import format_seconds
-from clsco.studio.generate import (
-    clip_presets,
-    distributions,
-    first_format,
-    free_folder,
-    make_data_set,
-    render_frames,
-    set_formats,
-    stack_table,
-    truth_formats,
-)
+from clsco.studio import generate
 from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.session import Document
 from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, choice, notify, page, say, text_box
@@ -35,7 +25,7 @@ def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable
     dialog, truth = Dialog("Generate"), dict[str, bool]()
     answers: dict[str, Any] = {
         "folder": "", "set_folder": "", "subframes": False, "preset": "", "nearest": "200", "farthest": "400",
-        "steps": "9", "distribution": "", "count": "100", "seed": "0", "form": first_format(),
+        "steps": "9", "distribution": "", "count": "100", "seed": "0", "form": generate.first_format(),
     }  # fmt: skip
     on_device = ["--device", device] if device else []
 
@@ -51,17 +41,17 @@ def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable
         return words + (["--video", answers["preset"]] if answers["preset"] else []) + on_device
 
     def frames() -> CommandJob:
-        return render_frames(session, jobs, answers["folder"], options())
+        return generate.render_frames(session, jobs, answers["folder"], options())
 
     def stack() -> CommandJob:
         ends = _number(answers["nearest"], "nearest"), _number(answers["farthest"], "farthest")
-        table = stack_table(session, *ends, _whole(answers["steps"], "steps"))
-        return render_frames(session, jobs, answers["folder"], options(), table)
+        table = generate.stack_table(session, *ends, _whole(answers["steps"], "steps"))
+        return generate.render_frames(session, jobs, answers["folder"], options(), table)
 
     def data_set() -> CommandJob:
         count, seed = _whole(answers["count"], "samples"), _whole(answers["seed"], "seed", 0)
         words = ["--seed", str(seed), "--format", answers["form"], *on_device]
-        return make_data_set(session, jobs, answers["distribution"], answers["set_folder"], count, words)
+        return generate.make_data_set(session, jobs, answers["distribution"], answers["set_folder"], count, words)
 
     def box(label: str, name: str, mode: str = "text") -> None:
         text_box(label, answers[name], partial(answers.__setitem__, name), inputmode=mode)
@@ -69,7 +59,7 @@ def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable
     def draw_frames() -> None:
         box(f"Output folder in {session.root.name}", "folder")
         _draw_truth(truth)
-        clips = clip_presets()
+        clips = generate.clip_presets()
         named = {"": "none"} | {name: name for name in clips}
         choice("Clip beside the frames", named, answers["preset"], partial(answers.__setitem__, "preset"), clips)
         check_box("Image of each time sample, too", answers["subframes"], partial(answers.__setitem__, "subframes"))
@@ -83,17 +73,18 @@ def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable
         button("Write the stack", partial(begin, stack))
 
     def draw_set() -> None:
-        names, forms = distributions(session.root), set_formats()
+        names, forms = generate.distributions(session.root), generate.set_formats()
         answers["distribution"] = answers["distribution"] if answers["distribution"] in names else names[0]
-        choice("Distribution file", names, answers["distribution"], partial(answers.__setitem__, "distribution"))
+        named = {name: name for name in names}
+        choice("Distribution file", named, answers["distribution"], partial(answers.__setitem__, "distribution"), {})
         box(f"Folder of the set in {session.root.name}", "set_folder")
         box("Samples", "count", "numeric")
         box("Seed", "seed", "numeric")
-        choice("Format", list(forms), answers["form"], partial(answers.__setitem__, "form"), forms)
+        choice("Format", {form: form for form in forms}, answers["form"], partial(answers.__setitem__, "form"), forms)
         button("Make the set", partial(begin, data_set))
 
     def show() -> None:
-        answers.update(folder=free_folder(session), set_folder=free_folder(session, "sets"))
+        answers.update(folder=generate.free_folder(session), set_folder=generate.free_folder(session, "sets"))
         with dialog.filled():
             draw_frames()
             for title, draw in (("Focal stack", draw_stack), ("Data set", draw_set)):
@@ -109,7 +100,7 @@ def _draw_truth(chosen: dict[str, bool]) -> None:
     with say("fieldset", class_="vector"):
         say("legend", "Ground truth")
         with say("div", class_="choices"):
-            for name, lacks in truth_formats().items():
+            for name, lacks in generate.truth_formats().items():
                 label = f"{name} ({lacks})" if lacks else name
                 check_box(label, chosen.get(name, False), partial(chosen.__setitem__, name), disabled=bool(lacks))
 
@@ -123,12 +114,9 @@ def _all_frames(session: Document) -> str:
 
 
 def draw_jobs(jobs: Jobs) -> None:
-    """Draw the jobs, and redraw them when they change.
-
-    Progress alone does not redraw buttons, as clicks and the focus would be lost.
-    """
+    """Draw the jobs, and redraw them when they change; progress redraws no buttons, which would lose the focus."""
     parts: dict[int, tuple[PagePart, PagePart]] = {}
-    before: dict[str, Any] = {"jobs": None, "spoken": 0.0, "text": ""}
+    before: dict[str, Any] = {"spoken": 0.0, "text": ""}
 
     def draw() -> None:
         with say("section", aria_label="Jobs"):
@@ -138,24 +126,20 @@ def draw_jobs(jobs: Jobs) -> None:
             for job in jobs.listed:
                 parts[job.number] = _draw(jobs, job)
 
-    spoken, area = PagePart(lambda: say("span", before["text"])), PagePart(draw)
+    spoken = PagePart(lambda: say("span", before["text"]))
+    area = PagePart(draw, lambda: [(job.number, job.status) for job in jobs.listed])
     with say("div", role="status", aria_live="polite", class_="for-listeners"):
         spoken()
     area()
 
     def changed() -> None:
-        listed = [(job.number, job.status) for job in jobs.listed]
-        if listed != before["jobs"]:
-            before["jobs"] = listed
-            area.refresh()
+        area.changed()
         for job in jobs.listed:
             if job.status == "running":
                 for part in parts[job.number]:
                     part.refresh()
-        text, now = (
-            "; ".join(f"job {job.number} {_state(job)}" for job in jobs.listed if job.is_unfinished),
-            time.time(),
-        )
+        now = time.time()
+        text = "; ".join(f"job {job.number} {_state(job)}" for job in jobs.listed if job.is_unfinished)
         if text != before["text"] and now - before["spoken"] > SPOKEN_S:
             before.update(spoken=now, text=text)
             spoken.refresh()
@@ -164,7 +148,6 @@ def draw_jobs(jobs: Jobs) -> None:
 
 
 def _state(job: CommandJob) -> str:
-    """State and progress of a job, as text."""
     if job.status != "running" or not job.total:
         return {"waiting": "waits", "running": "runs"}.get(job.status, job.status)
     left = job.seconds_left(time.time())
@@ -202,7 +185,6 @@ def _progress(job: CommandJob) -> None:
 
 
 def _results(jobs: Jobs, job: CommandJob) -> None:
-    """Show a job's results as small pictures and clips."""
     with say("div", class_="pictures"):
         if job.command == "dataset":
             parts = min(job.done, SHOWN) if job.status == "done" else 0

@@ -17,7 +17,7 @@ from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Document
 from clsco.studio.tables import SHAPE_LABELS, at, words
-from clsco.studio.widgets.html import PagePart, button, check_box, choice, number, page, say
+from clsco.studio.widgets.html import PagePart, button, check, check_box, choice, number, page, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
 _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # positions among the panels of the thesis
@@ -25,33 +25,25 @@ _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # positions among the panels of the thesi
 
 @dataclass
 class Chosen:
-    """State of the panels of a page.
+    """State of the panels of a page."""
 
-    index: index of the selected object; is_open: by title, True for panels that the user unfolded and False for folded
-    ones, in the scene whose `State.opened` is `scene`; before: values of motions that were switched off, by path.
-    """
-
-    index: int = 0
-    scene: int = 0
-    is_open: dict[str, bool] = field(default_factory=dict)
-    before: dict[str, Any] = field(default_factory=dict)
+    index: int = 0  # of the selected object
+    scene: int = 0  # the `State.opened` to which `is_open` belongs
+    is_open: dict[str, bool] = field(default_factory=dict)  # by title, of panels that the user unfolded or folded
+    before: dict[str, Any] = field(default_factory=dict)  # values of motions that were switched off, by path
 
 
-def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
+def draw_panels(session: Document) -> None:
     """Draw the objects of a session and all panels, and redraw a part when its set of controls changes."""
-    now = chosen or Chosen(scene=session.state.opened)
+    now = Chosen(scene=session.state.opened)
 
     def draw() -> None:
         for position, panel in enumerate(panels(session, now.index)):
             _draw(session, panel, position, now, method)
 
-    objects = PagePart(lambda: object_list(session, now.index, choose))
-    method, area = PagePart(partial(_method, session)), PagePart(draw)
-    parts: list[tuple[PagePart, Callable[[Document, Chosen], Any], Any]] = [
-        (objects, _names, _names(session, now)),
-        (method, _is_thesis, _is_thesis(session, now)),
-        (area, _form, _form(session, now)),
-    ]
+    objects = PagePart(lambda: object_list(session, now.index, choose), partial(_names, session, now))
+    method = PagePart(partial(_method, session), partial(is_as_the_thesis, session))
+    area = PagePart(draw, partial(_form, session, now))
 
     def choose(index: int) -> None:
         now.index = index
@@ -62,10 +54,8 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
         if now.scene != session.state.opened:  # another scene, whose keys decide which panels are open
             now.scene = session.state.opened
             now.is_open.clear()
-        for position, (part, of, before) in enumerate(parts):
-            if (after := of(session, now)) != before:
-                parts[position] = part, of, after
-                part.refresh()
+        for part in (objects, method, area):
+            part.changed()
 
     objects()
     area()
@@ -73,19 +63,11 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
 
 
 def _names(session: Document, chosen: Chosen) -> Any:
-    """Key of the list of objects, which is redrawn when the key changes."""
     return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
 
 
-def _is_thesis(session: Document, chosen: Chosen) -> Any:  # noqa: ARG001 - as `_names`
-    return is_as_the_thesis(session)
-
-
 def _form(session: Document, chosen: Chosen) -> Any:
-    """Key of the panels, which are redrawn when the key changes.
-
-    The key excludes values that are typed or dragged in the panels, because redrawing would interrupt the user.
-    """
+    """Key of the panels, without values that are typed or dragged in them: redrawing would interrupt the user."""
     path = f"object.{chosen.index}"
     moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
     counts = [len(session.table.get(key, ())) for key in ("object", "group")]
@@ -100,11 +82,7 @@ def is_chosen(session: Document, path: str) -> bool:
 
 def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
     is_open = chosen.is_open.get(panel.title, panel.is_open)
-
-    def toggled(on: object) -> None:
-        chosen.is_open[panel.title] = bool(on)
-
-    with say("details", open=is_open, class_="panel", toggle=toggled):
+    with say("details", open=is_open, class_="panel", toggle=partial(chosen.is_open.__setitem__, panel.title)):
         say("summary", panel.title)
         if panel.title == "PSF and method":
             method()
@@ -122,29 +100,24 @@ def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method
 def draw_field(session: Document, shown: Field) -> None:
     """Draw one field: its control or those of its components, its description, and a button to reset it."""
     value = session.shown(shown.path)
-    if shown.kind == "number":
-        with say("div", class_="field"):
-            number(shown, value)
-            _back(shown)
-    elif shown.kind == "vector":
+    if shown.kind == "vector":
         with say("fieldset", class_="vector"):
             say("legend", shown.name, title=shown.help)
             _components(session, shown)
             _back(shown)
             if shown.key == "semi_axes":
                 check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
-    elif shown.kind == "flag":
-        with say("div", class_="field"):
-            with say("label", class_="check"):
-                say(
-                    "input", type="checkbox", checked=bool(value), title=shown.help, data_path=shown.path,
-                    data_only=shown.only or None,
-                )  # fmt: skip
-                say("span", shown.label)
+        return
+    with say("div", class_="field"):
+        if shown.kind == "number":
+            number(shown, value)
+            _back(shown)
+        elif shown.kind == "flag":
+            only = shown.only or None
+            check(shown.label, checked=bool(value), title=shown.help, data_path=shown.path, data_only=only)
             _back(shown)
             _fault(shown)
-    else:
-        with say("div", class_="field"):
+        else:
             box = f"box-{shown.path}"
             say("label", shown.name, for_=box)
             if shown.kind == "choice":
@@ -157,7 +130,6 @@ def draw_field(session: Document, shown: Field) -> None:
 
 
 def _components(session: Document, shown: Field) -> None:
-    """Draw the components of a vector, each in a row after its letter."""
     for index, letter in enumerate(shown.components):
         part = shown.component(index)
         with say("div", class_="component"):
@@ -198,15 +170,11 @@ def _text(session: Document, shown: Field, value: Any, box: str) -> None:
 
 
 def _back(shown: Field) -> None:
-    """Draw the button that resets a field, and its default."""
-    default = "none" if shown.default is None else _brief(shown.default)
-    unit = f" {shown.unit}" if shown.unit and shown.default is not None else ""
-    limits = (
-        "" if shown.least is None else f"; {shown.least:g} to {shown.most:g}{f' {shown.unit}' if shown.unit else ''}"
-    )
+    unit = f" {shown.unit}" if shown.unit else ""
+    title = "Default: none" if shown.default is None else f"Default: {_brief(shown.default)}{unit}"
+    title += "" if shown.least is None else f"; {shown.least:g} to {shown.most:g}{unit}"
     say(
-        "button", "↺", type="button", data_clear=shown.path, aria_label=f"Default of {shown.label}",
-        title=f"Default: {default}{unit}{limits}",
+        "button", "↺", type="button", data_clear=shown.path, aria_label=f"Default of {shown.label}", title=title,
         class_="back",
     )  # fmt: skip
 
@@ -226,17 +194,11 @@ def _shapes(session: Document, shown: Field) -> None:
     value = session.shown(shown.path)
     with say("div", role="radiogroup", aria_label=shown.label, class_="shapes"):
         for option, label in shown.choices:
-            with say("label", class_="check"):
-                say(
-                    "input", type="radio", name=shown.path, value=option, checked=option == value,
-                    data_path=shown.path,
-                )  # fmt: skip
-                say("span", label)
+            check(label, "radio", name=shown.path, value=option, checked=option == value, data_path=shown.path)
     _fault(shown)
 
 
 def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
-    """Draw the switch of a motion, and its boxes."""
     path, is_on = shown.path, is_chosen(session, shown.path)
 
     def choose(on: bool) -> None:
@@ -254,7 +216,6 @@ def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
 
 
 def _method(session: Document) -> None:
-    """Draw the switch between the method of the thesis and of clsco."""
     is_thesis = is_as_the_thesis(session)
     with say("div", role="group", aria_label="Method", class_="row"):
         for on, text in ((True, "As the thesis"), (False, "Defaults of clsco")):
@@ -263,10 +224,7 @@ def _method(session: Document) -> None:
 
 
 def object_list(session: Document, index: int, choose: Callable[[int], None]) -> None:
-    """Draw the list of objects, with the selected one marked, and buttons to edit the list.
-
-    index: index of the selected object; choose: selects another one.
-    """
+    """Draw the list of objects, with the selected one marked, and buttons to edit the list."""
     objects = session.table["object"]
     last = len(objects) - 1
 
@@ -296,13 +254,9 @@ def object_list(session: Document, index: int, choose: Callable[[int], None]) ->
 
 
 def _adding(session: Document, choose: Callable[[int], None]) -> None:
-    """Draw a list of shapes, to add an object."""
     ready = [shape for shape in SHAPES if shape != "depth_map"]  # a depth map needs a file first
-
-    def add(shape: object) -> None:
-        choose(session.add_object(str(shape)))
-
-    with say("select", aria_label="Add an object", data_once=True, change=add):
+    add = session.add_object
+    with say("select", aria_label="Add an object", data_once=True, change=lambda shape: choose(add(str(shape)))):
         say("option", "Add ...", value="")
         for shape in ready:
             say("option", SHAPE_LABELS.get(shape, words(shape)), value=shape)
@@ -318,18 +272,8 @@ def draw_sweep(session: Document) -> None:
         with say("section", aria_label="Sweep", class_="objects"):
             say("p", f"Keys with several values make {len(labels)} scenes; Generate writes them all.", role="status")
             named = {label: f"{number + 1} {label.replace('__', ', ')}" for number, label in enumerate(labels)}
-            choice("Scene that is shown", named, labels[session.state.shown], session.show_scene)
+            choice("Scene that is shown", named, labels[session.state.shown], session.show_scene, {})
 
-    area, before = PagePart(draw), [_seen(session)]
-
-    def changed() -> None:
-        if _seen(session) != before[0]:
-            before[0] = _seen(session)
-            area.refresh()
-
+    area = PagePart(draw, lambda: (session.state.labels, session.state.shown))
     area()
-    page().endings.append(session.subscribe(changed))
-
-
-def _seen(session: Document) -> tuple[tuple[str, ...], int]:
-    return session.state.labels, session.state.shown
+    page().endings.append(session.subscribe(area.changed))
