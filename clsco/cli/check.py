@@ -34,10 +34,9 @@ LEAST_AGREEING = 500
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of an output from that of the reference.
+    """Difference of an output from that of the reference, in `unit`, with the pixel of the largest error.
 
-    largest, rms: errors in `unit`; row, column: pixel of the largest error; figure: tolerance in `unit`; count: pixels
-    whose error exceeds it; pixels: pixels of the frame; allowed: largest `count` that passes.
+    figure: tolerance; count: pixels whose error exceeds it; allowed: largest `count` that passes.
     """
 
     output: str
@@ -162,9 +161,7 @@ def _reference_tables(checked: Checked) -> list[RenderableType]:
 
 
 def _judged_tables(judgement: Judgement) -> list[RenderableType]:
-    """Deviations of one frame from rays through the lens, by class of pixel and by object, and the light of small
-    objects.
-    """
+    """Deviations of one frame from rays: by class of pixel and by object, and the light of small objects."""
     columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
     tables: list[RenderableType] = []
     for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
@@ -228,10 +225,8 @@ def check_scene(
 
 
 def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
-    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames of all views.
-
-    Pixels are red if too bright, blue if too dark, and green if they agree; colors saturate at 0.01 of white. why:
-    reason why there are no rays, or None.
+    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames: red if too bright, blue if
+    too dark, green if they agree, saturated at 0.01 of white. why: reason why there are no rays, or None.
     """
     if out.suffix.lower() == ".json":
         values = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]

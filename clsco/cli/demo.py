@@ -21,10 +21,7 @@ NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
 
 
 def views(frames: Sequence[Frame]) -> dict[str, Picture]:
-    """Pictures (rows, columns, 3) of a frame or a stereo pair, by a label with the range of values.
-
-    frames: one frame, or the left and the right view; with all ground truth.
-    """
+    """Pictures of a frame or a stereo pair with all ground truth, by a label with the range of values."""
     frame = frames[0]
     assert frame.depth is not None
     assert frame.blur_radius is not None
@@ -59,10 +56,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
 
 
 def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) -> Picture:
-    """Draw labeled frames, and below them all outputs of the detailed frames; returns (rows, columns, 3).
-
-    shown: frames by label; detailed: frames, or stereo pairs, with all ground truth.
-    """
+    """Draw frames with their labels, and below them all outputs of the detailed frames or stereo pairs."""
     photographs = [(_fitted(codes_to_show(frame.color), WIDE), label) for label, frame in shown.items()]
     details = [[(_fitted(picture, NARROW), label) for label, picture in views(frames).items()] for frames in detailed]
     title = "The truth that comes with a frame, at the middle of the shutter"
@@ -77,9 +71,6 @@ def _fitted(picture: Picture, side: int) -> Picture:
 
 
 def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write the contact sheet of all EXAMPLES as a PNG. Raises FileError.
-
-    frames: a frame, or both views of a stereo pair, for each name in EXAMPLES.
-    """
+    """Write the contact sheet as a PNG; frames: a frame, or both views of a stereo pair, by name in EXAMPLES."""
     shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
     write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))

@@ -50,10 +50,8 @@ def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None
 def focus_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], focus: Focus | None
 ) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
-    """The loaded files, with the lenses of their scenes focused as asked; unchanged if `focus` is None.
-
-    A file gets a SceneError in place of its scenes if one of them cannot be focused, as for
-    `clsco.inputs.focus.focus_scene`, or if they have several focus distances. Files with faults stay unchanged.
+    """The loaded files with focused lenses, or with a SceneError in place of scenes that cannot be focused, or that
+    have several focus distances; unchanged if `focus` is None.
     """
     if focus is None:
         return loaded

@@ -20,9 +20,8 @@ ENDINGS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 @contextmanager
 def _end_by_signals() -> Iterator[list[int]]:
-    """Make the signals of `ENDINGS` raise KeyboardInterrupt in the block, so that no file is left half-written.
-
-    Yields a list of the signals that arrive, because an import may replace KeyboardInterrupt by another error.
+    """Make the signals of `ENDINGS` raise KeyboardInterrupt in the block, so that no file is left half-written; yields
+    a list of those that arrive, because an import may replace KeyboardInterrupt by another error.
     """
     arrived = list[int]()
     if threading.current_thread() is not threading.main_thread():
@@ -66,9 +65,7 @@ class Commands(click.Group):
 
 
 def _ending(error: BaseException, signals: Sequence[int]) -> tuple[list[str], int] | None:
-    """Lines and exit status for an error of the user or the machine, or after signals. None for other errors, and for a
-    closed pipe of the output, which click handles.
-    """
+    """Lines and exit status for errors of the user or the machine, and signals; None for others, and a closed pipe."""
     if signals or isinstance(error, KeyboardInterrupt):
         number = signal.Signals(signals[0]) if signals else signal.SIGINT
         return [ENDINGS[number]], 128 + number

@@ -30,12 +30,10 @@ from clsco.inpainting.rules import MeanMedian
 def read_pair(
     image: Path, mask: Path, threshold: float | None = None, layer: str | None = None
 ) -> tuple[Picture, NDArray[np.bool_]]:  # fmt: skip
-    """Read an image (rows, columns[, 3]) as stored, and a mask (rows, columns) that is True for missing pixels.
+    """Read an image as stored, whose missing pixels may be NaN, and a mask (rows, columns), True for missing pixels.
 
-    A pixel is missing where the mask is white (255, 65535, or 1.0 in floats) and known where it is 0. threshold: mask
-    values from it on are missing; then the mask may have any values. layer: as for `clsco.files.images.read_image`.
-    Missing pixels of a float image may be NaN. Raises FileError if a file cannot be read, the sizes differ, no pixel is
-    known, or the mask has colors or other values; ArgumentError if the threshold is not finite.
+    A pixel is missing where the mask is white (255, 65535, or 1.0 in floats) and known where it is 0; with a threshold,
+    values from it on are missing. layer: as for `clsco.files.images.read_image`. Raises FileError, ArgumentError.
     """
     if threshold is not None and not math.isfinite(threshold):
         raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
@@ -66,11 +64,7 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
 
 
 def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> ImageWriter:
-    """Writer for OUT, after a check that the format can hold the image and the folder is writable.
-
-    is_float: True for an image of floats, False for one of codes, None while unknown. Raises FileError, also if OUT is
-    IMAGE or MASK.
-    """
+    """Writer for OUT, after checks of its name, format and folder; is_float: None while unknown. Raises FileError."""
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
         raise_file_error(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))

@@ -38,9 +38,7 @@ def first_scene(
 
 
 def report_inputs(planned: Sequence[PreparedFile]) -> None:
-    """Print notes on the images of scenes to stderr: whether a depth map may be upside down, which of its pixels have
-    no depth, how far the lens blurs it, and which samples a tolerance selects.
-    """
+    """Print notes to stderr: on images, depth maps, how far the lens blurs them, and samples for a tolerance."""
     from clsco.scene.model import DepthMap
 
     for path, labels, prepared in planned:
@@ -63,10 +61,9 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
 
 
 def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared], close: bool = False) -> None:
-    """Print to stderr which images are stretched, and which parts of the scenes are out of sight or black.
+    """Print to stderr which images are stretched, and which parts are out of sight or black, once for the first scene.
 
-    Each line is printed once, for the first scene that it applies to. close: True to report also a close focus, which
-    makes sizes differ from the usual formulas.
+    close: True to report also a close focus, which makes sizes differ from the usual formulas.
     """
     from clsco.inputs.textures import find_stretched
     from clsco.plan.notes import close_focus_note, sight_notes

@@ -1,8 +1,6 @@
-"""The command `clsco`: parses arguments, prints results as tables, and turns each error into one line and an exit
-status.
+"""The command `clsco`.
 
-Exit status: 0 done; 1 a user's error, reported on stderr; 2 wrong usage; 3 no usable device; 130 interrupted, 143
-terminated.
+Exit status: 0 done; 1 a user's error, in one line on stderr; 2 wrong usage; 3 no device; 130 interrupted; 143 ended.
 """
 
 from __future__ import annotations

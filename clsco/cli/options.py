@@ -26,10 +26,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it takes none
-    """Names that the shell completes and the command checks.
+    """Names that the shell completes and the command checks; many: several names with commas between them.
 
-    source: returns the names; called only for completion, because it imports modules. many: several names with commas
-    between them.
+    source: returns the names; called only for completion, because it imports modules.
     """
 
     name = "name"
@@ -45,10 +44,8 @@ class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it ta
 
 
 def attribute(place: str) -> Callable[[], Iterable[str]]:
-    """A function that imports a module and returns names that are defined there.
-
-    place: an object whose entries are the names, as "clsco.files.video:PRESETS"; or a field of a model whose allowed
-    values are the names, as "clsco.scene.shapes:DepthMap.unit".
+    """A function that imports a module and returns names: entries of an object ("clsco.files.video:PRESETS"), or
+    allowed values of a model's field ("clsco.scene.shapes:DepthMap.unit").
     """
     module, _, path = place.partition(":")
 

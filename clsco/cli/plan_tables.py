@@ -20,10 +20,9 @@ if TYPE_CHECKING:  # what needs OpenCL
 
 
 def plan_tables(plans: Sequence[Plan], device: str, time: FrameTime | None) -> list[RenderableType]:
-    """Tables of a plan: its passes, the features it leaves out, its costs, and unused keys of the scene.
+    """Tables of a plan, or of both views' plans: costs, passes, features left out, and unused keys of the scene.
 
-    plans: one, or those of the left and the right view; device: the device in use, or the reason why there is none;
-    time: time of a frame, or None if unknown.
+    device: the device in use, or the reason why there is none; time: of a frame, None if unknown.
     """
     plan = plans[0]
     scene = plan.scene
@@ -105,9 +104,7 @@ def _time(time: FrameTime | None) -> str:
 
 
 def _passes(plans: Sequence[Plan], time: FrameTime | None) -> list[tuple[str, ...]]:
-    """Rows of the passes, all occlusion groups together; for a stereo pair, rows of each view. A buffer counts for the
-    first pass that uses it.
-    """
+    """Rows of the passes of all views, occlusion groups together. A buffer counts for the first pass that uses it."""
     rows: list[tuple[str, ...]] = []
     views = ({},) * len(plans) if time is None else time.views
     for plan, seconds in zip(plans, views, strict=True):

@@ -22,10 +22,7 @@ WITHIN_S = 1.0  # between lines within a frame
 
 @contextmanager
 def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; yields a function to call after each item.
-
-    what: name of the items, plural.
-    """
+    """Show a bar on a terminal, nothing in a pipe; yields a function to call after each item. what: items, plural."""
     with _bar(total, quiet, what, None) as advance:
         yield advance
 
@@ -59,10 +56,7 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
 
 
 def position(here: Progress, done: float, total: int, elapsed: float) -> str:
-    """Text of the position: the current step and its finished fraction, the time sample, and the time left.
-
-    done: finished frames of `total`; elapsed: seconds. The time left is known after the first time sample.
-    """
+    """Text of the position: step and its finished fraction, time sample, and, after the first one, the time left."""
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
     left = _seconds_left(here, done, total, elapsed)
@@ -87,10 +81,8 @@ def _is_in_lines() -> bool:
 
 @contextmanager
 def _lines(total: int, what: str, here: Progress | None = None) -> Iterator[Callable[[], object]]:
-    """Print a line of JSON at the beginning, after items at most every LINES_S seconds, and at the end.
-
-    here: position of the device within a frame, for a line every WITHIN_S seconds with the step, its finished share,
-    the time sample, and the seconds left if they are known.
+    """Print a line of JSON at the beginning, after items at most every LINES_S seconds, and at the end; with the
+    position of the device within a frame also every WITHIN_S seconds.
     """
     done, printed, last, begun = 0, -1, 0.0, time.monotonic()
     lock, ended = threading.Lock(), threading.Event()

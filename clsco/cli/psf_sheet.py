@@ -14,10 +14,7 @@ EMPTY = (12, 12, 16)
 
 
 def sheet(stack: PsfStack) -> NDArray[np.uint8]:
-    """Draw a stack with a row for each channel and place and a column for each depth; returns (rows, columns, 3).
-
-    Each cell is scaled to its largest weight, w, written below it. All cells have the same scale in px.
-    """
+    """Draw a stack with a row for each channel and place, and a column for each depth, all of the same scale in px."""
     channels, places, depths, side, _ = stack.weights.shape
     rows = []
     for channel, place in np.ndindex(channels, places):
@@ -34,9 +31,7 @@ def sheet(stack: PsfStack) -> NDArray[np.uint8]:
 
 
 def _cell(weights: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """A point spread function as a picture of CELL px a side; its pixels are enlarged by a whole factor if there is
-    room.
-    """
+    """A point spread function as a picture of CELL px a side, enlarged by a whole factor if there is room."""
     shown = np.round(255.0 * np.clip(weights / max(float(weights.max()), 1e-30), 0.0, 1.0)).astype(np.uint8)
     side = shown.shape[0]
     if side > CELL:  # the largest weight of each pixel of the picture, so that points are seen

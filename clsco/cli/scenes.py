@@ -105,8 +105,7 @@ def plan(
 
 
 def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
-    """The session with the device that measures the plan; or, if no device was asked for and none works, None and the
-    reason.
+    """Session and name of the device that measures the plan; None and the reason if none was asked for and none works.
     """
     try:
         require_opencl()

@@ -104,9 +104,7 @@ def remove_clips(jobs: Sequence[Job], preset: str) -> None:
 
 
 def write_clips(jobs: Sequence[Job], preset: str) -> None:
-    """Write a clip beside the frames of each job if all frames of its scene exist; otherwise print that some are
-    missing.
-    """
+    """Write a clip beside the frames of each job, or print that some of them are missing or of another scene."""
     from clsco.frame.files import frame_json
     from clsco.frame.frame_folder import read_frame_folder
     from clsco.frame.video import Playing, write_folder_clip

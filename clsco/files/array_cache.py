@@ -1,6 +1,4 @@
-"""Cache on disk of arrays that are slow to compute: a file per key with a checksum; a damaged file counts as
-missing.
-"""
+"""Cache on disk of arrays that are slow to compute: a file per key with a checksum. Damaged files count as missing."""
 
 from __future__ import annotations
 
@@ -28,9 +26,7 @@ DIGEST = hashlib.sha256().digest_size
 
 
 def user_cache(name: str) -> ArrayCache:
-    """A cache in the user's cache folder; it stores nothing if that folder cannot be made, or other users could write
-    to it.
-    """
+    """A cache in the user's cache folder; stores nothing if that cannot be made, or other users could write to it."""
     try:
         return ArrayCache(private_folder("clsco", name))
     except (ExposedFolderError, OSError, RuntimeError):
@@ -38,10 +34,7 @@ def user_cache(name: str) -> ArrayCache:
 
 
 class ArrayCache:
-    """Named arrays by key, in a folder used only by this cache. Several processes may use it at the same time.
-
-    folder: None for a cache that stores nothing.
-    """
+    """Named arrays by key, in a folder of its own that several processes may use; folder: None to store nothing."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder, self._written = folder, MOST_BYTES
@@ -93,10 +86,7 @@ class ArrayCache:
 
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Arrays of numbers as bytes: a line with the dtype and shape of each, then their contents.
-
-    They are read faster than from an NPZ, an archive with a Python literal per array.
-    """
+    """A line with the dtype and shape of each array, then their contents: read faster than an NPZ with its literals."""
     about = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])
 

@@ -29,7 +29,6 @@ def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file that is renamed to `path` once it is complete on disk; until then, an older file remains.
-
     Raises FileError if the folder, the disk or a codec fails, and leaves no file.
     """
     temporary = _temporary(path)
@@ -54,9 +53,8 @@ def atomic_write_bytes(path: Path, content: bytes) -> None:
 
 @contextlib.contextmanager
 def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Create a hidden folder whose files move to `folder` when all are written; on an error they are removed.
-
-    name: kind of the files, for messages. Older files remain until they are replaced. Raises FileError.
+    """Create a hidden folder whose files move to `folder` when all are written, and are removed on an error.
+    name: kind of the files, for messages of FileError.
     """
     temporary = _temporary(folder / name)
     try:
@@ -105,10 +103,7 @@ def sha256(path: Path) -> str:
 
 
 def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
-    """Size in bytes and SHA-256 by key: `key` for a file, and `key`/NAME for each file NAME in a folder.
-
-    Raises OSError.
-    """
+    """Size in bytes and SHA-256 by key: `key` for a file, and `key`/NAME for each file in a folder. Raises OSError."""
     inside = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     keys = (key if each == path else f"{key}/{each.relative_to(path).as_posix()}" for each in inside)
     return {name: (each.stat().st_size, sha256(each)) for name, each in zip(keys, inside, strict=True)}

@@ -1,8 +1,7 @@
 """Color spaces of image files: curves that decode codes, and profiles with which an output looks like its input.
 
-Codes become linear radiance in the primaries of their own profile. Outputs get codes of the same curve, and the same
-profile, so unchanged pixels keep their codes and their look. If images with different profiles are used together, a
-matrix converts each to the primaries of sRGB.
+Codes become linear radiance in the primaries of their own profile, and outputs get the same curve and profile. If
+images with different profiles are used together, a matrix converts each to the primaries of sRGB.
 """
 
 from __future__ import annotations
@@ -47,10 +46,9 @@ _CICP_SRGB, _CICP_BT709_PRIMARIES = 13, 1
 class Color:
     """Color space of an image file; by default sRGB, which needs no profile.
 
-    name: printable name from the profile. icc: the ICC profile, or b"". chunks: kind and content of PNG chunks that act
-    as a profile. channels: channels of images that the profile fits, 0 for any. curve: transfer curve of the codes,
-    None for that of sRGB. chromaticities: x and y of white, red, green and blue, None if unknown or those of sRGB.
-    note: one line on why a profile could not be read, or "".
+    name: printable. icc: the ICC profile, or b"". chunks: kind and content of PNG chunks that act as a profile.
+    channels: of images that the profile fits, 0 for any. curve: None for that of sRGB. chromaticities: x and y of
+    white, red, green and blue, None if unknown or those of sRGB. note: why a profile could not be read, or "".
     """
 
     name: str = "sRGB"
@@ -68,9 +66,7 @@ class Color:
 
     @cached_property
     def to_srgb(self) -> Matrix | None:
-        """Matrix (3, 3) from linear values in this color space to those of sRGB; None if no conversion is needed or
-        known.
-        """
+        """Matrix (3, 3) from linear values in this color space to sRGB; None if no conversion is needed or known."""
         return None if self.chromaticities is None else chromaticities_to_srgb(self.chromaticities)
 
     def converts(self, transfer: str) -> bool:
@@ -87,9 +83,8 @@ class Color:
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile of an RGB image: that of the file, or one made from the primaries; b"" if none is needed.
-
-        linear: True to make a profile for linear values, False for codes.
+        """ICC profile of an RGB image: that of the file, or one made from the primaries for codes or linear values;
+        b"" if none is needed.
         """
         if self.icc or self.chromaticities is None:
             return self.icc
@@ -180,9 +175,8 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
 
 
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
-    """Name, channels, radiance of 2^16 codes per channel, and chromaticities, from an ICC profile (ICC.1:2022).
-
-    Radiance is None if the profile has no curves, and chromaticities are None if it has no matrix.
+    """Name, channels, radiance of 2^16 codes per channel (None without curves), and chromaticities (None without a
+    matrix) from an ICC profile (ICC.1:2022).
     """
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
@@ -206,10 +200,8 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tup
 
 
 def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
-    """Chromaticities of an RGB profile; None if unknown.
-
-    The colorants in the profile are adapted to D50; the white before adaptation follows from the tag `chad`, or from
-    `wtpt` in profiles before version 4.
+    """Chromaticities of an RGB profile, whose colorants are adapted to D50; None if unknown.
+    The white before adaptation follows from the tag `chad`, or from `wtpt` before version 4.
     """
     columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
     if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):
@@ -305,10 +297,7 @@ def _parametric(parameters: tuple[float, ...]) -> NDArray[np.float64]:
 
 
 def _increasing(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The table of a curve, with falls due to rounding removed, clipped to 0 to 1.
-
-    Raises ValueError for a curve without an inverse, as outputs could not be encoded.
-    """
+    """The table of a curve, without falls by rounding, clipped to 0 to 1. Raises ValueError if it has no inverse."""
     highest = np.maximum.accumulate(table)
     if not np.isfinite(table).all() or (highest - table).max() > LARGEST_FALL or highest[-1] <= highest[0]:
         raise ValueError("a curve that does not increase")

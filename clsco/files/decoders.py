@@ -60,10 +60,9 @@ _FIRST_BYTES = {
 def open_format(
     path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS
 ) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a file whose extension and first bytes agree on a format.
+    """Open a file whose extension and first bytes agree on a format; yields it, at its first byte, and the format.
 
-    Yields the file, at its first byte, and the format. formats: format by extension. Errors of the file or of a codec,
-    also those raised in the body of the `with` statement, become FileError.
+    Errors of the file or of a codec, also those raised in the body of the `with` statement, become FileError.
     """
     path = Path(path)
     kind = formats.get(path.suffix.lower(), "")
@@ -142,11 +141,9 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
 
 
 def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
-    """Decode an open file whose header is within the limits, and turn it upright: (rows, columns[, channels]) as
-    stored.
+    """Decode an open file within the limits, and turn it upright: (rows, columns[, channels]) as stored.
 
-    layer: of an EXR, as for `clsco.files.layers.image_channels`. Raises any error of its codec, which `open_format`
-    turns into a FileError.
+    layer: of an EXR, as for `clsco.files.layers.image_channels`. `open_format` turns errors into FileError.
     """
     columns, rows = _stored_size(file, kind)
     orientation = read_tags(file, kind).orientation
@@ -301,8 +298,7 @@ def _exr_size(file: BinaryIO) -> tuple[int, int]:
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
     """Decode channels of an EXR from any of its parts: (rows, columns) of the display window, by name.
 
-    choose: takes the names of all channels, as from `full_names`, and returns those to decode. outside: value of pixels
-    of the display window that are outside a part's data window.
+    choose: takes the names of all channels, and returns those to decode. outside: value outside of data windows.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(

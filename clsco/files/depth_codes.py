@@ -1,7 +1,4 @@
-"""Depth and disparity in the formats of KITTI (16-bit PNG) and Middlebury (PFM).
-
-Depth is in mm in clsco, and in m in KITTI files.
-"""
+"""Depth and disparity in the formats of KITTI (16-bit PNG, depth in m) and Middlebury (PFM)."""
 
 from __future__ import annotations
 
@@ -24,8 +21,7 @@ def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: s
 def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDArray[np.uint16]:
     """Codes of KITTI's depth, uint16 (rows, columns): 256 per m, 0 without a surface.
 
-    depth: planar Z in mm, +inf without a surface; rounded to 1/256 m = 3.9 mm. where: begins messages. Raises FileError
-    for NaN, negative depth, and depth that rounds to 0 or to more than 255.996 m. Validated by OpenCV.
+    depth: planar Z in mm, +inf without a surface. Raises FileError, whose message begins with `where`.
     """
     if depth.ndim != 2:
         raise_shape_error(where, "(rows, columns)", depth)
@@ -38,9 +34,7 @@ def kitti_disparity_codes(
 ) -> NDArray[np.uint16]:
     """Codes of KITTI's disparity, uint16 (rows, columns): 256 per px, 0 if unknown.
 
-    disparity: px, column on the left minus column on the right. valid: known pixels, by default all finite ones. Raises
-    FileError for a disparity that rounds to 0 or less, or to more than 255.996 px. Validated by OpenCV and by the steps
-    of torchvision's reader.
+    disparity: px, column on the left minus column on the right. valid: known pixels, by default all finite ones.
     """
     if disparity.ndim != 2:
         raise_shape_error(where, "(rows, columns)", disparity)
@@ -52,7 +46,6 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
     """A PFM file of (rows, columns[, 2 or 3]): float32, little endian, the bottom row first.
 
     Two channels get a third one of zeros, as in the flow of FlyingThings. Readers of disparity take +inf for unknown.
-    Raises FileError for other shapes. Validated by OpenCV, and by the steps of torchvision's reader.
     """
     if array.ndim == 3 and array.shape[2] == 2:
         array = np.dstack([array, np.zeros_like(array[..., 0])])

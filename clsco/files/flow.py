@@ -27,9 +27,7 @@ def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | 
 def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "flow") -> bytes:
     """A .flo file of Middlebury: float32 without loss, 1e10 for unknown vectors.
 
-    flow: (rows, columns, 2), px, right and down. valid: known vectors, by default all finite ones. where: begins
-    messages. Raises FileError for a component of 1e9 or more, which readers take for unknown. Validated by OpenCV's
-    reader and by the steps of torchvision's.
+    flow: (rows, columns, 2), px, right and down. valid: known vectors, by default all finite ones.
     """
     known = _checked(where, flow, valid)
     beyond = known & (np.abs(flow) >= LARGEST_FLO).any(axis=-1)
@@ -45,9 +43,7 @@ def kitti_flow_codes(
 ) -> NDArray[np.uint16]:
     """Codes of KITTI's flow, uint16 (rows, columns, 3): 64 u + 32768, 64 v + 32768, and 1 for known vectors.
 
-    Arguments are those of `flo_bytes`; vectors are rounded to 1/64 px, unknown ones are (0, 0, 0). Raises FileError
-    below -512 px and above 511.984375 px. Validated by OpenCV, which gives the channels as blue, green, red, and by the
-    steps of torchvision's reader.
+    Arguments are those of `flo_bytes`; vectors are rounded to 1/64 px, unknown ones are (0, 0, 0).
     """
     known = _checked(where, flow, valid)
     codes = np.rint(np.where(known[..., None], flow, 0.0).astype(np.float64) * KITTI_STEPS) + KITTI_ZERO

@@ -39,9 +39,8 @@ def chromaticities_to_srgb(chromaticities: Sequence[float] | Matrix) -> Matrix |
 
 
 def colorants_to_srgb(xyz: Matrix) -> Matrix:
-    """Matrix (3, 3) to linear sRGB from primaries whose X, Y and Z under D50 are the columns of a matrix.
-
-    Exactly the identity for primaries that equal those of sRGB up to rounding.
+    """Matrix (3, 3) to linear sRGB from X, Y and Z of primaries under D50 as columns; exactly the identity for those of
+    sRGB up to rounding.
     """
     srgb = colorants(SRGB_CHROMATICITIES)
     assert srgb is not None
@@ -50,9 +49,8 @@ def colorants_to_srgb(xyz: Matrix) -> Matrix:
 
 
 def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
-    """x and y of white, red, green and blue, from a matrix whose columns are X, Y and Z of the primaries under D50.
-
-    white: X, Y and Z of the white from which the primaries were adapted to D50, by Bradford's method.
+    """x and y of white, red, green and blue, from X, Y and Z of the primaries as columns, adapted to D50 from those of
+    the white.
     """
     with np.errstate(all="ignore"):  # `colorants` rejects chromaticities that are not finite
         native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])

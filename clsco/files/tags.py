@@ -27,10 +27,8 @@ _ORIENTATION, _ICC = 0x0112, 0x8773  # numbers of tags in EXIF and TIFF
 
 @dataclass(frozen=True)
 class Tags:
-    """Tags of an image file.
-
-    orientation: 1 to 8, as in EXIF and TIFF. icc: ICC profile, or b"". chunks: kind and content of PNG chunks that act
-    as a profile. chromaticities: the attribute of an EXR, or ().
+    """Orientation of an image file, 1 to 8 as in EXIF and TIFF, and what tells its color space: an ICC profile, kind
+    and content of PNG chunks, or an EXR's attribute `chromaticities`.
     """
 
     orientation: int = 1
@@ -100,9 +98,7 @@ def jpeg_tags(file: BinaryIO) -> Tags:
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the segments of a JPEG before its pixels. Raises ValueError or struct.error if it is
-    damaged.
-    """
+    """Kind and content of the segments of a JPEG before its pixels. Raises ValueError or struct.error for damage."""
     file.seek(2)
     while True:
         mark, kind, length = struct.unpack(">BBH", file.read(4))

@@ -1,6 +1,4 @@
-"""Reader of TIFF pages by tifffile, called in a process with limits (`run_decoder`) because no header bounds its
-memory.
-"""
+"""Reader of TIFF pages by tifffile, called by `run_decoder`, with limits, because no header bounds its memory."""
 
 from __future__ import annotations
 

@@ -34,8 +34,7 @@ _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 class VideoPreset:
     """Encoding of a clip: FFmpeg's names of container, codec and pixel format, and options of the encoder.
 
-    suffix: extension of its files. bits: bits per value. gray: pixel format of gray frames; "" to store them in color.
-    least: least number of columns and of rows that the encoder accepts.
+    gray: pixel format of gray frames; "" to store them in color. least: fewest columns and rows of the encoder.
     """
 
     suffix: str
@@ -82,10 +81,7 @@ PRESETS = {
 
 
 def preset_for(path: Path, name: str | None = None) -> str:
-    """Name of the preset for a file: `name`, or the first preset with the file's extension.
-
-    Raises ArgumentError for an unknown preset, FileError for an extension that is not the preset's.
-    """
+    """Name of the preset for a file: `name`, or the first one with its extension. Raises ArgumentError, FileError."""
     suffix = path.suffix.lower()
     if name is None:
         suffixes = dict.fromkeys(preset.suffix for preset in PRESETS.values())
@@ -121,9 +117,8 @@ def require_size(path: Path, name: str, columns: int, rows: int) -> None:
 
 
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
-    """Frames per second, exactly, from a Fraction, an integer or text like 24, 23.976 or 24000/1001.
-
-    Raises ArgumentError for anything else, and for rates that are not positive, or that containers cannot store.
+    """Frames per second, exactly, from a Fraction, an integer or text like 24, 23.976 or 24000/1001. Raises
+    ArgumentError, also for rates that containers cannot store.
     """
     text = value.strip() if isinstance(value, str) else ""
     if text and len(text) <= 32 and re.fullmatch(r"\d+(\.\d+)?|\d+/0*[1-9]\d*", text, re.ASCII):
@@ -141,8 +136,7 @@ def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
 def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fraction:
     """Frames per second of frames that are `interval` seconds apart, played `speed` times as fast.
 
-    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second,
-    where you must give a rate.
+    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second.
     """
     rate = Fraction(0)
     if 1e-9 < interval < 1e9:
@@ -161,15 +155,12 @@ def write_clip(
     """Write frames as a video file, atomically.
 
     frames: (rows, columns[, 3]) of one shape and type: codes (uint8, uint16) or linear radiance (floats, 1 = white),
-    which is clipped. rate: frames per second. preset: one of `PRESETS`. transfer: curve of the codes, "srgb" or
-    "linear"; floats are encoded by it. comment: for the file's metadata, where the container has any.
+    which is clipped. transfer: curve of the codes, "srgb" or "linear"; floats are encoded by it. comment: for the
+    file's metadata, where the container has any.
 
     Returns notes on changes: 16 bits rounded to fewer, padded sizes, a rate that Matroska rounds. Raises
-    MissingDependencyError without PyAV, and FileError if there are no frames, frames differ or are not finite, or an
-    encoder or the disk fails. Errors raised by `frames` propagate unchanged. After any error no file is left.
-
-    Equal frames give equal bytes with the same PyAV. Validated: pixels, rates and tags as read back through PyAV for
-    each preset, and the bits of lossless ones (tests/files/test_video.py).
+    MissingDependencyError and FileError; errors raised by `frames` propagate unchanged. After any error no file is
+    left. Equal frames give equal bytes with the same PyAV.
     """
     require_video(target)
     source = _showable(target, frames)

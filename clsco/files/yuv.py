@@ -29,8 +29,7 @@ def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1))
 
     Color differences are sited as in MPEG-2: on the left of two columns, averaged with weights 1 2 1, and midway
     between two rows. libswscale gives the same from 8-bit codes, but its 10-bit luma from 16-bit codes is too large by
-    1.7 codes, at most 3.8. Validated against the formula in float64, and through decoders whose planes libswscale
-    converts back.
+    1.7 codes, at most 3.8.
     """
     top, scale = np.iinfo(codes.dtype).max, 2 ** (bits - 8)
     if codes.ndim == 2:
