@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageOps
 
-from clsco.files.images import write_png
 from clsco.frame.contact_sheet import PAPER, contact_sheet, split_into_rows
 from clsco.frame.frame import GREEN, Frame
 from clsco.frame.notebook import codes_to_show
 from clsco.frame.views import Picture, flow_colors, viridis
-from clsco.scene.examples import EXAMPLES
 
 DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
 WIDE, NARROW = 300, 196  # px
@@ -22,13 +20,7 @@ NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
 
 def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     """Pictures of a frame or a stereo pair with all ground truth, by a label with the range of values."""
-    frame = frames[0]
-    assert frame.depth is not None
-    assert frame.blur_radius is not None
-    assert frame.mask is not None
-    assert frame.normal is not None
-    assert frame.flow is not None
-    assert frame.sharp is not None
+    frame: Any = frames[0]
     seen, radius = frame.mask, frame.blur_radius
     radius = radius if radius.ndim == 2 else radius[..., GREEN]
     near, far = float(frame.depth[seen].min()), float(frame.depth[seen].max())
@@ -38,7 +30,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
     depth = viridis(np.where(seen, frame.depth, far), near, far)
     maps = {f"depth, {near:.0f} to {far:.0f} mm": depth}
-    if frame.disparity is not None and frame.occluded is not None:
+    if frame.disparity is not None:
         low, high = (float(limit) for limit in (frame.disparity[seen].min(), frame.disparity[seen].max()))
         label = f"disparity, {low:.1f} to {high:.1f} px"
         covered = np.where(frame.occluded[..., None], OCCLUDED, codes_to_show(frame.sharp))
@@ -68,9 +60,3 @@ def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) 
 
 def _fitted(picture: Picture, side: int) -> Picture:
     return np.asarray(ImageOps.fit(Image.fromarray(picture), (side, side), Image.Resampling.LANCZOS))
-
-
-def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write the contact sheet as a PNG; frames: a frame, or both views of a stereo pair, by name in EXAMPLES."""
-    shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
-    write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clsco.cli.options import option
 from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
@@ -24,14 +25,14 @@ def _point(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-focus_at_option = click.option(
-    "--focus-at", metavar="X,Y", type=_point,
-    help="Focus on what is in this pixel, column and row counted from 0, in place of a distance in focus.",
+focus_at_option = option(
+    "--focus-at", "X,Y",
+    "Focus on what is in this pixel, column and row counted from 0, in place of a distance in focus.", _point,
 )  # fmt: skip
-focus_depth_option = click.option(
-    "--focus-depth", metavar="SHARE", type=click.FloatRange(0.0, 1.0),
-    help="Focus on the depth that this share of the picture is nearer than: 0 the nearest, 0.5 the median, 1 the "
-    "farthest.",
+focus_depth_option = option(
+    "--focus-depth", "SHARE",
+    "Focus on the depth that this share of the picture is nearer than: 0 the nearest, 0.5 the median, 1 the farthest.",
+    click.FloatRange(0.0, 1.0),
 )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -72,16 +72,12 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
         if is_same_place(out, path):
             raise FileError(f"{out}: must not be the image or the mask that it is made of; got {path}")
     writer = writer_for(out)
-    if is_float and not writer.floats:
-        fitting = _listed(name for name, other in WRITERS.items() if other.floats)
-        raise_file_error(
-            out, f"{writer.label} holds codes; for floats it must end in {fitting}", f"the floats of {image}"
-        )
-    if is_float is False and not writer.code_bits:
-        fitting = _listed(name for name, other in WRITERS.items() if other.code_bits)
-        raise_file_error(
-            out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}"
-        )
+    if is_float is not None:
+        kind, other = ("floats", "codes") if is_float else ("codes", "floats")
+        *first, last = (name for name, each in WRITERS.items() if (each.floats if is_float else each.code_bits))
+        if suffix not in (*first, last):
+            rule = f"{writer.label} holds {other}; for {kind} it must end in {', '.join(first)} or {last}"
+            raise_file_error(out, rule, f"the {kind} of {image}")
     make_writable_folder(out.parent)
     return writer
 
@@ -93,16 +89,11 @@ def mean_median_options(method: str, options: Mapping[str, Any]) -> MeanMedian |
     constants = {name: value for name, value in options.items() if value is not None}
     if not constants:
         return None
-    option = f"--{next(iter(constants)).replace('_', '-')}"
     if method != THESIS:
+        option = f"--{next(iter(constants)).replace('_', '-')}"
         raise SceneError(f"{option}: belongs to --method {THESIS}; got {method}")
     try:
         return MeanMedian(**constants)
     except SceneError as error:
         name, _, rest = str(error).partition(":")
         raise SceneError(f"--{name.replace('_', '-')}:{rest}") from None
-
-
-def _listed(suffixes: Iterable[str]) -> str:
-    *first, last = suffixes
-    return f"{', '.join(first)} or {last}"

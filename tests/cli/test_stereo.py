@@ -136,7 +136,7 @@ def test_every_view_is_checked(scene: Path) -> None:
 def test_views_turned_inwards_agree_with_the_reference(scene: Path, warp: str) -> None:
     words = ["stereo.toe_in=1.5", "sequence.frames=1", f"motion.warp={warp}"]
     views = list(compare_frames(clsco.load_scene(scene, words), None, "double"))
-    assert [checked.eye for checked in views] == ["left", "right"]
+    assert [checked.frame.eye for checked in views] == ["left", "right"]
     assert [difference for checked in views for difference in checked.differences if difference.count] == []
     # The texture is that of the camera that is not turned: 1.5 deg are 20 mm / 0.1 mm * tan(1.5 deg) = 5.2 columns.
     frame = next(clsco.render(clsco.load_scene(scene, [*words, "object.0.motion.velocity=[0, 0, 0]"])))
