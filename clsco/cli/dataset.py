@@ -110,7 +110,7 @@ def _bar(quiet: bool) -> Progress:
 
 
 def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ...], values: dict[str, Any]) -> None:
-    from clsco.cli.dry_run import print_dry_run
+    from clsco.cli.tables import print_dry_run
     from clsco.data.distribution import load_distribution
     from clsco.data.dryrun import dry_run
 

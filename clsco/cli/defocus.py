@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clsco.errors import FileError, SceneError
-from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
+from clsco.cli.inputs import prepare_file
+from clsco.errors import SceneError
+from clsco.files.atomic import raise_file_error
 from clsco.files.color import SRGB, Color
 from clsco.files.images import WRITERS, check_same_size, writer_for
 from clsco.files.transfer import encode
@@ -20,30 +21,19 @@ from clsco.scene.sweep import Sweep, parse_sweep
 
 WHERE = "defocus"
 _OTHER_IMAGES = (".bmp", ".gif", ".hdr", ".jpeg", ".jpg", ".npy", ".npz", ".pfm", ".ppm", ".webp")
-_SECTION_OF = {
-    **dict.fromkeys(("unit", "scale", "baseline", "offset", "near", "far"), "object"),
-    **dict.fromkeys(("depth_kind", "no_depth", "soft_edges"), "object"),
-    **dict.fromkeys(("focal_length", "f_number", "focus_distance", "pixel_pitch"), "camera"),
-}
+_CAMERA = ("focal_length", "f_number", "focus_distance", "pixel_pitch")  # options that are keys of [camera]
 
 
-def scenes_from_files(
-    image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = (),
-    layers: tuple[str | None, str | None] = (None, None),
-) -> Sweep:  # fmt: skip
+def scenes_from_files(image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:
     """Scenes of one depth map with an image, one for each combination of values in `overrides`; paths are absolute.
 
-    options: values by key of `_SECTION_OF`, None for a missing key. overrides: as for `clsco.load_sweep`, applied after
-    the options. layers: of the image and of the depth, for EXR files with several. Raises SceneError.
+    options: values by key of the depth map or the camera, None for a missing key. overrides: as for
+    `clsco.load_sweep`, applied after the options. Raises SceneError.
     """
-    item: dict[str, Any] = {"shape": "depth_map", "name": "image"}
-    item |= {"texture": str(image.absolute()), "depth": str(depth.absolute())}
-    item |= {f"{key}_layer": name for key, name in zip(("texture", "depth"), layers, strict=True) if name is not None}
-    tables: dict[str, dict[str, Any]] = {"object": item, "camera": {}}
-    for key, value in options.items():
-        if value is not None:
-            tables[_SECTION_OF[key]][key] = value
-    data = {**tables, "object": [item]}
+    keys = {key: value for key, value in options.items() if value is not None}
+    camera = {key: keys.pop(key) for key in _CAMERA if key in keys}
+    files = {"texture": str(image.absolute()), "depth": str(depth.absolute())}
+    data = {"object": [{"shape": "depth_map", "name": "image", **files, **keys}], "camera": camera}
     override(data, overrides, WHERE)
     return parse_sweep(data, WHERE)
 
@@ -74,11 +64,7 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     if count != 1:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
     named = [Path(name) for _, item in scenes[0].inputs for name in item.files().values()]
-    for path in named:
-        if is_same_place(out, path):
-            raise FileError(f"{out}: must not be the image or the depth that it is made of; got {path}")
-    writer_for(out)
-    make_writable_folder(out.parent)
+    prepare_file(out, named, "the image or the depth")
 
 
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from clsco.inputs.focus import Focus
     from clsco.scene.sweep import Sweep
 
+    Loaded = Sequence[tuple[Path, Sweep | SceneError]]
+
 
 def _point(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5}),(\d{1,5})", text, re.ASCII)
@@ -48,9 +50,7 @@ def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None
     return Focus(on)
 
 
-def focus_files(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], focus: Focus | None
-) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
+def focus_files(loaded: Loaded, focus: Focus | None) -> Loaded:
     """The loaded files with focused lenses, or with a SceneError in place of scenes that cannot be focused, or that
     have several focus distances; unchanged if `focus` is None.
     """

@@ -43,7 +43,7 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Command], Comm
 @click.argument("image", type=PATH)
 @click.argument("depth", type=PATH)
 @option("-o out", "OUT", "Folder for the frame, or a file .png, .tif or .exr for its image alone.", PATH, required=True)
-@option("--image-layer", "NAME", _LAYER.format("IMAGE"))
+@option("--image-layer texture_layer", "NAME", _LAYER.format("IMAGE"))
 @option("--depth-layer", "NAME", _LAYER.format("DEPTH"))
 @_depth_option("unit", "UNIT", "Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
 @option("--scale", "NUMBER", "What 1 in DEPTH is worth, such as 0.001, 1/256 or -1.", _ratio)
@@ -88,8 +88,7 @@ def defocus(
     focus = parse_focus(values.pop("focus_at"), values.pop("focus_depth"))
     if focus is not None and values["focus_distance"] is not None:
         raise click.UsageError("focus: goes without --focus-distance; got both")
-    layers = values.pop("image_layer"), values.pop("depth_layer")
-    sweep = scenes_from_files(image, depth, values, overrides, layers)
+    sweep = scenes_from_files(image, depth, values, overrides)
     check_pair(sweep.scenes[0])
     loaded = focus_files([(image, sweep)], focus)
     if not alone:

@@ -10,19 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.cli.inputs import prepare_file
 from clsco.cli.output import echo
-from clsco.errors import ArgumentError, FileError, SceneError
-from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
-from clsco.files.images import (
-    WRITERS,
-    ImageWriter,
-    Picture,
-    check_same_size,
-    image_size,
-    read_image,
-    upright_note,
-    writer_for,
-)
+from clsco.errors import ArgumentError, SceneError
+from clsco.files import images
+from clsco.files.atomic import raise_file_error
+from clsco.files.images import WRITERS, ImageWriter, Picture, read_image
 from clsco.files.ranges import first_of
 from clsco.inpainting.rules import MeanMedian
 
@@ -37,8 +30,8 @@ def read_pair(
     """
     if threshold is not None and not math.isfinite(threshold):
         raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
-    check_same_size(str(image), str(mask), image_size(mask))
-    if note := upright_note(str(image), str(mask)):
+    images.check_same_size(str(image), str(mask), images.image_size(mask))
+    if note := images.upright_note(str(image), str(mask)):
         echo(note, err=True)
     missing = _missing(mask, threshold)
     if missing.all():
@@ -68,17 +61,13 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
         raise_file_error(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
-    for path in (image, mask):
-        if is_same_place(out, path):
-            raise FileError(f"{out}: must not be the image or the mask that it is made of; got {path}")
-    writer = writer_for(out)
+    writer = prepare_file(out, (image, mask), "the image or the mask")
     if is_float is not None:
         kind, other = ("floats", "codes") if is_float else ("codes", "floats")
         *first, last = (name for name, each in WRITERS.items() if (each.floats if is_float else each.code_bits))
         if suffix not in (*first, last):
             rule = f"{writer.label} holds {other}; for {kind} it must end in {', '.join(first)} or {last}"
             raise_file_error(out, rule, f"the {kind} of {image}")
-    make_writable_folder(out.parent)
     return writer
 
 

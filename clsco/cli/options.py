@@ -20,7 +20,6 @@ from clsco.errors import DeviceError, SceneError
 
 if TYPE_CHECKING:
     from clsco.engine.batch import Span
-    from clsco.frame.truth_files import TruthFile
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -87,18 +86,6 @@ def _types() -> list[str]:
 def usage_error(error: SceneError) -> click.UsageError:
     """Usage error for messages about option values, which begin with the options' names."""
     return click.UsageError("; ".join(f"--{message}" for message in error.messages))
-
-
-def _files(truth: str, formats: str, types: str) -> tuple[TruthFile, ...]:
-    """Files of ground truth that the options ask for."""
-    if not (truth or formats or types):
-        return ()
-    from clsco.frame.files import files_of
-
-    try:
-        return files_of(truth, formats, types)
-    except SceneError as error:
-        raise usage_error(error) from None
 
 
 class _Preset(Names):
@@ -197,7 +184,15 @@ def truth_options(command: Command) -> Command:
 
     @wraps(command)
     def call(truth: str, formats: str, types: str, **values: Any) -> Any:
-        return command(files=_files(truth, formats, types), **values)
+        if not (truth or formats or types):
+            return command(files=(), **values)
+        from clsco.frame.files import files_of
+
+        try:
+            files = files_of(truth, formats, types)
+        except SceneError as error:
+            raise usage_error(error) from None
+        return command(files=files, **values)
 
     decorated: Any = call
     return _TRUTH(_FORMAT(types_option(decorated)))

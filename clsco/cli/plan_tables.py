@@ -59,11 +59,7 @@ def planned_values(plans: Sequence[Plan], device: str, time: FrameTime | None) -
         views.append({"view": plan.eye, "blur": blur, "bytes": device_bytes(plan), "passes": passes})
     return {
         "frames": first.scene.sequence.frames,
-        "columns": first.columns,
-        "rows": first.rows,
-        "channels": first.channels,
-        "samples": first.samples,
-        "subframes": first.subframes,
+        **{name: getattr(first, name) for name in ("columns", "rows", "channels", "samples", "subframes")},
         "seconds": None if time is None else time.seconds,
         "device": None if time is None else device,
         "views": views,

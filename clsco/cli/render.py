@@ -14,13 +14,12 @@ from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, pa
 from clsco.cli.inputs import report_inputs
 from clsco.cli.options import PATH, Computation, flag, option
 from clsco.cli.output import echo
-from clsco.errors import SceneError
 
 if TYPE_CHECKING:
+    from clsco.cli.focus import Loaded
     from clsco.engine.batch import Job, Span
     from clsco.frame.truth_files import TruthFile
     from clsco.plan.request import Request
-    from clsco.scene.sweep import Sweep
 
 
 @click.command()
@@ -93,18 +92,10 @@ def request_for(files: tuple[TruthFile, ...], computation: Computation | None = 
 
 
 def render_to_folders(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]],
-    out: Path,
-    files: tuple[TruthFile, ...],
-    computation: Computation,
-    quiet: bool,
-    span: Span = (None, None),
-    resume: bool = False,
-    subframes: bool = False,
-    preset: str | None = None,
-    color: bool = True,
-    check: bool = False,
-) -> None:
+    loaded: Loaded, out: Path, files: tuple[TruthFile, ...], computation: Computation, quiet: bool,
+    span: Span = (None, None), resume: bool = False, subframes: bool = False, preset: str | None = None,
+    color: bool = True, check: bool = False,
+) -> None:  # fmt: skip
     """Plan scenes, and render the scenes of each file into its folder in `out`; other arguments as for `render`."""
     if files:
         from clsco.frame.files import require_truth_formats

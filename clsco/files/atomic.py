@@ -14,6 +14,8 @@ from typing import BinaryIO, NoReturn
 from clsco.errors import FileError, MissingDependencyError
 from clsco.resources import open_regular, work_name
 
+AnyPath = str | os.PathLike[str]
+
 _BLOCK = 2**18  # bytes that are read at once
 
 
@@ -78,7 +80,7 @@ def remove_file(path: Path) -> None:
         raise_file_error(path, "the file must be replaceable", error, error)
 
 
-def make_writable_folder(path: str | os.PathLike[str]) -> Path:
+def make_writable_folder(path: AnyPath) -> Path:
     """Make a folder and its parents, and check that files can be created in it. Raises FileError if they cannot."""
     path = Path(path)
     try:
@@ -91,7 +93,7 @@ def make_writable_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def is_same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+def is_same_place(path: AnyPath, other: AnyPath) -> bool:
     """True if two paths, existing or not, are equal once symbolic links are resolved; link cycles remain unresolved."""
     return os.path.realpath(path) == os.path.realpath(other)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import import_extra
-from clsco.files.atomic import atomic_write, raise_file_error
+from clsco.files.atomic import AnyPath, atomic_write, raise_file_error
 from clsco.files.color import SRGB, Color
 from clsco.files.decoders import IMAGE_FORMATS, decode_file, open_format, path_of, read_size, read_tags
-from clsco.files.png import png_parts
+from clsco.files.png import Codes, png_parts
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
 
@@ -49,9 +48,7 @@ class Picture:
         return self.data.dtype.kind == "f"
 
 
-def read_image(
-    path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = None, layer: str | None = None
-) -> Picture:  # fmt: skip
+def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: str | None = None) -> Picture:
     """Read a gray or RGB image: PNG, JPEG, TIFF, EXR, PFM or NPY.
 
     hidden: pixels (rows, columns) whose floats need not be finite; none by default. layer: of an EXR with several, as
@@ -69,7 +66,7 @@ def read_image(
         return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
-def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+def image_size(path: AnyPath) -> tuple[int, int]:
     """Columns and rows of an image, as `read_image` would give them, from its header alone. Raises FileError."""
     with open_format(path) as (file, kind):
         return read_size(file, kind)
@@ -111,16 +108,12 @@ def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[i
     """Orientation, if only one of two files is turned by its tag, and the paths of it and the other; else 1, "", ""."""
     if image == other:
         return 1, "", ""
-    orientations = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
-    turned = [path for path, orientation in orientations.items() if orientation != 1]
-    if len(turned) != 1:
-        return 1, "", ""
-    return orientations[turned[0]], turned[0], other if turned[0] == image else image
-
-
-def _orientation(path: str, formats: Mapping[str, str]) -> int:
-    with open_format(path, formats) as (file, kind):
-        return read_tags(file, kind).orientation
+    orientations = []
+    for path, known in ((image, IMAGE_FORMATS), (other, formats)):
+        with open_format(path, known) as (file, kind):
+            orientations.append((read_tags(file, kind).orientation, path))
+    (least, untagged), (orientation, turned) = sorted(orientations)
+    return (orientation, turned, untagged) if least == 1 < orientation else (1, "", "")
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
@@ -143,15 +136,13 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
     return data
 
 
-def write_png(
-    path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np.uint16], color: Color = SRGB
-) -> None:  # fmt: skip
+def write_png(path: AnyPath, data: Codes, color: Color = SRGB) -> None:
     """Write codes (rows, columns[, 3]) as a PNG of 8 or 16 bits in a color space. Raises FileError."""
     with atomic_write(Path(path)) as file:
         file.writelines(png_parts(data, color.png_chunks(data.ndim == 3)))
 
 
-def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = SRGB) -> None:
+def write_tiff(path: AnyPath, data: NDArray[Any], color: Color = SRGB) -> None:
     """Write an image of uint8, uint16 or float32, (rows, columns[, 3]), as a TIFF with lossless compression, and with
     the ICC profile of `color`, or one made from its primaries.
     """
@@ -163,7 +154,7 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
         tifffile.imwrite(file, data, metadata=None, **options)
 
 
-def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
+def write_npz(path: AnyPath, arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
     """Write named arrays as an NPZ, for np.load. Equal arrays give equal bytes. Raises FileError.
 
     Floats by default are not compressed: 15 MB of ground truth (512 x 512, color) become 13.6 MB in 16 ms; compressing
@@ -179,7 +170,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], 
 
 
 def write_exr(
-    path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], names: Sequence[str] = (),
+    path: AnyPath, *views: Mapping[str, NDArray[Any]], names: Sequence[str] = (),
     attributes: Sequence[Mapping[str, Any]] = (),
 ) -> None:  # fmt: skip
     """Write named channels (rows, columns) of each view in an OpenEXR file with lossless compression.
@@ -190,7 +181,11 @@ def write_exr(
     """
     exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
-    pixels = [{name: np.ascontiguousarray(plane, _exr_type(plane)) for name, plane in view.items()} for view in views]
+    types = {"float16": "float16", "uint16": "uint32"}
+    pixels = [
+        {name: np.ascontiguousarray(plane, types.get(plane.dtype.name, "float32")) for name, plane in view.items()}
+        for view in views
+    ]
     headers = [{**header, **about} for about in attributes or [{}] * len(views)]
     if names:
         parts = zip(names, headers, pixels, strict=True)
@@ -203,10 +198,6 @@ def write_exr(
         content.write(keeper)
         if keeper.error is not None:
             raise keeper.error
-
-
-def _exr_type(plane: NDArray[Any]) -> str:
-    return {"float16": "float16", "uint16": "uint32"}.get(plane.dtype.name, "float32")
 
 
 class _ErrorKeeper:
@@ -225,13 +216,13 @@ class _ErrorKeeper:
             raise
 
 
-def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:
     """Write a JSON file. Raises FileError if a number is not finite, or the file cannot be written."""
     with atomic_write(Path(path)) as file:
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
+def write_exr_image(path: AnyPath, image: NDArray[np.floating], color: Color = SRGB) -> None:
     """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, for readers that need them."""
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
@@ -282,9 +273,7 @@ def writer_for(path: Path) -> ImageWriter:
     return writer
 
 
-def save_image(
-    path: str | os.PathLike[str], image: NDArray[np.float32], bits: int = 16, color: Color = SRGB
-) -> None:  # fmt: skip
+def save_image(path: AnyPath, image: NDArray[np.float32], bits: int = 16, color: Color = SRGB) -> None:
     """Write an image (rows, columns[, 3]) of linear radiance in the format of its extension: PNG, TIFF or EXR.
     bits: of a PNG's codes, 8 or 16; 32 gives 16. Raises MissingDependencyError, FileError.
     """

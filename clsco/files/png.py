@@ -11,6 +11,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+Codes = NDArray[np.uint8] | NDArray[np.uint16]
+
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 BLOCK = 2**22  # bytes of an image that are compressed at once
 GRAY, RGB, PALETTE, GRAY_ALPHA, RGB_ALPHA = 0, 2, 3, 4, 6
@@ -19,9 +21,7 @@ _SAMPLES = {GRAY: 1, RGB: 3, PALETTE: 1, GRAY_ALPHA: 2, RGB_ALPHA: 4}
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 
 
-def png_parts(
-    data: NDArray[np.uint8] | NDArray[np.uint16], chunks: Iterable[tuple[bytes, bytes]] = ()
-) -> list[bytes]:  # fmt: skip
+def png_parts(data: Codes, chunks: Iterable[tuple[bytes, bytes]] = ()) -> list[bytes]:
     """Encode codes (rows, columns[, 3]) of 8 or 16 bits as the parts of a PNG, in order; equal data give equal bytes.
 
     chunks: kind and content of chunks before the pixels. 512 x 512 x 3 codes of 16 bits take 33 ms; imagecodecs takes

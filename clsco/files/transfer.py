@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,27 +21,23 @@ class Curve:
     """
 
     radiance: NDArray[np.float64]
+    _starts: dict[int, NDArray[np.float64]] = field(default_factory=dict, init=False, repr=False)
 
     def of_codes(self, bits: int) -> NDArray[np.float64]:
         """Radiance (1 or 3, 2^bits) of the codes of 8 or 16 bits."""
         return self.radiance[:, :: 257 if bits == 8 else 1]
 
     def starts(self, bits: int) -> NDArray[np.float64]:
-        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts, half a code below it."""
-        return self._starts_8 if bits == 8 else self._starts_16
-
-    @cached_property
-    def _starts_8(self) -> NDArray[np.float64]:
-        return self._above_codes(0.5 * (self.radiance[:, 128::257] + self.radiance[:, 129::257]), 8)
-
-    @cached_property
-    def _starts_16(self) -> NDArray[np.float64]:
-        return self._above_codes(0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:]), 16)
-
-    def _above_codes(self, starts: NDArray[np.float64], bits: int) -> NDArray[np.float64]:
-        """Starts of codes, moved above the code below where the curve is flat, so that codes come back."""
-        below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
-        return np.where(starts > below, starts, np.maximum(0.5 * (below + above), np.nextafter(below, 2.0)))
+        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts: half a code below it, or above the
+        code below where the curve is flat, so that codes come back.
+        """
+        if bits not in self._starts:
+            half = 0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:])
+            starts = half[:, 128::257] if bits == 8 else half
+            below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
+            least = np.maximum(0.5 * (below + above), np.nextafter(below, 2.0))
+            self._starts[bits] = np.where(starts > below, starts, least)
+        return self._starts[bits]
 
 
 Transfer = str | Curve

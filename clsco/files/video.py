@@ -95,12 +95,7 @@ def preset_for(path: Path, name: str | None = None) -> str:
     return name
 
 
-def require_video(path: Path) -> None:
-    """Raise MissingDependencyError if PyAV is not installed."""
-    _av(path)
-
-
-def _av(path: Path) -> Any:
+def require_video(path: Path) -> Any:
     """Import PyAV; the settings of its GnuTLS are disabled, because anybody could put them in a shared folder."""
     os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
     return import_extra(path, "av", "video")
@@ -180,7 +175,7 @@ def write_clip(
 
 def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
     """Note on the rate that FFmpeg reads from a clip, if it differs from `rate`: Matroska stores the interval in ns."""
-    with _av(path).open(str(path.absolute())) as container:
+    with require_video(path).open(str(path.absolute())) as container:
         seen = container.streams.video[0].average_rate
     return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
 
@@ -259,7 +254,7 @@ class _Clip:
 
     def encode(self, target: str, frames: Iterator[NDArray[Any]]) -> None:
         """Write all frames. Raises FileError, and OSError if the disk fails."""
-        av, preset = _av(self.where), self.preset
+        av, preset = require_video(self.where), self.preset
         os.environ.setdefault("SVT_LOG", "1")  # errors only: otherwise SVT-AV1 writes two dozen lines to stderr
         files = {"fflags": "+bitexact"} | ({"movflags": "+faststart"} if preset.container in ("mp4", "mov") else {})
         try:
@@ -328,8 +323,4 @@ def _with_bits(codes: NDArray[Any], bits: int) -> NDArray[Any]:
     """Codes converted to 8 or 16 bits: rounded half up, or widened so that white stays white."""
     if codes.dtype.itemsize * 8 == bits:
         return codes
-    return (
-        codes.astype(np.uint16) * np.uint16(257)
-        if bits == 16
-        else ((codes.astype(np.uint32) + 128) // 257).astype("u1")
-    )
+    return codes * np.uint16(257) if bits == 16 else ((codes.astype(np.uint32) + 128) // 257).astype("u1")

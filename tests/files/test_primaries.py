@@ -20,9 +20,15 @@ from tifffile import TiffFile
 import clsco
 from clsco.cli.main import main
 from clsco.data.record import make_record
-from clsco.files.color import Color, chunk_color, icc_color
+from clsco.files.color import (
+    CICP_CHROMATICITIES,
+    SRGB_CHROMATICITIES,
+    Color,
+    chromaticities_to_srgb,
+    chunk_color,
+    icc_color,
+)
 from clsco.files.images import read_image, write_png, write_tiff
-from clsco.files.primaries import CICP_CHROMATICITIES, SRGB_CHROMATICITIES, chromaticities_to_srgb
 from clsco.files.transfer import decode, encode
 from clsco.inputs.files import InputFiles
 from clsco.inputs.textures import load_scene_textures

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.cli.main import main
-from clsco.files.depth_codes import pfm_bytes
 from clsco.files.images import read_image, write_exr_image, write_png
+from clsco.files.truth_codes import pfm_bytes
 from clsco.inputs.textures import load_texture
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import combined
