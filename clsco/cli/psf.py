@@ -60,10 +60,10 @@ def psf(scene: Path, out: Path, at: tuple[tuple[float, float], ...], overrides: 
 
         write_npz(out, stack.arrays())
     else:
-        from clsco.cli.psf_sheet import sheet
+        from clsco.cli.sheets import psf_sheet
         from clsco.files.images import write_png
 
-        write_png(out, sheet(stack))
+        write_png(out, psf_sheet(stack))
     echo(f"{click.format_filename(out)}: {_about(stack)}")
 
 

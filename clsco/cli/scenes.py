@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 def demo(out: Path, device: str | None, quiet: bool) -> None:
     """Render some of the example scenes, and a sheet that shows them and their ground truth."""
     options.require_device(device)
-    from clsco.cli.demo import DETAILS, demo_sheet
     from clsco.cli.progress import progress
+    from clsco.cli.sheets import DETAILS, demo_sheet
     from clsco.engine import batch
     from clsco.files.images import write_png
     from clsco.frame.truth_files import TruthFile

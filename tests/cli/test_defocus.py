@@ -52,31 +52,16 @@ def test_defaults_are_those_of_a_scene(files: tuple[Path, Path]) -> None:
 
 
 def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
-    options = {
-        "unit": "disparity",
-        "scale": 0.5,
-        "baseline": 60.0,
-        "offset": -124.343,
-        "depth_kind": "z",
-        "no_depth": "far",
-        "focal_length": 50.0,
-        "f_number": 2.8,
-        "focus_distance": 900.0,
-        "pixel_pitch": 0.005,
-    }
-    scene = scene_of(*files, options)
-    item, camera = only_map(scene), scene.camera
-    values: list[Any] = [item.unit, item.scale, item.baseline, item.offset, item.depth_kind, item.no_depth]
-    values += [camera.focal_length, camera.f_number, camera.focus_distance, camera.pixel_pitch]
-    assert values == list(options.values())
+    keys: dict[str, Any] = {"unit": "disparity", "scale": 0.5, "baseline": 60.0, "offset": -124.343}
+    keys |= {"depth_kind": "z", "no_depth": "far"}
+    camera = {"focal_length": 50.0, "f_number": 2.8, "focus_distance": 900.0, "pixel_pitch": 0.005}
+    scene = scene_of(*files, keys | camera)
+    assert {key: getattr(only_map(scene), key) for key in keys} == keys
+    assert {key: getattr(scene.camera, key) for key in camera} == camera
 
 
 def test_overrides_come_last_and_reach_every_key(files: tuple[Path, Path]) -> None:
-    overrides = [
-        "camera.aperture_diameter=4",
-        "object.0.center=[0.0, 0.0, 300.0]",
-        "camera.motion.velocity=[1.0, 0.0, 0.0]",
-    ]
+    overrides = ["camera.aperture_diameter=4", "object.0.center=[0, 0, 300]", "camera.motion.velocity=[1, 0, 0]"]
     scene = scene_of(*files, {"f_number": 2.0, "unit": "mm"}, overrides)
     assert (scene.camera.aperture_diameter, scene.camera.f_number) == (4.0, None)
     assert only_map(scene).center == (0.0, 0.0, 300.0)
@@ -97,10 +82,8 @@ def test_an_image_file_is_distinguished_from_a_folder(tmp_path: Path) -> None:
     assert not is_image_file(tmp_path / "folder.jpg")
     with pytest.raises(FileError) as caught:
         is_image_file(tmp_path / "a.jpg")
-    assert (
-        str(caught.value)
-        == f"{tmp_path / 'a.jpg'}: must be a folder, or end in one of .png .tif .tiff .exr; got '.jpg'"
-    )
+    rule = "must be a folder, or end in one of .png .tif .tiff .exr"
+    assert str(caught.value) == f"{tmp_path / 'a.jpg'}: {rule}; got '.jpg'"
 
 
 def test_one_file_takes_one_image(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from clsco.cli.main import main
 from clsco.data.distribution import load_distribution
 from clsco.scene.sweep import load_sweeps
+from tests.command import clsco_
 
 ROOT = Path(__file__).resolve().parents[2] / "examples"
 
 
 def examples(*words: object) -> Result:
-    return CliRunner().invoke(main, ["examples", *map(str, words)])
+    return clsco_("examples", *words)
 
 
 def test_all_are_listed_and_copied(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from clsco.frame.files import read_complete
 from clsco.opencl.session import Session
 from clsco.plan.prepare import Prepared
 from tests.cli.test_main import marks
-from tests.command import clsco_
+from tests.command import clsco_, done
 from tests.scenes import scene_file
 
 PAIR = """
@@ -123,8 +123,7 @@ def test_the_plan_reports_both_views(scene: Path) -> None:
 
 
 def test_every_view_is_checked(scene: Path) -> None:
-    result = clsco_("check", "--rays", 0, scene, "--set", "sequence.frames=1", "--precision", "double")
-    assert result.exit_code == 0, result.output
+    result = done("check", "--rays", 0, scene, "--set", "sequence.frames=1", "--precision", "double")
     for view in ("left", "right"):
         assert f"Frame 0, {view} view, against the reference" in result.output
     words = result.output.split()

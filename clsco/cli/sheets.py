@@ -1,11 +1,12 @@
-"""The demonstration: a list of examples, and a labeled contact sheet of their images and ground truth."""
+"""Contact sheets: of example frames and their ground truth for `clsco demo`, of weights for `clsco psf`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from clsco.frame.contact_sheet import PAPER, contact_sheet, split_into_rows
@@ -13,9 +14,14 @@ from clsco.frame.frame import GREEN, Frame
 from clsco.frame.notebook import codes_to_show
 from clsco.frame.views import Picture, flow_colors, viridis
 
+if TYPE_CHECKING:
+    from clsco.reference.spreads import PsfStack
+
 DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
 WIDE, NARROW = 300, 196  # px
 NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
+CELL, MOST_ACROSS = 144, 14  # px a side of a point spread function, and functions in a row
+EMPTY = (12, 12, 16)
 
 
 def views(frames: Sequence[Frame]) -> dict[str, Picture]:
@@ -60,3 +66,34 @@ def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) 
 
 def _fitted(picture: Picture, side: int) -> Picture:
     return np.asarray(ImageOps.fit(Image.fromarray(picture), (side, side), Image.Resampling.LANCZOS))
+
+
+def psf_sheet(stack: PsfStack) -> Picture:
+    """Draw a stack with a row for each channel and place, and a column for each depth, all of the same scale in px."""
+    channels, places, depths, side, _ = stack.weights.shape
+    rows = []
+    for channel, place in np.ndindex(channels, places):
+        x, y = stack.at[place]
+        where = f" at {x:g}, {y:g}" if places > 1 else ""
+        tiles = []
+        for depth in range(depths):
+            weights, radius = stack.weights[channel, place, depth], stack.radius[channel, place, depth]
+            distance = f"{stack.depth[depth]:.5g} mm" if np.isfinite(stack.depth[depth]) else "infinite"
+            label = f"Z {distance}, R {radius:+.3g}{f', {stack.channels[channel]}' if channels > 1 else ''}{where}"
+            tiles.append((_cell(weights), f"{label}\nw {weights.max():.2g}"))
+        rows += split_into_rows(tiles, MOST_ACROSS)
+    return contact_sheet(rows, f"{stack.name}; {side} x {side} px; each as bright as its largest weight, w", lines=2)
+
+
+def _cell(weights: NDArray[np.float32]) -> Picture:
+    """A point spread function as a picture of CELL px a side, enlarged by a whole factor if there is room."""
+    shown = np.round(255.0 * np.clip(weights / max(float(weights.max()), 1e-30), 0.0, 1.0)).astype(np.uint8)
+    side = shown.shape[0]
+    if side > CELL:  # the largest weight of each pixel of the picture, so that points are seen
+        first = np.arange(CELL) * side // CELL
+        shown = np.maximum.reduceat(np.maximum.reduceat(shown, first, axis=0), first, axis=1)
+    times = CELL // shown.shape[0]
+    grown = Image.fromarray(np.kron(shown, np.ones((times, times), np.uint8)))
+    cell = Image.new("RGB", (CELL, CELL), EMPTY)
+    cell.paste(grown, ((CELL - grown.width) // 2, (CELL - grown.height) // 2))
+    return np.asarray(cell)
