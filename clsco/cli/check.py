@@ -51,7 +51,6 @@ class Difference:
 
     @property
     def agrees(self) -> bool:
-        """True if at most `allowed` pixels exceed the tolerance."""
         return self.count <= self.allowed
 
 

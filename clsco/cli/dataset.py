@@ -123,7 +123,6 @@ def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ..
 
 
 def _line(out: str, status: Status) -> str:
-    """Summary of a set in one line."""
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"
     shards = len(status.done)

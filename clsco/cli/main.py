@@ -68,7 +68,6 @@ class Commands(click.Group):
     """A group whose commands report an error in one line and exit with its status."""
 
     def make_context(self, *args: Any, **options: Any) -> click.Context:
-        """Parse a command line."""
         with visible_usage():
             return super().make_context(*args, **options)
 
@@ -113,12 +112,10 @@ class _LazyCommands(Commands):
         click.Group(commands=stubs).format_commands(ctx, formatter)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of all commands."""
         del ctx
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, name: str) -> Any:
-        """The command of this name; None if there is none."""
         del ctx
         if name not in COMMANDS:
             return None

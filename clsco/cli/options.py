@@ -25,18 +25,22 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it takes none
-    """Names that the shell completes and the command checks; many: several names with commas between them.
+    """Names that the shell completes and, with `strict`, click checks; many: several with commas between them.
 
-    source: returns the names; called only for completion, because it imports modules.
+    source: returns the names; called only if they are needed, because it imports modules.
     """
 
     name = "name"
 
-    def __init__(self, source: Callable[[], Iterable[str]], many: bool = False) -> None:
-        self.source, self.many = source, many
+    def __init__(self, source: Callable[[], Iterable[str]], many: bool = False, strict: bool = False) -> None:
+        self.source, self.many, self.strict = source, many, strict
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if self.strict and value not in (known := list(self.source())):
+            self.fail(f"must be one of {', '.join(known)}; got {value}", param, ctx)
+        return value
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Completions of the last name."""
         del ctx, param
         head, comma, last = incomplete.rpartition(",") if self.many else ("", "", incomplete)
         return [CompletionItem(f"{head}{comma}{name}") for name in self.source() if name.startswith(last)]
@@ -51,7 +55,6 @@ def option(
 
 
 def flag(names: str, text: str) -> Callable[[Command], Command]:
-    """An option without a value."""
     return click.option(*names.split(), is_flag=True, help=text)
 
 
@@ -88,15 +91,7 @@ def usage_error(error: SceneError) -> click.UsageError:
     return click.UsageError("; ".join(f"--{message}" for message in error.messages))
 
 
-class _Preset(Names):
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The name of a video preset; click fails for an unknown one."""
-        if value not in (known := list(self.source())):
-            self.fail(f"must be one of {', '.join(known)}; got {value}", param, ctx)
-        return value
-
-
-PRESET = _Preset(attribute("clsco.files.video:PRESETS"))
+PRESET = Names(attribute("clsco.files.video:PRESETS"), strict=True)
 
 
 def parse_span(text: str) -> Span:
@@ -143,7 +138,6 @@ class _Path(click.Path):
     """A path that is not empty, as Path("") would mean the current folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path; click fails for an empty one."""
         if os.fspath(value) == "":
             self.fail('must be a path; got ""', param, ctx)
         return super().convert(value, param, ctx)

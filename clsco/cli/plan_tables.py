@@ -86,7 +86,6 @@ def _of_lines(plan: Plan) -> str:
 
 
 def _times(plan: Plan, kind: Kind) -> int:
-    """Number of passes of this kind in a frame."""
     members = sum(each.kind == kind for each in plan.passes)
     return members if kind in ONCE_A_FRAME else members * plan.subframes
 
@@ -123,23 +122,19 @@ def _passes(plans: Sequence[Plan], time: FrameTime | None) -> list[tuple[str, ..
 
 def _figures(plan: Plan) -> list[tuple[str, str]]:
     memory = f"{device_bytes(plan) / 2**20:.1f} MiB"
+    aperture, exposure = plan.scene.aperture, list[tuple[str, str]]()
+    if aperture.exposure != "normalized":
+        factor = exposure_factor(aperture, plan.psf)
+        exposure.append(("exposure", f"{factor:.4g} of the light through an open circle"))
     return [
         ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
         ("guard band", f"{plan.guard_px} px on every side"),
-        *_exposure(plan),
+        *exposure,
         ("blur method", plan.blur if plan.color else "none, as there is no image"),
         ("memory on the device", memory + (" for each view" if plan.scene.stereo else "")),
         ("strips", _strips(plan)),
         ("predicted work", f"{plan.taps:.3g} weights per frame"),
     ]
-
-
-def _exposure(plan: Plan) -> list[tuple[str, str]]:
-    """Rows on the exposure, if it depends on the aperture's area."""
-    aperture = plan.scene.aperture
-    if aperture.exposure == "normalized":
-        return []
-    return [("exposure", f"{exposure_factor(aperture, plan.psf):.4g} of the light through an open circle")]
 
 
 def _strips(plan: Plan) -> str:

@@ -14,6 +14,7 @@ from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, pa
 from clsco.cli.inputs import report_inputs
 from clsco.cli.options import PATH, Computation, flag, option
 from clsco.cli.output import echo
+from clsco.cli.video import remove_clips, require_clips, write_clips
 
 if TYPE_CHECKING:
     from clsco.cli.focus import Loaded
@@ -113,27 +114,20 @@ def render_to_folders(
     from clsco.engine import batch
 
     if preset is not None:
-        from clsco.cli.video import require_clips
-
         require_clips(prepared, preset)
     jobs = batch.prepare_all(prepared, out, files, span, resume)
     if preset is not None:
-        from clsco.cli.video import remove_clips
-
         remove_clips(jobs, preset)  # clips of older frames
     with frame_progress(sum(len(job.frames) for job in jobs), quiet, computation.device) as advance:
         for _ in batch.run(jobs, computation.device, check):
             advance()
     if preset is not None:
-        from clsco.cli.video import write_clips
-
         write_clips(jobs, preset)
     if not quiet:
         echo(_written(out, jobs))
 
 
 def _written(out: Path, jobs: Sequence[Job]) -> str:
-    """Line that says which files were written, and where."""
     place, count = click.format_filename(out), sum(len(job.frames) for job in jobs)
     if not count:
         return f"{place}: all frames are there already"

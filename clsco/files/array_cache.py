@@ -43,7 +43,7 @@ class ArrayCache:
         """The arrays of a key, read-only; None if they are missing or damaged."""
         if self.folder is None:
             return None
-        path = self._path(key)
+        path = _path(self.folder, key)
         try:
             content = _read(path)
             if hashlib.sha256(memoryview(content)[DIGEST:]).digest() != content[:DIGEST]:
@@ -57,7 +57,7 @@ class ArrayCache:
         """Store arrays, unless they are larger than LARGEST; a full disk or a read-only folder is not an error."""
         if self.folder is None or sum(array.nbytes for array in arrays.values()) > LARGEST:
             return
-        content, path = _packed(arrays), self._path(key)
+        content, path = _packed(arrays), _path(self.folder, key)
         temporary = path.with_suffix(f".{os.getpid()}-{secrets.token_hex(4)}.part")
         with suppress(OSError):
             try:
@@ -68,21 +68,21 @@ class ArrayCache:
             self._written += len(content)
             if self._written > MOST_BYTES // SCANS:
                 self._written = 0
-                self._shrink()
+                _shrink(self.folder)
 
-    def _path(self, key: str) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:40]}{SUFFIX}"
 
-    def _shrink(self) -> None:
-        assert self.folder is not None
-        files = [(path.stat().st_mtime_ns, path.stat().st_size, path) for path in self.folder.glob(f"*{SUFFIX}")]
-        total = sum(size for _, size, _ in files)
-        for _, size, path in sorted(files):
-            if total <= MOST_BYTES:
-                return
-            path.unlink(missing_ok=True)
-            total -= size
+def _path(folder: Path, key: str) -> Path:
+    return folder / f"{hashlib.sha256(key.encode()).hexdigest()[:40]}{SUFFIX}"
+
+
+def _shrink(folder: Path) -> None:
+    files = [(path.stat().st_mtime_ns, path.stat().st_size, path) for path in folder.glob(f"*{SUFFIX}")]
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
+        if total <= MOST_BYTES:
+            return
+        path.unlink(missing_ok=True)
+        total -= size
 
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:

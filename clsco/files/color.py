@@ -340,7 +340,6 @@ def adaptation(white: Matrix) -> Matrix:
 
 
 def white_of(chromaticities: Sequence[float] | Matrix) -> Matrix:
-    """X, Y and Z of the white."""
     x, y = chromaticities[:2]
     return np.array([x / y, 1.0, (1 - x - y) / y])
 

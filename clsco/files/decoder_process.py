@@ -63,12 +63,9 @@ class _Serving:
         process, self.process = self.process, None
         if process is None:
             return None
-        assert process.stdin is not None
-        assert process.stdout is not None
-        with suppress(OSError):
-            process.stdin.close()
-        process.stdout.close()
-        return process.wait()
+        with suppress(OSError), process:  # closes the pipes, and waits for its end
+            pass
+        return process.returncode
 
     def forget(self) -> None:
         """Forget the process in a forked child: it belongs to the parent."""

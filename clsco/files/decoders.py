@@ -90,7 +90,6 @@ def open_format(path: AnyPath, formats: Mapping[str, str] = IMAGE_FORMATS) -> It
 
 
 def path_of(file: BinaryIO) -> Path:
-    """Path of an open file."""
     return Path(file.name)
 
 
@@ -271,7 +270,6 @@ def _exr_tags(file: BinaryIO) -> Tags:
 
 
 def _window(corners: Sequence[Any]) -> tuple[int, int]:
-    """Columns and rows of an EXR's window."""
     (left, top), (right, bottom) = (corner.tolist() for corner in corners)
     return right - left + 1, bottom - top + 1
 

@@ -22,7 +22,7 @@ _PNG_TAGS = (b"eXIf", b"iTXt", b"iCCP", *_PNG_COLORS)
 _JPEG_ICC = b"ICC_PROFILE\0"
 _JPEG_EXIF, _JPEG_XMP, _PNG_XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0", b"XML:com.adobe.xmp\0\0\0\0\0"
 _XMP_ORIENTATION = re.compile(rb'tiff:Orientation(?:="|>)([1-8])["<]')
-_ORIENTATION, _ICC = 0x0112, 0x8773  # numbers of tags in EXIF and TIFF
+ORIENTATION = 0x0112  # number of the tag in EXIF and TIFF
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,6 @@ def turn_upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def png_tags(file: BinaryIO) -> Tags:
-    """Tags of an open PNG, from its chunks."""
     exif = xmp = icc = b""
     colors: dict[bytes, bytes] = {}
     file.seek(8)
@@ -84,7 +83,6 @@ def png_tags(file: BinaryIO) -> Tags:
 
 
 def jpeg_tags(file: BinaryIO) -> Tags:
-    """Tags of an open JPEG, from its segments."""
     exif = xmp = b""
     parts: dict[int, bytes] = {}
     for kind, body in jpeg_segments(file):
@@ -112,12 +110,6 @@ def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
         yield kind, file.read(length - 2)
 
 
-def tiff_tags(values: Any) -> Tags:
-    """Tags of a page of a TIFF from its `tifffile.TiffTags`."""
-    orientation, icc = values.valueof(_ORIENTATION, default=1), values.valueof(_ICC, default=b"")
-    return Tags(orientation if orientation in range(1, 9) else 1, icc if isinstance(icc, bytes) else b"")
-
-
 def _inflated(chunk: bytes) -> bytes:
     """The profile in a chunk iCCP; for a damaged or too large one, bytes that are rejected later."""
     packed = chunk.partition(b"\0")[2][1:]
@@ -136,7 +128,7 @@ def _orientation(exif: bytes, xmp: bytes) -> int:
         with contextlib.suppress(Exception):  # pixels may be intact if a tag is damaged; Pillow raises many types
             known = Image.Exif()
             known.load(exif)
-            orientation = known.get(_ORIENTATION)
+            orientation = known.get(ORIENTATION)
     if orientation is None and (match := _XMP_ORIENTATION.search(xmp)):
         orientation = int(match[1])
     return orientation if orientation in range(1, 9) else 1

@@ -180,14 +180,10 @@ def write_clip(
             clip.encode(str(Path(file.name).absolute()), _check_kinds(target, first, source))
     except _FromFramesError as error:
         raise error.error from None
-    return (*clip.changes(preset), *_rounded_rate(target, rate))
-
-
-def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
-    """Note on the rate that FFmpeg reads from a clip, if it differs from `rate`: Matroska stores the interval in ns."""
-    with require_video(path).open(str(path.absolute())) as container:
-        seen = container.streams.video[0].average_rate
-    return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
+    with require_video(target).open(str(target.absolute())) as container:
+        seen = container.streams.video[0].average_rate  # another one from Matroska, which stores the interval in ns
+    rounded = () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
+    return (*clip.changes(preset), *rounded)
 
 
 class _FromFramesError(Exception):
@@ -284,7 +280,6 @@ class _Clip:
             raise_file_error(self.where, f"must be encodable and writable, by {what}", error, error)
 
     def _picture(self, av: Any, number: int, frame: NDArray[Any]) -> Any:
-        """A frame as a PyAV video frame."""
         columns, rows = self.size
         around = ((0, rows - frame.shape[0]), (0, columns - frame.shape[1]), (0, 0))[: frame.ndim]
         picture = av.VideoFrame(columns, rows, self.pixels)
