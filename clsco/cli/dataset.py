@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
-from contextlib import ExitStack, closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from clsco.scene.formatting import format_bytes, format_seconds
 
 if TYPE_CHECKING:
     from clsco.data.creation import Progress
-    from clsco.data.sets import Status
+    from clsco.data.sets import DataSet, Status
 
 SHOWN = 16  # samples on a sheet
 
@@ -31,17 +31,12 @@ def dataset() -> None:
 
 
 def _parse_numbers(text: str) -> range:
-    match = re.fullmatch(r"(\d{1,12}):(\d{1,12})", text, re.ASCII)
-    if match is None or not (numbers := range(int(match[1]), int(match[2]))):
-        raise click.BadParameter(f"must be A:B, samples A to B - 1 counted from 0; got {text}")
-    return numbers
+    rule = "A:B, samples A to B - 1 counted from 0"
+    return range(*options.parse_pair(text, r"(\d{1,12}):(\d{1,12})", rule, ordered=True))
 
 
 def _parse_part(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text, re.ASCII)
-    if match is None or int(match[1]) >= int(match[2]):
-        raise click.BadParameter(f"must be I/N, with I from 0 to N - 1; got {text}")
-    return int(match[1]), int(match[2])
+    return options.parse_pair(text, r"(\d{1,6})/(\d{1,6})", "I/N, with I from 0 to N - 1", ordered=True)
 
 
 data_argument = click.argument("data", metavar="DATA")
@@ -130,15 +125,23 @@ def _line(out: str, status: Status) -> str:
     return f"{click.format_filename(out)}: {samples}{whole}{failed}, {format_bytes(status.bytes)}"
 
 
+@contextmanager
+def _opened(data: str) -> Iterator[DataSet]:
+    from clsco.data.sets import open_set
+    from clsco.data.storage import open_storage
+
+    with closing(open_storage(data)) as storage:
+        yield open_set(storage)
+
+
 @dataset.command()
 @data_argument
 def status(data: str) -> None:
     """Report how much of a set has been made; nothing is written."""
-    from clsco.data.sets import open_set, ranges, status_of
-    from clsco.data.storage import open_storage
+    from clsco.data.sets import ranges, status_of
 
-    there = open_set(open_storage(data))
-    state = status_of(there)
+    with _opened(data) as there:
+        state = status_of(there)
     echo(f"shards: {len(state.done)} of {state.shards}")
     echo(f"samples: {state.made} made, {state.failed} failed, of {state.samples}; {format_bytes(state.bytes)}")
     if state.rate is not None and not state.is_whole:
@@ -161,12 +164,9 @@ def verify(data: str, sample: int, device: str | None, draw: str | None, base: P
 
     Prints a line for each finding; if there are any, the exit status is 1.
     """
-    from clsco.data.sets import open_set
-    from clsco.data.storage import open_storage
     from clsco.data.verify import chosen_samples, drawn_again, hold_arrays, verify_files, verify_samples
 
-    with closing(open_storage(data)) as storage:
-        there = open_set(storage)
+    with _opened(data) as there:
         if draw is not None:
             sys.path.insert(0, str(Path.cwd()))  # where a user's own modules lie
         drawn = None if draw is None else drawn_again(there, draw, base)
@@ -218,8 +218,6 @@ def open_data(data: str, sheet: Path | None) -> None:
     from clsco.data.card import loading_lines
     from clsco.data.dataset import open as opened
     from clsco.data.dataset import record_sheet
-    from clsco.data.sets import open_set
-    from clsco.data.storage import open_storage
     from clsco.files.images import write_png
 
     records = opened(data)
@@ -228,8 +226,8 @@ def open_data(data: str, sheet: Path | None) -> None:
         (name, about["dtype"], " x ".join(map(str, about["shape"])), about["unit"], about["convention"])
         for name, about in card.get("arrays", {}).items()
     ]
-    with closing(open_storage(data)) as storage:
-        loading = loading_lines(storage, open_set(storage).identity, card["files"])
+    with _opened(data) as there:
+        loading = loading_lines(there.storage, there.identity, card["files"])
     place = json.dumps(data)[:-1]
     splits = ", ".join(f"{sum(count for _, count in files)} of {name}" for name, files in card["files"].items() if name)
     about = f"{len(records)} samples{f' ({splits})' if splits else ''}, {card['identity']['format']}"
@@ -251,13 +249,10 @@ def open_data(data: str, sheet: Path | None) -> None:
 def show(data: str, number: int, base: Path) -> None:
     """Print the scene of sample NUMBER of a set as TOML: a scene file for clsco render."""
     from clsco.data.build import located
-    from clsco.data.sets import open_set
-    from clsco.data.storage import open_storage
     from clsco.data.verify import hold_arrays, scene_table
     from clsco.scene.toml import toml_text
 
-    with closing(open_storage(data)) as storage:
-        there = open_set(storage)
+    with _opened(data) as there:
         if hold_arrays(there, [number]):
             raise SceneError(f"sample {number}: must be a scene of files; got arrays, which its function alone makes")
         echo(toml_text(located(scene_table(there, number), base.absolute())), nl=False)

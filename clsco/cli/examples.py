@@ -76,11 +76,10 @@ def _named(path: Path) -> list[Path]:
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a file; an existing target must have the same content."""
-    from clsco.files.atomic import atomic_write, raise_file_error
+    from clsco.files.atomic import atomic_write_bytes, raise_file_error
 
     data = source.read_bytes()
     if target.exists() and target.read_bytes() != data:
         raise_file_error(target, "must not be there, or be the same file", "another one")
     target.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(target) as file:
-        file.write(data)
+    atomic_write_bytes(target, data)

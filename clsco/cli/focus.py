@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsco.cli.options import option
+from clsco.cli.options import option, parse_pair
 from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
@@ -21,10 +20,7 @@ if TYPE_CHECKING:
 
 
 def _point(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,5}),(\d{1,5})", text, re.ASCII)
-    if match is None:
-        raise click.BadParameter(f"must be X,Y, a pixel's column and row counted from 0; got {text}")
-    return int(match[1]), int(match[2])
+    return parse_pair(text, r"(\d{1,5}),(\d{1,5})", "X,Y, a pixel's column and row counted from 0")
 
 
 focus_at_option = option(
@@ -51,9 +47,7 @@ def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None
 
 
 def focus_files(loaded: Loaded, focus: Focus | None) -> Loaded:
-    """The loaded files with focused lenses, or with a SceneError in place of scenes that cannot be focused, or that
-    have several focus distances; unchanged if `focus` is None.
-    """
+    """The loaded files with focused lenses, or with a SceneError in place of scenes that cannot be focused."""
     if focus is None:
         return loaded
     return [(path, _focused(path, item, focus) if not isinstance(item, SceneError) else item) for path, item in loaded]

@@ -93,9 +93,7 @@ def report_notes(path: str, notes: Iterable[str]) -> None:
 
 
 def prepare_file(out: Path, sources: Iterable[Path], names: str) -> ImageWriter:
-    """Writer for an image file in a folder that exists and is writable. Raises FileError if OUT is one of the sources,
-    which have these names, or the folder is not writable; MissingDependencyError.
-    """
+    """Writer for an image file that is none of its sources, in a writable folder. Raises FileError, as `writer_for`."""
     from clsco.files.atomic import is_same_place, make_writable_folder
     from clsco.files.images import writer_for
 

@@ -59,9 +59,7 @@ def flag(names: str, text: str) -> Callable[[Command], Command]:
 
 
 def attribute(place: str) -> Callable[[], Iterable[str]]:
-    """A function that imports a module and returns names: entries of an object ("clsco.files.video:PRESETS"), or
-    allowed values of a model's field ("clsco.scene.shapes:DepthMap.unit").
-    """
+    """A function that returns the entries of a "module:OBJECT", or the allowed values of a "module:Model.key"."""
     module, _, path = place.partition(":")
 
     def names() -> Iterable[str]:
@@ -94,12 +92,17 @@ def usage_error(error: SceneError) -> click.UsageError:
 PRESET = Names(attribute("clsco.files.video:PRESETS"), strict=True)
 
 
+def parse_pair(text: str, pattern: str, rule: str, ordered: bool = False) -> tuple[Any, Any]:
+    """The two numbers of a pattern, None for an empty one. ordered: the first must be below the second."""
+    match = re.fullmatch(pattern, text, re.ASCII)
+    numbers: list[Any] = [int(number) if number else None for number in match.groups()] if match else []
+    if not numbers or (ordered and numbers[0] >= numbers[1]):
+        raise click.BadParameter(f"must be {rule}; got {text}")
+    return numbers[0], numbers[1]
+
+
 def parse_span(text: str) -> Span:
-    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text, re.ASCII)
-    if match is None:
-        raise click.BadParameter(f"must be A:B, frames A to B - 1 counted from 0; got {text}")
-    first, end = (int(number) if number else None for number in match.groups())
-    return first, end
+    return parse_pair(text, r"(\d{0,9}):(\d{0,9})", "A:B, frames A to B - 1 counted from 0")
 
 
 def parse_memory(text: str) -> int:

@@ -101,9 +101,7 @@ def _is_in_lines() -> bool:
 
 @contextmanager
 def _lines(total: int, what: str, here: Progress | None) -> Iterator[Callable[..., object]]:
-    """Print a line of JSON at the beginning, after items at most every LINES_S seconds, and at the end; with the
-    position of the device within a frame also every WITHIN_S seconds.
-    """
+    """Print lines of JSON: first, after items, and last; with a position in a frame also every WITHIN_S seconds."""
     done, printed, last, begun = 0, -1, 0.0, time.monotonic()
     lock, ended = threading.Lock(), threading.Event()
 

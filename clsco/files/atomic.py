@@ -55,9 +55,7 @@ def atomic_write_bytes(path: Path, content: bytes) -> None:
 
 @contextlib.contextmanager
 def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Create a hidden folder whose files move to `folder` when all are written, and are removed on an error.
-    name: kind of the files, for messages of FileError.
-    """
+    """Create a hidden folder whose files (`name` in messages) move to `folder` when all are written; or are removed."""
     temporary = _temporary(folder / name)
     try:
         temporary.mkdir()

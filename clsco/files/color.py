@@ -93,9 +93,7 @@ class Color:
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile of an RGB image: that of the file, or one made from the primaries for codes or linear values;
-        b"" if none is needed.
-        """
+        """ICC profile of an RGB image, of the file or made of its primaries for codes or linear values; b"" for none."""
         if self.icc or self.chromaticities is None:
             return self.icc
         return _profile(self.name, self.chromaticities, _curve_tag(self.curve, linear))
@@ -185,9 +183,7 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
 
 
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
-    """Name, channels, radiance of 2^16 codes per channel (None without curves), and chromaticities (None without a
-    matrix) from an ICC profile (ICC.1:2022).
-    """
+    """Name, channels, radiance of 2^16 codes per channel or None, and chromaticities or None, by ICC.1:2022."""
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
     if len(icc) < 132 or icc[36:40] != b"acsp":
@@ -326,9 +322,7 @@ def chromaticities_to_srgb(chromaticities: Sequence[float] | Matrix) -> Matrix |
 
 
 def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
-    """x and y of white, red, green and blue, from X, Y and Z of the primaries as columns, adapted to D50 from those of
-    the white.
-    """
+    """Chromaticities, white first, from X, Y and Z of primaries as columns, adapted to D50 from those of the white."""
     with np.errstate(all="ignore"):  # `colorants` rejects chromaticities that are not finite
         native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])
         return tuple((native[:2] / native.sum(axis=0)).T.ravel().tolist())

@@ -85,9 +85,7 @@ def check_sizes(
 
 
 def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
-    """Raise FileError if the file of a mask or a depth map differs in size from its image, or a file cannot be read.
-    size: columns and rows of the other file, upright; formats: of it, by extension.
-    """
+    """Raise FileError if a file of a mask or depth map, `size` upright, has another size than its image."""
     _, turned, untagged = _turned_alone(image, other, formats)
     hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
     check_sizes(image, image_size(image), other, size, *([hint] if turned else []))
@@ -143,9 +141,7 @@ def write_png(path: AnyPath, data: Codes, color: Color = SRGB) -> None:
 
 
 def write_tiff(path: AnyPath, data: NDArray[Any], color: Color = SRGB) -> None:
-    """Write an image of uint8, uint16 or float32, (rows, columns[, 3]), as a TIFF with lossless compression, and with
-    the ICC profile of `color`, or one made from its primaries.
-    """
+    """Write uint8, uint16 or float32 (rows, columns[, 3]) as a lossless TIFF, with a profile of `color`."""
     tifffile = import_extra(path, "tifffile", "formats")
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
     if profile := color.profile(data.dtype.kind == "f") if data.ndim == 3 else color.icc:

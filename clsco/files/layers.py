@@ -13,9 +13,7 @@ SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """For each part (name, channels) of a file, the full names of its channels by their names within the part, which
-    are the same in a file with a single part.
-    """
+    """Full names of channels by names within the part, for each (name, channels); the same for a single part."""
     if len(parts) == 1:
         return [{name: name for name in parts[0][1]}]
     known = [part for part, _ in parts]
@@ -79,20 +77,16 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
         prefix, _, last = name.rpartition(".")
         return last.lower() == "depth" or (is_value(name) and "depth" in prefix.lower().split("."))
 
+    own = {name: name if layer is None else name.rpartition(".")[2] for name in names}  # in the layer, or the file
     kinds = (
         [name for name in names if name == "Z" and is_value(name)],
         [name for name in names if is_depth(name)],
         [name for name in names if is_value(name)],
-        [name for name in names if _own(name, layer) in ("R", "G", "B")],
-        [name for name in names if _own(name, layer) == "Y"],
+        [name for name in names if own[name] in ("R", "G", "B")],
+        [name for name in names if own[name] == "Y"],
         list(names) if len(names) == 1 else [],
     )
     return next((kind for kind in kinds if kind), [])
-
-
-def _own(name: str, layer: str | None) -> str:
-    """Name of a channel within the named layer, or within the file."""
-    return name if layer is None else name.rpartition(".")[2]
 
 
 def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:

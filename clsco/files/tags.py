@@ -36,11 +36,6 @@ class Tags:
     chunks: tuple[tuple[bytes, bytes], ...] = ()
     chromaticities: tuple[float, ...] = ()
 
-    @property
-    def is_laid_down(self) -> bool:
-        """True if stored rows are columns of the upright image."""
-        return self.orientation >= 5
-
     def color(self, channels: int) -> Color:
         """Color space of the image, which has 1 or 3 channels."""
         if self.chromaticities:

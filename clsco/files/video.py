@@ -122,9 +122,7 @@ def require_size(path: Path, name: str, columns: int, rows: int) -> None:
 
 
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
-    """Frames per second, exactly, from a Fraction, an integer or text like 24, 23.976 or 24000/1001. Raises
-    ArgumentError, also for rates that containers cannot store.
-    """
+    """Exact frames per second of a Fraction, an integer or text like 24, 23.976 or 24000/1001. Raises ArgumentError."""
     text = value.strip() if isinstance(value, str) else ""
     if text and len(text) <= 32 and re.fullmatch(r"\d+(\.\d+)?|\d+/0*[1-9]\d*", text, re.ASCII):
         rate = Fraction(text)
