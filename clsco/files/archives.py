@@ -62,7 +62,7 @@ def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
 
 
 def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Array of an NPY file, in the memory of `content` if writable. Raises ValueError for another type, shape or size."""
+    """The array of an NPY file, in the memory of `content` if writable. Raises ValueError for another type or shape."""
     header = npy_header(io.BytesIO(content[:HEADER]))
     if header.dtype.hasobject or (header.dtype.newbyteorder("="), header.shape) != (dtype, shape):
         raise ValueError(f"{header.dtype} of shape {header.shape} for {dtype} {shape}")

@@ -93,7 +93,7 @@ class Color:
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile of an RGB image, of the file or made of its primaries for codes or linear values; b"" for none."""
+        """ICC profile of an RGB image, the file's or made of its primaries for codes or linear values; or b""."""
         if self.icc or self.chromaticities is None:
             return self.icc
         return _profile(self.name, self.chromaticities, _curve_tag(self.curve, linear))
