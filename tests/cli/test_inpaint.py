@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import clsco
 from clsco.cli.inpaint import read_pair
 from clsco.files.images import read_image, write_exr, write_png, write_tiff
-from tests.command import clsco_
+from tests.command import clsco_, done
 
 ROWS, COLUMNS = 20, 24
 MISSING = np.zeros((ROWS, COLUMNS), np.bool_)
@@ -66,8 +66,7 @@ def test_files_are_filled_as_arrays_are(
 ) -> None:
     data = CODES.astype(dtype) if channels == 1 else np.stack([CODES, CODES // 2, 255 - CODES], -1).astype(dtype)
     image, mask = save(name, data), save("mask.png", MASK)
-    result = run(image, mask, "-o", tmp_path / "made" / out, "--method", "mean-median")
-    assert result.exit_code == 0, result.output
+    result = done("inpaint", image, mask, "-o", tmp_path / "made" / out, "--method", "mean-median")
     expected, report = clsco.inpaint(data, MISSING, method="mean-median", return_report=True)
     pixels = read_image(tmp_path / "made" / out).data
     if out.endswith(".exr") and channels == 1:
@@ -102,8 +101,7 @@ def test_missing_pixels_of_floats_may_be_no_numbers(save: Save, tmp_path: Path) 
 
 def test_an_image_without_missing_pixels_is_copied_and_that_is_reported(save: Save, tmp_path: Path) -> None:
     image, mask, out = save("image.png", CODES), save("mask.png", 0 * MASK), tmp_path / "out.png"
-    result = run(image, mask, "-o", out)
-    assert result.exit_code == 0
+    result = done("inpaint", image, mask, "-o", out)
     assert f"no pixel is missing: {out} is a copy of {image}\n" in result.stdout
     assert (read_image(out).data == CODES).all()
 

@@ -23,6 +23,7 @@ from clsco.cli.main import COMMANDS, main
 from clsco.engine import batch
 from clsco.errors import FileError
 from clsco.files.images import read_image
+from clsco.files.png import png_parts
 from clsco.frame.files import read_complete
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import FILE_NAMES, MOTION_NAMES, TRUTH_NAMES
@@ -203,11 +204,7 @@ BAD_SCENES = {
 
 @pytest.fixture
 def bad(tmp_path: Path) -> Path:
-    whole = scene_file(tmp_path / "whole.toml", PLANE)
-    assert clsco_("render", whole, "-o", tmp_path).exit_code == 0
-    picture = (tmp_path / "frame_0000.png").read_bytes()
-    for path in tmp_path.iterdir():
-        path.unlink()
+    picture = b"".join(png_parts(np.zeros((9, 12), np.uint8)))
     (tmp_path / "broken.png").write_bytes(picture[:60])
     for name, (text, _) in BAD_SCENES.items():
         if text is not None:
@@ -289,7 +286,7 @@ def test_help_and_version() -> None:
     assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
     for name in COMMANDS:
         assert f"\n  {name} " in clsco_("--help").output
-        assert clsco_(name, "--help").exit_code == 0
+        done(name, "--help")
     assert clsco_("paint").exit_code == 2
 
 

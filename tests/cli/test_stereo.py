@@ -77,18 +77,14 @@ def test_a_pair_is_resumed_as_one(scene: Path, tmp_path: Path) -> None:
 
 def test_scenes_that_share_rays_are_those_rendered_alone(scene: Path, tmp_path: Path) -> None:
     sweep = ["--set", "camera.f_number=[2, 8]", "--frames", "1:", "--format", "npz"]
-    batch_size = batch.TOGETHER
-    assert batch_size > 2
+    assert batch.TOGETHER > 2
     assert clsco_("render", scene, "-o", tmp_path / "out", *sweep).exit_code == 0
     for number in (2, 8):
         alone = ["--set", f"camera.f_number={number}", *sweep[2:]]
         assert clsco_("render", scene, "-o", tmp_path / "alone", *alone).exit_code == 0
-        for eye in ("left", "right"):
-            for suffix in ("png", "npz"):
-                name = f"frame_0001_{eye}.{suffix}"
-                assert (tmp_path / f"out/f_number_{number}" / name).read_bytes() == (
-                    tmp_path / "alone" / name
-                ).read_bytes()
+        for name in ("left.png", "left.npz", "right.png", "right.npz"):
+            places = (tmp_path / folder / f"frame_0001_{name}" for folder in (f"out/f_number_{number}", "alone"))
+            assert len({path.read_bytes() for path in places}) == 1
 
 
 @pytest.mark.slow

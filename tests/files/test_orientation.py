@@ -22,6 +22,7 @@ from tests.files.test_images import chunk
 
 Array = NDArray[Any]
 UPRIGHT = np.arange(6 * 9, dtype=np.uint8).reshape(6, 9) * np.uint8(4)
+PNG_XMP = b"XML:com.adobe.xmp\0\0\0\0\0"
 # How each orientation stores an upright image, by EXIF 2.32, table 6.
 STORED: dict[int, Callable[[Array], Array]] = {
     1: np.array,
@@ -52,20 +53,12 @@ def png(data: Array, *extra: bytes, last: bool = False) -> bytes:
     return plain[:at] + b"".join(extra) + plain[at:]
 
 
+def exif_chunk(orientation: int) -> bytes:
+    return chunk(b"eXIf", exif(orientation).removeprefix(b"Exif\0\0"))
+
+
 def save_png(path: Path, data: Array, orientation: int) -> None:
-    path.write_bytes(png(data, chunk(b"eXIf", exif(orientation).removeprefix(b"Exif\0\0"))))
-
-
-def save_late_png(path: Path, data: Array, orientation: int) -> None:
-    path.write_bytes(png(data, chunk(b"eXIf", exif(orientation).removeprefix(b"Exif\0\0")), last=True))
-
-
-def save_xmp_png(path: Path, data: Array, orientation: int) -> None:
-    path.write_bytes(png(data, chunk(b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0" + xmp(orientation))))
-
-
-def save_pillow_png(path: Path, data: Array, orientation: int) -> None:
-    Image.fromarray(np.ascontiguousarray(data)).save(path, exif=exif(orientation))
+    path.write_bytes(png(data, exif_chunk(orientation)))
 
 
 def save_tiff(path: Path, data: Array, orientation: int) -> None:
@@ -73,18 +66,19 @@ def save_tiff(path: Path, data: Array, orientation: int) -> None:
     tifffile.imwrite(path, data, extratags=[(274, 3, 1, orientation, True)], **options)
 
 
-def save_jpeg(path: Path, data: Array, orientation: int) -> None:
-    Image.fromarray(np.ascontiguousarray(data)).save(path, exif=exif(orientation), quality=100, subsampling=0)
+def save_by_pillow(path: Path, data: Array, **options: Any) -> None:
+    Image.fromarray(np.ascontiguousarray(data)).save(path, quality=100, subsampling=0, **options)
 
 
-def save_xmp_jpeg(path: Path, data: Array, orientation: int) -> None:
-    Image.fromarray(np.ascontiguousarray(data)).save(path, xmp=xmp(orientation), quality=100, subsampling=0)
-
-
-SAVERS = {
-    "png": save_png, "late.png": save_late_png, "xmp.png": save_xmp_png, "pillow.png": save_pillow_png,
-    "tif": save_tiff, "jpg": save_jpeg, "xmp.jpg": save_xmp_jpeg,
-}  # fmt: skip
+SAVERS: dict[str, Callable[[Path, Array, int], object]] = {
+    "png": save_png,
+    "late.png": lambda path, data, turn: path.write_bytes(png(data, exif_chunk(turn), last=True)),
+    "xmp.png": lambda path, data, turn: path.write_bytes(png(data, chunk(b"iTXt", PNG_XMP + xmp(turn)))),
+    "pillow.png": lambda path, data, turn: save_by_pillow(path, data, exif=exif(turn)),
+    "tif": save_tiff,
+    "jpg": lambda path, data, turn: save_by_pillow(path, data, exif=exif(turn)),
+    "xmp.jpg": lambda path, data, turn: save_by_pillow(path, data, xmp=xmp(turn)),
+}
 
 
 @pytest.mark.parametrize("orientation", STORED)

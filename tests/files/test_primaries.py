@@ -255,9 +255,8 @@ def test_chromaticities_of_an_exr_come_out_of_every_writer(tmp_path: Path, name:
         np.testing.assert_array_equal(chromaticities_in(tmp_path / path), np.array(numbers, np.float32))
         np.testing.assert_allclose(read_image(tmp_path / path).data, RADIANCE, atol=1e-6)
     for path in ("folder/frame_0000.json", "all/frame_0000.json"):
-        np.testing.assert_array_equal(
-            json.loads((tmp_path / path).read_text())["chromaticities"], np.array(numbers, np.float32)
-        )
+        described = json.loads((tmp_path / path).read_text())
+        np.testing.assert_array_equal(described["chromaticities"], np.array(numbers, np.float32))
     matrix = by_hand(numbers)
     for path in ("a.png", "all/frame_0000.png", "a.tif", "b.tif", "frame.tif"):
         picture = read_image(tmp_path / path)
