@@ -188,13 +188,6 @@ def test_a_folder_without_a_set_is_no_set(place: Path) -> None:
     assert sorted(path.name for path in place.iterdir()) == ["set.toml"]
 
 
-def test_help_has_the_commands() -> None:
-    shown = dataset("--help").stdout
-    for name in ("make", "status", "verify", "show", "convert", "open", "remake"):
-        assert f"\n  {name} " in shown
-    assert "--shard-size" in dataset("make", "--help").stdout
-
-
 def test_a_set_is_made_again_from_its_card(place: Path) -> None:
     Path("base.toml").write_text(DISTRIBUTION)
     Path("set.toml").write_text('base = "base.toml"\n[vary.camera]\nf_number = { choice = [2, 4] }\n')

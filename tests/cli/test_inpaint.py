@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.cli.inpaint import read_pair
+from clsco.cli.progress import shares
 from clsco.files.images import read_image, write_exr, write_png, write_tiff
 from tests.command import clsco_, done
 
@@ -33,14 +34,11 @@ def save(tmp_path: Path) -> Save:
 
     def write(name: str, array: NDArray[Any]) -> Path:
         path = tmp_path / name
-        if path.suffix == ".png":
-            write_png(path, array)
-        elif path.suffix == ".tif":
-            write_tiff(path, array)
-        elif path.suffix == ".exr":
+        if path.suffix == ".exr":
             write_exr(path, {"Y": array} if array.ndim == 2 else {c: array[..., n] for n, c in enumerate("RGB")})
         else:
-            np.save(path, array)
+            savers: dict[str, Callable[..., None]] = {".png": write_png, ".tif": write_tiff, ".npy": np.save}
+            savers[path.suffix](path, array)
         return path
 
     return write
@@ -170,15 +168,13 @@ def test_a_threshold_that_is_no_number_is_refused(save: Save, tmp_path: Path) ->
 
 
 def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    from clsco.cli import progress as show
-
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with show.shares(False) as progress:
+    with shares(False) as progress:
         for share in (0.0, 0.005, 0.3, 0.3, 0.999):
             progress(share)
     assert "99/100" in terminal.getvalue()

@@ -287,6 +287,9 @@ def test_help_and_version() -> None:
     for name in COMMANDS:
         assert f"\n  {name} " in clsco_("--help").output
         done(name, "--help")
+    for name in ("make", "status", "verify", "show", "convert", "open", "remake"):
+        assert f"\n  {name} " in clsco_("dataset", "--help").output
+        done("dataset", name, "--help")
     assert clsco_("paint").exit_code == 2
 
 
