@@ -59,7 +59,7 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
 
 
 def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared], close: bool = False) -> None:
-    """Print to stderr which images are stretched, and which parts are out of sight or black, once for the first scene.
+    """Print to stderr which images are stretched, and, once each, which parts of scenes are out of sight or black.
 
     close: True to report also a close focus, which makes sizes differ from the usual formulas.
     """

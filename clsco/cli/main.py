@@ -1,6 +1,6 @@
 """The command `clsco`.
 
-Exit status: 0 done; 1 a user's error, in one line on stderr; 2 wrong usage; 3 no device; 130 interrupted; 143 ended.
+Exit status: 0 done; 1 a user's error, one line on stderr; 2 wrong usage; 3 no device; 130 interrupted; 143 terminated.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ WITHIN_S = 1.0  # between lines within a frame
 def progress(
     total: int, quiet: bool, what: str = "frames", here: Progress | None = None
 ) -> Iterator[Callable[..., object]]:
-    """Show progress; yields a function to call after some items, whose number is 1 by default.
+    """Show a bar on a terminal, or lines of JSON on request; yields a function to call after some items, by default 1.
 
     what: items, plural. here: position of the device within a frame, to be shown as well.
     """

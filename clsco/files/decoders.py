@@ -102,8 +102,8 @@ def unzstd(path: Path, content: bytes, most: int) -> memoryview:
 def read_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     """(columns, rows) from an open file's header, upright; rewinds the file. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)
-    lies = read_tags(file, kind).orientation >= 5  # stored rows are columns of the upright image
-    return (rows, columns) if lies else (columns, rows)
+    lies_on_side = read_tags(file, kind).orientation >= 5  # stored rows are columns of the upright image
+    return (rows, columns) if lies_on_side else (columns, rows)
 
 
 def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
