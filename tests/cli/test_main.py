@@ -143,15 +143,20 @@ def marks(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
 
 
+def rendered_again(folder: Path, *words: object) -> set[str]:
+    """Run a command; gives the names of files in a folder that it has written."""
+    before = marks(folder)
+    done(*words)
+    assert sorted(marks(folder)) == sorted(before | marks(folder))
+    return {name for name, mark in marks(folder).items() if before.get(name) != mark}
+
+
 def test_resume_renders_what_is_missing_damaged_or_of_another_scene(ball: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = ("render", ball, "-o", out)
 
     def redone(*more: str) -> set[str]:
-        before = marks(out)
-        assert clsco_(*command, *more).exit_code == 0
-        assert sorted(marks(out)) == sorted(before | marks(out))
-        return {name[6:10] for name, mark in marks(out).items() if before.get(name) != mark}
+        return {name[6:10] for name in rendered_again(out, *command, *more)}
 
     assert clsco_(*command).exit_code == 0
     assert redone("--resume") == set()

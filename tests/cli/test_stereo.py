@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from clsco.engine.sequence import render_prepared
 from clsco.frame.files import read_complete
 from clsco.opencl.session import Session
 from clsco.plan.prepare import Prepared
-from tests.cli.test_main import marks
+from tests.cli.test_main import rendered_again
 from tests.command import clsco_, done
 from tests.scenes import scene_file
 
@@ -51,12 +52,7 @@ def scene(tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_a_pair_is_resumed_as_one(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-
-    def redone(*more: str) -> set[str]:
-        before = marks(out)
-        assert clsco_("render", scene, "-o", out, "--resume", *more).exit_code == 0
-        return {name for name, mark in marks(out).items() if before.get(name) != mark}
-
+    redone = partial(rendered_again, out, "render", scene, "-o", out, "--resume")
     assert clsco_("render", scene, "-o", out).exit_code == 0
     assert redone() == set()
     first = {"frame_0000.json", "frame_0000_left.png", "frame_0000_right.png"}
