@@ -15,7 +15,7 @@ from benchmarks.blur import measure, report
 from benchmarks.blur.cases import BenchGrid, make_grid
 from benchmarks.thesis import page
 from benchmarks.thesis.figures import chosen
-from clsco.cli.group import Commands
+from clsco.cli.main import Commands
 from clsco.cli.options import PATH, device_option, quiet_option, require_device
 from clsco.cli.output import echo
 from clsco.cli.progress import progress

@@ -9,7 +9,7 @@ from typing import Any
 from PIL import Image
 
 import clsco
-from clsco.cli.demo import demo_sheet
+from clsco.cli.sheets import demo_sheet
 
 ROOT = Path(__file__).parents[1]
 SHOWN = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,10 +34,9 @@ LEAST_AGREEING = 500
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of an output from that of the reference.
+    """Difference of an output from that of the reference, in `unit`, with the pixel of the largest error.
 
-    largest, rms: errors in `unit`; row, column: pixel of the largest error; figure: tolerance in `unit`; count: pixels
-    whose error exceeds it; pixels: pixels of the frame; allowed: largest `count` that passes.
+    figure: tolerance; count: pixels whose error exceeds it; allowed: largest `count` that passes.
     """
 
     output: str
@@ -48,32 +47,26 @@ class Difference:
     column: int
     count: int
     figure: float
-    pixels: int
     allowed: int
 
     @property
     def agrees(self) -> bool:
-        """True if at most `allowed` pixels exceed the tolerance."""
         return self.count <= self.allowed
 
 
 @dataclass(frozen=True)
 class Checked:
-    """Comparison of one frame, or of one view of a stereo pair, with the reference.
+    """Comparison of a frame of the device, or of a view of a stereo pair, with the reference; times of both."""
 
-    eye: "left" or "right" of a stereo pair, else ""; pass_seconds, seconds, reference_seconds: time in kernels, of the
-    whole rendering, and of the reference; frame: the device's frame.
-    """
-
-    index: int
-    eye: str
+    frame: Frame
     differences: tuple[Difference, ...]
-    device: str
-    precision: str
-    pass_seconds: float
     seconds: float
     reference_seconds: float
-    frame: Frame
+
+    @property
+    def place(self) -> str:
+        """Words for the frame, and the view of a stereo pair."""
+        return f"in frame {self.frame.index}" + (f" ({self.frame.eye})" if self.frame.eye else "")
 
 
 def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: bool = False) -> Difference:
@@ -96,7 +89,7 @@ def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: b
     rms = float(np.sqrt(np.mean(error**2)))
     count = int((error > figure).sum())
     allowed = error.size // LEAST_AGREEING if single and not np.isnan(values).any() else 0
-    return Difference(output, unit, float(error.max()), rms, int(row), int(column), count, figure, error.size, allowed)
+    return Difference(output, unit, float(error.max()), rms, int(row), int(column), count, figure, allowed)
 
 
 def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
@@ -135,12 +128,7 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
         middle = time.perf_counter()
         exact = next(exacts)
         end = time.perf_counter()
-        metadata = frame.metadata
-        yield Checked(
-            frame.index, frame.eye, compare(frame, exact) + differences, metadata["device"], metadata["precision"],
-            sum(spent for name, spent in metadata["seconds"].items() if name != "host"), middle - start, end - middle,
-            frame,
-        )  # fmt: skip
+        yield Checked(frame, compare(frame, exact) + differences, middle - start, end - middle)
 
 
 def _reference_tables(checked: Checked) -> list[RenderableType]:
@@ -150,21 +138,18 @@ def _reference_tables(checked: Checked) -> list[RenderableType]:
         (d.output, f"{d.largest:.2e}", f"{d.rms:.2e}", d.unit, f"{d.row}", f"{d.column}", f"{d.count}", f"{d.figure:g}")
         for d in checked.differences
     ]
-    view = f", {checked.eye} view," if checked.eye else ""
-    compared = table(
-        f"Frame {checked.index}{view} against the reference", columns, rows, right=columns[1:3] + columns[4:]
-    )
+    frame, metadata = checked.frame, checked.frame.metadata
+    title = f"Frame {frame.index}{f', {frame.eye} view,' if frame.eye else ''} against the reference"
+    in_kernels = sum(spent for name, spent in metadata["seconds"].items() if name != "host")
     times = (
-        f"{checked.device}, {checked.precision} precision: {checked.seconds:.3f} s, in kernels "
-        f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
+        f"{metadata['device']}, {metadata['precision']} precision: {checked.seconds:.3f} s, in kernels "
+        f"{in_kernels:.3f} s; reference: {checked.reference_seconds:.3f} s"
     )
-    return [compared, Text(times)]
+    return [table(title, columns, rows, right=columns[1:3] + columns[4:]), Text(times)]
 
 
 def _judged_tables(judgement: Judgement) -> list[RenderableType]:
-    """Deviations of one frame from rays through the lens, by class of pixel and by object, and the light of small
-    objects.
-    """
+    """Deviations of one frame from rays: by class of pixel and by object, and the light of small objects."""
     columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
     tables: list[RenderableType] = []
     for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
@@ -210,39 +195,36 @@ def check_scene(
     count = scene.sequence.frames * (1 if scene.stereo is None else 2)
     for checked in compare_frames(scene, device, precision):
         print_tables(*_reference_tables(checked))
-        color, view = checked.differences[0], f" ({checked.eye})" if checked.eye else ""
+        color, frame = checked.differences[0], checked.frame
         if not color.agrees:
-            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
+            got = f"{color.largest:.2g} {checked.place} ({color.count} pixels above)"
             raise ClscoError(f"{path}: color must agree within {color.figure:g} of white; got {got}")
         if why is None:
-            problem = make_problem(scene, checked.index, checked.eye)
-            judged = judge(problem, checked.frame.color, rays, seconds / count)
+            judged = judge(make_problem(scene, frame.index, frame.eye), frame.color, rays, seconds / count)
             print_tables(*_judged_tables(judged))
-            views.append((replace(checked, eye=view), judged))
+            views.append((checked, judged))
     if why is not None:
         echo(f"the lens: not judged: {why}")
     if out is not None:
         _write_report(out, views, why)
-    if wrong := [f"{judged.wrong} in frame {each.index}{each.eye}" for each, judged in views if not judged.agrees]:
+    if wrong := [f"{judged.wrong} {each.place}" for each, judged in views if not judged.agrees]:
         raise ClscoError(f"{path}: pixels must be within 0.01 of white and 5 errors of rays; got {'; '.join(wrong)}")
 
 
 def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
-    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames of all views.
-
-    Pixels are red if too bright, blue if too dark, and green if they agree; colors saturate at 0.01 of white. why:
-    reason why there are no rays, or None.
+    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames: red if too bright, blue if
+    too dark, green if they agree, saturated at 0.01 of white. why: reason why there are no rays, or None.
     """
     if out.suffix.lower() == ".json":
-        values = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
+        values = [{"frame": each.frame.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
         write_json(out, {"not_judged": why, "views": values})
         return
     if why is not None:
         raise ClscoError(f"-o: a picture needs rays; got {why}")
     pictures = []
     for each, judged in views:
-        light = np.clip(each.frame.color.reshape(*each.frame.color.shape[:2], -1).mean(axis=2), 0.0, 1.0)
-        picture = np.repeat(0.25 * light[..., None], 3, axis=2)
+        light = np.clip(np.atleast_3d(each.frame.color).mean(axis=2, keepdims=True), 0.0, 1.0)
+        picture = np.repeat(0.25 * light, 3, axis=2)
         off = (judged.got - judged.right).mean(axis=1) / 0.01
         tried = np.stack([off, 1.0 - np.abs(off), -off], axis=-1)
         picture[judged.pixels.row, judged.pixels.column] = np.clip(tried, 0.0, 1.0)

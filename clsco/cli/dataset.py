@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.options import (
-    ARRAYS,
-    PATH,
-    SET_FORMAT,
-    precision_option,
-    quiet_option,
-    require_opencl,
-    set_option,
-    types_option,
-    usage_error,
-)
+from clsco.cli import options
+from clsco.cli.options import PATH, option
 from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.errors import ClscoError, SceneError
@@ -30,7 +20,7 @@ from clsco.scene.formatting import format_bytes, format_seconds
 
 if TYPE_CHECKING:
     from clsco.data.creation import Progress
-    from clsco.data.sets import Status
+    from clsco.data.sets import DataSet, Status
 
 SHOWN = 16  # samples on a sheet
 
@@ -41,72 +31,47 @@ def dataset() -> None:
 
 
 def _parse_numbers(text: str) -> range:
-    match = re.fullmatch(r"(\d{1,12}):(\d{1,12})", text, re.ASCII)
-    if match is None or not (numbers := range(int(match[1]), int(match[2]))):
-        raise click.BadParameter(f"must be A:B, samples A to B - 1 counted from 0; got {text}")
-    return numbers
+    rule = "A:B, samples A to B - 1 counted from 0"
+    return range(*options.parse_pair(text, r"(\d{1,12}):(\d{1,12})", rule, ordered=True))
 
 
 def _parse_part(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text, re.ASCII)
-    if match is None or int(match[1]) >= int(match[2]):
-        raise click.BadParameter(f"must be I/N, with I from 0 to N - 1; got {text}")
-    return int(match[1]), int(match[2])
+    return options.parse_pair(text, r"(\d{1,6})/(\d{1,6})", "I/N, with I from 0 to N - 1", ordered=True)
 
 
 data_argument = click.argument("data", metavar="DATA")
-base_option = click.option(
-    "--base", metavar="FOLDER", type=PATH, default=Path(),
-    help="Where the distribution file was, with its textures; default: here.",
-)  # fmt: skip
+base_option = option(
+    "--base", "FOLDER", "Where the distribution file was, with its textures; default: here.", PATH, default=Path()
+)
+WORKERS = click.IntRange(1, 1024)
 
 
 @dataset.command()
 @click.argument("distribution", type=PATH)
-@click.option("-o", "out", metavar="DATA", required=True, help="Folder of the set, or an address like s3://bucket/set.")
-@click.option("--count", metavar="N", type=click.IntRange(1, 10**12), help="Samples of the set.")
+@option("-o out", "DATA", "Folder of the set, or an address like s3://bucket/set.", required=True)
+@option("--count", "N", "Samples of the set.", click.IntRange(1, 10**12))
 @click.option("--seed", metavar="S", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True)
-@click.option(
-    "--shard-size", metavar="N", type=click.IntRange(1, 10**6), default=256, show_default=True,
-    help="Samples of a shard, which is one file.",
-)  # fmt: skip
-@click.option(
-    "--format", metavar="NAME", type=SET_FORMAT, default="webdataset", show_default=True, help="Of the files."
+@option("--shard-size", "N", "Samples of a shard, which is one file.", click.IntRange(1, 10**6), shown=256)
+@option("--format", "NAME", "Of the files.", options.SET_FORMAT, shown="webdataset")
+@option("--truth", "NAME,...", "Arrays of a sample besides color.", options.ARRAYS, shown="sharp,depth,coc")
+@options.flag("--no-color", "Those arrays alone: no image is made, which is most of the work.")
+@options.types_option
+@option("--split splits", "NAME=SHARE,...", "Such as train=0.9,test=0.1.")
+@option(
+    "--device devices", "NAME", "Where to render; may be given again. all: all devices of the best kind.", multiple=True
 )
-@click.option(
-    "--truth", metavar="NAME,...", type=ARRAYS, default="sharp,depth,coc", show_default=True,
-    help="Arrays of a sample besides color.",
-)  # fmt: skip
-@click.option("--no-color", is_flag=True, help="Those arrays alone: no image is made, which is most of the work.")
-@types_option
-@click.option("--split", "splits", metavar="NAME=SHARE,...", help="Such as train=0.9,test=0.1.")
-@click.option(
-    "--device", "devices", metavar="NAME", multiple=True,
-    help="Where to render; may be given again. all: all devices of the best kind.",
-)  # fmt: skip
-@click.option(
-    "--workers", metavar="N", type=click.IntRange(1, 1024),
-    help="Processes. Default: one for each graphics card, or for each core of a processor.",
-)  # fmt: skip
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    default="",
-    help="Of a dask.distributed cluster that renders, like tcp://host:8786.",
-)
-@click.option("--resume", is_flag=True, help="Go on with the set in DATA.")
-@click.option("--only", metavar="A:B", type=_parse_numbers, help="Samples A to B - 1 alone.")
-@click.option("--part", metavar="I/N", type=_parse_part, help="Only every N-th shard, from I = 0 on, for array jobs.")
-@click.option("--dry-run", is_flag=True, help="Draw only: ranges, a contact sheet, predicted time and bytes.")
-@click.option("--license", metavar="TEXT", default="", help="For the data card.")
-@click.option(
-    "--allow-failures", metavar="N", type=click.IntRange(0), default=0, show_default=True,
-    help="Samples that may fail; with more, the exit status is 1.",
-)  # fmt: skip
-@set_option
-@precision_option
-@quiet_option
-def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **options: Any) -> None:
+@option("--workers", "N", "Processes. Default: one for each graphics card, or for each core of a processor.", WORKERS)
+@option("--scheduler", "ADDRESS", "Of a dask.distributed cluster that renders, like tcp://host:8786.", default="")
+@options.flag("--resume", "Go on with the set in DATA.")
+@option("--only", "A:B", "Samples A to B - 1 alone.", _parse_numbers)
+@option("--part", "I/N", "Only every N-th shard, from I = 0 on, for array jobs.", _parse_part)
+@options.flag("--dry-run", "Draw only: ranges, a contact sheet, predicted time and bytes.")
+@option("--license", "TEXT", "For the data card.", default="")
+@option("--allow-failures", "N", "Samples that may fail; with more, the exit status is 1.", click.IntRange(0), shown=0)
+@options.set_option
+@options.precision_option
+@options.quiet_option
+def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **values: Any) -> None:
     """Make a data set of scenes drawn from a DISTRIBUTION file.
 
     The same file, seed and version give the same bytes on all devices of a family.
@@ -114,21 +79,21 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
     from clsco.data import creation
     from clsco.data.record import parse_stored
 
-    color = not options.pop("no_color")
+    color = not values.pop("no_color")
     try:
-        samples = creation.sample_numbers(options["count"], options["only"])
-        arrays, _ = creation.stored_arrays(options["truth"], color), parse_stored(options["types"])
+        samples = creation.sample_numbers(values["count"], values["only"])
+        arrays, _ = creation.stored_arrays(values["truth"], color), parse_stored(values["types"])
     except SceneError as error:
-        raise usage_error(error) from None
-    if options.pop("dry_run"):
-        _dry_run(distribution, out, samples, arrays, options)
+        raise options.usage_error(error) from None
+    if values.pop("dry_run"):
+        _dry_run(distribution, out, samples, arrays, values)
         return
-    if options["scheduler"] and (devices or options["workers"]):
+    if values["scheduler"] and (devices or values["workers"]):
         raise click.UsageError("--scheduler: its workers have devices; got --device or --workers as well")
-    if not options["scheduler"]:
-        require_opencl()
+    if not values["scheduler"]:
+        options.require_opencl()
     try:
-        status = creation.make(distribution, out, color=color, devices=devices, progress=_bar(quiet), **options)
+        status = creation.make(distribution, out, color=color, devices=devices, progress=_bar(quiet), **values)
     except creation.FailedSamplesError as error:
         echo(_line(out, error.status))
         raise
@@ -136,29 +101,23 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
 
 
 def _bar(quiet: bool) -> Progress:
-    @contextmanager
-    def shown(total: int) -> Iterator[Callable[[int], object]]:
-        with progress(total, quiet, "samples") as bar:
-            yield lambda count: [bar() for _ in range(count)]
-
-    return shown
+    return lambda total: progress(total, quiet, "samples")
 
 
-def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ...], options: dict[str, Any]) -> None:
-    from clsco.cli.dry_run import print_dry_run
+def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ...], values: dict[str, Any]) -> None:
+    from clsco.cli.tables import print_dry_run
     from clsco.data.distribution import load_distribution
     from clsco.data.dryrun import dry_run
 
-    drawn = load_distribution(distribution, options["overrides"], options["splits"])
+    drawn = load_distribution(distribution, values["overrides"], values["splits"])
     sheet = Path("dry_run.png" if "://" in out else f"{out.rstrip('/')}_dry_run.png")
-    forecast = dry_run(drawn, options["seed"], len(samples), arrays=arrays, sheet_path=sheet)
+    forecast = dry_run(drawn, values["seed"], len(samples), arrays=arrays, sheet_path=sheet)
     print_dry_run(forecast)
     if forecast.fails:
         raise SceneError(f"{distribution}: at least one sample must be possible; got {forecast.looked_at} that failed")
 
 
 def _line(out: str, status: Status) -> str:
-    """Summary of a set in one line."""
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"
     shards = len(status.done)
@@ -166,15 +125,23 @@ def _line(out: str, status: Status) -> str:
     return f"{click.format_filename(out)}: {samples}{whole}{failed}, {format_bytes(status.bytes)}"
 
 
+@contextmanager
+def _opened(data: str) -> Iterator[DataSet]:
+    from clsco.data.sets import open_set
+    from clsco.data.storage import open_storage
+
+    with closing(open_storage(data)) as storage:
+        yield open_set(storage)
+
+
 @dataset.command()
 @data_argument
 def status(data: str) -> None:
     """Report how much of a set has been made; nothing is written."""
-    from clsco.data.sets import open_set, ranges, status_of
-    from clsco.data.storage import open_storage
+    from clsco.data.sets import ranges, status_of
 
-    there = open_set(open_storage(data))
-    state = status_of(there)
+    with _opened(data) as there:
+        state = status_of(there)
     echo(f"shards: {len(state.done)} of {state.shards}")
     echo(f"samples: {state.made} made, {state.failed} failed, of {state.samples}; {format_bytes(state.bytes)}")
     if state.rate is not None and not state.is_whole:
@@ -187,25 +154,19 @@ def status(data: str) -> None:
 
 @dataset.command()
 @data_argument
-@click.option(
-    "--sample", metavar="N", type=click.IntRange(0), default=16, show_default=True,
-    help="Samples, spread over the set, that are rendered again.",
-)  # fmt: skip
-@click.option("--device", metavar="NAME", help="Where to render them.")
-@click.option("--draw", metavar="MODULE:FUNCTION", help="The function that made the set, where scenes have arrays.")
+@option("--sample", "N", "Samples, spread over the set, that are rendered again.", click.IntRange(0), shown=16)
+@option("--device", "NAME", "Where to render them.")
+@option("--draw", "MODULE:FUNCTION", "The function that made the set, where scenes have arrays.")
 @base_option
-@quiet_option
+@options.quiet_option
 def verify(data: str, sample: int, device: str | None, draw: str | None, base: Path, quiet: bool) -> None:
     """Check a set: hashes of all files and arrays, and samples rendered again, bit by bit.
 
     Prints a line for each finding; if there are any, the exit status is 1.
     """
-    from clsco.data.sets import open_set
-    from clsco.data.storage import open_storage
     from clsco.data.verify import chosen_samples, drawn_again, hold_arrays, verify_files, verify_samples
 
-    with closing(open_storage(data)) as storage:
-        there = open_set(storage)
+    with _opened(data) as there:
         if draw is not None:
             sys.path.insert(0, str(Path.cwd()))  # where a user's own modules lie
         drawn = None if draw is None else drawn_again(there, draw, base)
@@ -227,11 +188,11 @@ def verify(data: str, sample: int, device: str | None, draw: str | None, base: P
 
 @dataset.command()
 @data_argument
-@click.option("-o", "out", metavar="DATA", help="Folder or address of the new set; by default it is removed again.")
-@click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Processes, as of clsco dataset make.")
+@option("-o out", "DATA", "Folder or address of the new set; by default it is removed again.")
+@option("--device devices", "NAME", "Where to render; may be given again.", multiple=True)
+@option("--workers", "N", "Processes, as of clsco dataset make.", WORKERS)
 @base_option
-@quiet_option
+@options.quiet_option
 def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | None, base: Path, quiet: bool) -> None:
     """Make a set again from its data card, and compare the bytes.
 
@@ -239,7 +200,7 @@ def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | 
     """
     from clsco.data import copies
 
-    require_opencl()
+    options.require_opencl()
     differences = copies.remake(data, out, folder=base, devices=devices, workers=workers, progress=_bar(quiet))
     for line in differences:
         echo(line)
@@ -250,15 +211,13 @@ def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | 
 
 @dataset.command(name="open")
 @data_argument
-@click.option("--sheet", metavar="FILE", type=PATH, help="Also write pictures of the first samples, as PNG.")
+@option("--sheet", "FILE", "Also write pictures of the first samples, as PNG.", PATH)
 def open_data(data: str, sheet: Path | None) -> None:
     """Report what a set contains: samples, splits, arrays, and how to load it."""
     from clsco.cli.tables import print_tables, table
     from clsco.data.card import loading_lines
     from clsco.data.dataset import open as opened
     from clsco.data.dataset import record_sheet
-    from clsco.data.sets import open_set
-    from clsco.data.storage import open_storage
     from clsco.files.images import write_png
 
     records = opened(data)
@@ -267,8 +226,8 @@ def open_data(data: str, sheet: Path | None) -> None:
         (name, about["dtype"], " x ".join(map(str, about["shape"])), about["unit"], about["convention"])
         for name, about in card.get("arrays", {}).items()
     ]
-    with closing(open_storage(data)) as storage:
-        loading = loading_lines(storage, open_set(storage).identity, card["files"])
+    with _opened(data) as there:
+        loading = loading_lines(there.storage, there.identity, card["files"])
     place = json.dumps(data)[:-1]
     splits = ", ".join(f"{sum(count for _, count in files)} of {name}" for name, files in card["files"].items() if name)
     about = f"{len(records)} samples{f' ({splits})' if splits else ''}, {card['identity']['format']}"
@@ -290,27 +249,24 @@ def open_data(data: str, sheet: Path | None) -> None:
 def show(data: str, number: int, base: Path) -> None:
     """Print the scene of sample NUMBER of a set as TOML: a scene file for clsco render."""
     from clsco.data.build import located
-    from clsco.data.sets import open_set
-    from clsco.data.storage import open_storage
     from clsco.data.verify import hold_arrays, scene_table
     from clsco.scene.toml import toml_text
 
-    with closing(open_storage(data)) as storage:
-        there = open_set(storage)
+    with _opened(data) as there:
         if hold_arrays(there, [number]):
             raise SceneError(f"sample {number}: must be a scene of files; got arrays, which its function alone makes")
         echo(toml_text(located(scene_table(there, number), base.absolute())), nl=False)
 
 
 @dataset.command(short_help="Write a data set in another format.")
-@click.argument("data", metavar="DATA")
-@click.option("-o", "out", metavar="OUT", required=True, help="Folder for it, or an address like s3://bucket/set.")
-@click.option(
-    "--format", "form", metavar="NAME", type=SET_FORMAT, required=True,
-    help="webdataset, npz, hdf5 or zarr, each also uncompressed, like npz+raw.",
+@data_argument
+@option("-o out", "OUT", "Folder for it, or an address like s3://bucket/set.", required=True)
+@option(
+    "--format form", "NAME", "webdataset, npz, hdf5 or zarr, each also uncompressed, like npz+raw.", options.SET_FORMAT,
+    required=True,
 )  # fmt: skip
-@click.option("--resume", is_flag=True, help="Go on with the conversion in OUT.")
-@quiet_option
+@options.flag("--resume", "Go on with the conversion in OUT.")
+@options.quiet_option
 def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
     """Write the data set DATA in another format. All arrays keep their bits."""
     from clsco.data.copies import convert as convert_set

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clsco.errors import FileError, SceneError
-from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
+from clsco.cli.inputs import prepare_file
+from clsco.errors import SceneError
+from clsco.files.atomic import raise_file_error
 from clsco.files.color import SRGB, Color
 from clsco.files.images import WRITERS, check_same_size, writer_for
 from clsco.files.transfer import encode
@@ -20,33 +21,19 @@ from clsco.scene.sweep import Sweep, parse_sweep
 
 WHERE = "defocus"
 _OTHER_IMAGES = (".bmp", ".gif", ".hdr", ".jpeg", ".jpg", ".npy", ".npz", ".pfm", ".ppm", ".webp")
-_SECTION_OF = {
-    **dict.fromkeys(("unit", "scale", "baseline", "offset", "near", "far"), "object"),
-    **dict.fromkeys(("depth_kind", "no_depth", "soft_edges"), "object"),
-    **dict.fromkeys(("focal_length", "f_number", "focus_distance", "pixel_pitch"), "camera"),
-}
+_CAMERA = ("focal_length", "f_number", "focus_distance", "pixel_pitch")  # options that are keys of [camera]
 
 
-def scenes_from_files(
-    image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = (),
-    layers: tuple[str | None, str | None] = (None, None),
-) -> Sweep:  # fmt: skip
-    """Scenes that show an image at the depths of a depth map, one for each combination of values in `overrides`.
+def scenes_from_files(image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:
+    """Scenes of one depth map with an image, one for each combination of values in `overrides`; paths are absolute.
 
-    image, depth: files of the same size. options: values by key, of the depth map (unit, scale, baseline, offset, near,
-    far, depth_kind, no_depth, soft_edges) or of [camera] (focal_length, f_number, focus_distance, pixel_pitch); None
-    for a missing key. overrides: as for `clsco.load_sweep`, applied after the options. layers: of the image and of the
-    depth, for EXR files with several layers. Each scene has one object of shape depth_map, and absolute paths. Raises
-    SceneError with one line per fault.
+    options: values by key of the depth map or the camera, None for a missing key. overrides: as for
+    `clsco.load_sweep`, applied after the options. Raises SceneError.
     """
-    item: dict[str, Any] = {"shape": "depth_map", "name": "image"}
-    item |= {"texture": str(image.absolute()), "depth": str(depth.absolute())}
-    item |= {f"{key}_layer": name for key, name in zip(("texture", "depth"), layers, strict=True) if name is not None}
-    tables: dict[str, dict[str, Any]] = {"object": item, "camera": {}}
-    for key, value in options.items():
-        if value is not None:
-            tables[_SECTION_OF[key]][key] = value
-    data = {**tables, "object": [item]}
+    keys = {key: value for key, value in options.items() if value is not None}
+    camera = {key: keys.pop(key) for key in _CAMERA if key in keys}
+    files = {"texture": str(image.absolute()), "depth": str(depth.absolute())}
+    data = {"object": [{"shape": "depth_map", "name": "image", **files, **keys}], "camera": camera}
     override(data, overrides, WHERE)
     return parse_sweep(data, WHERE)
 
@@ -62,9 +49,7 @@ def check_pair(scene: Scene) -> None:
 
 
 def is_image_file(out: Path) -> bool:
-    """True if OUT names an image file, False for a folder; raises FileError for an image format that cannot be
-    written.
-    """
+    """True if OUT names an image file, False for a folder; raises FileError for a format that cannot be written."""
     suffix = out.suffix.lower()
     if out.is_dir():
         return False
@@ -74,29 +59,19 @@ def is_image_file(out: Path) -> bool:
 
 
 def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
-    """Make the folder of an image file, and check that the file can be written.
-
-    scenes: scenes to render. Raises SceneError if they have more than one image; FileError if OUT is one of the input
-    files, an extra of clsco is missing, or the folder is not writable.
-    """
+    """Make the folder of an image file, and check that it can be written, is not an input, and takes all images."""
     count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
     if count != 1:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
     named = [Path(name) for _, item in scenes[0].inputs for name in item.files().values()]
-    for path in named:
-        if is_same_place(out, path):
-            raise FileError(f"{out}: must not be the image or the depth that it is made of; got {path}")
-    writer_for(out)
-    make_writable_folder(out.parent)
+    prepare_file(out, named, "the image or the depth")
 
 
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
-    """Write the color of a frame to one file, in the format of its extension.
+    """Write the color of a frame to one file, in the format of its extension, with the color space of the image.
 
-    bits: bits per value of the source image, 8, 16 or 32. Codes have as many bits, or the most that the format can
-    hold. A format that can hold floats stores linear float32 instead if `bits` is 32, or if the format holds no codes.
-    transfer: transfer curve of the codes, "srgb" or "linear"; if `color` has a curve, that curve replaces "srgb".
-    color: color space of the image and the file. Raises FileError.
+    bits: of the source image, 8, 16 or 32. Codes have as many, or the most that the format holds; a format of floats
+    stores linear float32 for 32, or if it holds no codes. transfer: of codes, "srgb" or "linear".
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from clsco.cli.options import device_option, require_opencl
+from clsco.cli.options import device_option, flag, require_opencl
 from clsco.cli.output import echo
 from clsco.errors import ClscoError, DeviceError
 
 
 @click.command()
 @device_option
-@click.option("--self-test", "tested", is_flag=True, help="Run small kernels on each device.")
+@flag("--self-test tested", "Run small kernels on each device.")
 def devices(device: str | None, tested: bool) -> None:
     """List OpenCL devices, what each can do, and which one is used and why."""
     require_opencl()

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
 from importlib.resources import as_file
 from pathlib import Path
-from typing import Any
 
 import click
 
-from clsco.cli.options import PATH, Names
+from clsco.cli.options import PATH, Names, option
 from clsco.cli.output import echo
 from clsco.errors import SceneError
 from clsco.resources import folder
@@ -31,7 +29,7 @@ def _names() -> list[str]:
 
 @click.command()
 @click.argument("names", metavar="[NAME]...", nargs=-1, type=Names(_names))
-@click.option("-o", "out", metavar="DIR", type=PATH, help="Folder for copies of these examples, with their images.")
+@option("-o out", "DIR", "Folder for copies of these examples, with their images.", PATH)
 def examples(names: tuple[str, ...], out: Path | None) -> None:
     """List the example files, or copy some: scenes for clsco render, sets/NAME for clsco dataset make, and images with
     their masks for clsco inpaint."""
@@ -58,41 +56,30 @@ def examples(names: tuple[str, ...], out: Path | None) -> None:
             echo(f"{click.format_filename(out / files[name].name)}: {_title(files[name])}")
 
 
-def _content(path: Path) -> dict[str, Any]:
-    return tomllib.loads(path.read_text("utf-8"))
-
-
 def _mask(image: Path) -> Path:
     return image.with_stem(f"{image.stem}_mask")
 
 
 def _title(path: Path) -> str:
-    return str(_content(path).get("title", "")) if path.suffix == ".toml" else "Image with missing pixels, and its mask"
+    if path.suffix != ".toml":
+        return "Image with missing pixels, and its mask"
+    return str(tomllib.loads(path.read_text("utf-8")).get("title", ""))
 
 
 def _named(path: Path) -> list[Path]:
     """Files that a file refers to, in the same folder; for an image its mask."""
     if path.suffix != ".toml":
         return [_mask(path)]
-    names = {text for text in _texts(_content(path)) if "/" not in text}
-    return sorted(each for name in names if (each := path.parent / name).is_file())
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping | list):
-        for entry in value.values() if isinstance(value, Mapping) else value:
-            yield from _texts(entry)
+    text = path.read_text("utf-8")
+    return sorted(each for each in path.parent.iterdir() if f'"{each.name}"' in text)
 
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a file; an existing target must have the same content."""
-    from clsco.files.atomic import atomic_write, raise_file_error
+    from clsco.files.atomic import atomic_write_bytes, raise_file_error
 
     data = source.read_bytes()
     if target.exists() and target.read_bytes() != data:
         raise_file_error(target, "must not be there, or be the same file", "another one")
     target.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(target) as file:
-        file.write(data)
+    atomic_write_bytes(target, data)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,28 +9,28 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clsco.cli.options import option, parse_pair
 from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
     from clsco.inputs.focus import Focus
     from clsco.scene.sweep import Sweep
 
+    Loaded = Sequence[tuple[Path, Sweep | SceneError]]
+
 
 def _point(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,5}),(\d{1,5})", text, re.ASCII)
-    if match is None:
-        raise click.BadParameter(f"must be X,Y, a pixel's column and row counted from 0; got {text}")
-    return int(match[1]), int(match[2])
+    return parse_pair(text, r"(\d{1,5}),(\d{1,5})", "X,Y, a pixel's column and row counted from 0")
 
 
-focus_at_option = click.option(
-    "--focus-at", metavar="X,Y", type=_point,
-    help="Focus on what is in this pixel, column and row counted from 0, in place of a distance in focus.",
+focus_at_option = option(
+    "--focus-at", "X,Y",
+    "Focus on what is in this pixel, column and row counted from 0, in place of a distance in focus.", _point,
 )  # fmt: skip
-focus_depth_option = click.option(
-    "--focus-depth", metavar="SHARE", type=click.FloatRange(0.0, 1.0),
-    help="Focus on the depth that this share of the picture is nearer than: 0 the nearest, 0.5 the median, 1 the "
-    "farthest.",
+focus_depth_option = option(
+    "--focus-depth", "SHARE",
+    "Focus on the depth that this share of the picture is nearer than: 0 the nearest, 0.5 the median, 1 the farthest.",
+    click.FloatRange(0.0, 1.0),
 )  # fmt: skip
 
 
@@ -42,14 +41,8 @@ def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None
     return share if at is None else at
 
 
-def focus_files(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], focus: Focus | None
-) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
-    """The loaded files, with the lenses of their scenes focused as asked; unchanged if `focus` is None.
-
-    A file gets a SceneError in place of its scenes if one of them cannot be focused, as for
-    `clsco.inputs.focus.focus_scene`, or if they have several focus distances. Files with faults stay unchanged.
-    """
+def focus_files(loaded: Loaded, focus: Focus | None) -> Loaded:
+    """The loaded files with focused lenses, or with a SceneError in place of scenes that cannot be focused."""
     if focus is None:
         return loaded
     return [(path, _focused(path, item, focus) if not isinstance(item, SceneError) else item) for path, item in loaded]

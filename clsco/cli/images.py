@@ -8,20 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clsco.cli import options
 from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, parse_focus
 from clsco.cli.inputs import report_inputs, report_loss, report_notes
-from clsco.cli.options import (
-    PATH,
-    Computation,
-    Names,
-    attribute,
-    computation_options,
-    device_option,
-    quiet_option,
-    require_device,
-    set_option,
-    truth_options,
-)
+from clsco.cli.options import PATH, Command, Computation, Names, option, require_device
 from clsco.cli.output import echo
 from clsco.cli.render import render_to_folders, request_for
 
@@ -37,31 +27,26 @@ def _ratio(text: str) -> float:
         raise click.BadParameter(f"must be a number, like 0.001, or a ratio, like 1/256; got {text}") from None
 
 
-def _number(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    return click.option(name, metavar="NUMBER", type=float, help=text)
+_LAYER = "Of {}, an EXR with several: the layer, such as Combined or ViewLayer.Combined."
 
 
-def _layer(name: str, argument: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    text = f"Of {argument}, an EXR with several: the layer, such as Combined or ViewLayer.Combined."
-    return click.option(name, metavar="NAME", help=text)
+def _number(name: str, text: str) -> Callable[[Command], Command]:
+    return option(name, "NUMBER", text, float)
 
 
-def _depth_option(key: str, metavar: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    kind = Names(attribute(f"clsco.scene.shapes:DepthMap.{key}"))
-    return click.option(f"--{key.replace('_', '-')}", metavar=metavar, type=kind, help=text)
+def _depth_option(key: str, metavar: str, text: str) -> Callable[[Command], Command]:
+    names = options.attribute(f"clsco.scene.shapes:DepthMap.{key}")
+    return option(f"--{key.replace('_', '-')}", metavar, text, Names(names))
 
 
 @click.command()
 @click.argument("image", type=PATH)
 @click.argument("depth", type=PATH)
-@click.option(
-    "-o", "out", metavar="OUT", required=True, type=PATH,
-    help="Folder for the frame, or a file .png, .tif or .exr for its image alone.",
-)  # fmt: skip
-@_layer("--image-layer", "IMAGE")
-@_layer("--depth-layer", "DEPTH")
+@option("-o out", "OUT", "Folder for the frame, or a file .png, .tif or .exr for its image alone.", PATH, required=True)
+@option("--image-layer texture_layer", "NAME", _LAYER.format("IMAGE"))
+@option("--depth-layer", "NAME", _LAYER.format("DEPTH"))
 @_depth_option("unit", "UNIT", "Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
-@click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001, 1/256 or -1.")
+@option("--scale", "NUMBER", "What 1 in DEPTH is worth, such as 0.001, 1/256 or -1.", _ratio)
 @_number("--baseline", "Distance between the views of a disparity, mm.")
 @_number("--offset", "Added to DEPTH times scale: a in 1/Z = a + b v, or doffs of Middlebury's calibrations, px.")
 @_number("--near", "Distance of the nearest number in DEPTH, mm, as of relative depth.")
@@ -71,10 +56,9 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Callable[..., 
     "Of DEPTH: z (default), along the optical axis, or ray, the distance from the lens along each pixel's ray.",
 )  # fmt: skip
 @_depth_option(
-    "no_depth",
-    "WHERE",
+    "no_depth", "WHERE",
     "What has no depth, such as 0, is: around (default), at the depth around it, or far, as the sky.",
-)
+)  # fmt: skip
 @_depth_option("soft_edges", "METHOD", "Depths between two surfaces at their edge: assign to one (default) or keep.")
 @_number("--focal-length", "f, mm.")
 @_number("--f-number", "f / D.")
@@ -82,24 +66,14 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Callable[..., 
 @focus_at_option
 @focus_depth_option
 @_number("--pixel-pitch", "Distance between pixels on the detector, mm.")
-@truth_options
-@set_option
-@computation_options
-@quiet_option
+@options.truth_options
+@options.set_option
+@options.computation_options
+@options.quiet_option
 def defocus(
-    image: Path,
-    depth: Path,
-    out: Path,
-    files: tuple[TruthFile, ...],
-    overrides: tuple[str, ...],
-    image_layer: str | None,
-    depth_layer: str | None,
-    focus_at: tuple[int, int] | None,
-    focus_depth: float | None,
-    computation: Computation,
-    quiet: bool,
-    **options: str | float | None,
-) -> None:
+    image: Path, depth: Path, out: Path, files: tuple[TruthFile, ...], overrides: tuple[str, ...],
+    computation: Computation, quiet: bool, **values: Any,
+) -> None:  # fmt: skip
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
     DEPTH is a PNG, JPEG, TIFF, EXR, PFM, DPT, NPY or NPZ. All else is as in a scene with this one object; --set sets
@@ -111,10 +85,10 @@ def defocus(
     alone, request = is_image_file(out), request_for((), computation)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
-    focus = parse_focus(focus_at, focus_depth)
-    if focus is not None and options["focus_distance"] is not None:
+    focus = parse_focus(values.pop("focus_at"), values.pop("focus_depth"))
+    if focus is not None and values["focus_distance"] is not None:
         raise click.UsageError("focus: goes without --focus-distance; got both")
-    sweep = scenes_from_files(image, depth, options, overrides, (image_layer, depth_layer))
+    sweep = scenes_from_files(image, depth, values, overrides)
     check_pair(sweep.scenes[0])
     loaded = focus_files([(image, sweep)], focus)
     if not alone:
@@ -139,37 +113,26 @@ def defocus(
 @click.command()
 @click.argument("image", type=PATH)
 @click.argument("mask", type=PATH)
-@click.option(
-    "-o", "out", metavar="OUT", required=True, type=PATH, help="File for the filled image: .png, .tif or .exr."
-)
-@click.option(
-    "--method", metavar="METHOD", type=Names(lambda: ("auto", "mean-median", "biharmonic", "texture")),
-    default="auto", show_default=True,
-    help="mean-median, biharmonic, texture, or auto for the better of the last two.",
+@option("-o out", "OUT", "File for the filled image: .png, .tif or .exr.", PATH, required=True)
+@option(
+    "--method", "METHOD", "mean-median, biharmonic, texture, or auto for the better of the last two.",
+    Names(lambda: ("auto", "mean-median", "biharmonic", "texture")), shown="auto",
 )  # fmt: skip
-@_layer("--image-layer", "IMAGE")
+@option("--image-layer", "NAME", _LAYER.format("IMAGE"))
 @_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
-@click.option(
-    "--estimator",
-    metavar="NAME",
-    type=Names(lambda: ("scored", "mean", "median")),
-    help="Of mean-median: scored (default), mean or median.",
-)
-@click.option("--minimum", metavar="NUMBER", type=int, help="Of mean-median: known neighbors that a pixel needs, 4.")
-@click.option("--smoothing-rounds", metavar="NUMBER", type=int, help="Of mean-median: 20; 0 turns smoothing off.")
+@option(
+    "--estimator", "NAME", "Of mean-median: scored (default), mean or median.",
+    Names(lambda: ("scored", "mean", "median")),
+)  # fmt: skip
+@option("--minimum", "NUMBER", "Of mean-median: known neighbors that a pixel needs, 4.", int)
+@option("--smoothing-rounds", "NUMBER", "Of mean-median: 20; 0 turns smoothing off.", int)
 @_number("--border-share", "Of mean-median: of the border, the share that is blended, 0.4; 0 turns it off.")
-@device_option
-@quiet_option
+@options.device_option
+@options.quiet_option
 def inpaint(
-    image: Path,
-    mask: Path,
-    out: Path,
-    image_layer: str | None,
-    threshold: float | None,
-    device: str | None,
-    quiet: bool,
-    **options: Any,
-) -> None:
+    image: Path, mask: Path, out: Path, method: str, image_layer: str | None, threshold: float | None,
+    device: str | None, quiet: bool, **constants: Any,
+) -> None:  # fmt: skip
     """Fill the missing pixels of IMAGE: those that are white (255) in MASK, a file of the same size.
 
     IMAGE is gray or color, of 8 or 16 bits, or of floats, whose missing pixels may be NaN. OUT has the type of IMAGE.
@@ -187,8 +150,7 @@ def inpaint(
     from clsco.cli.progress import shares
     from clsco.cli.tables import inpaint_tables, print_tables
 
-    method = options.pop("method")
-    chosen = mean_median_options(method, options)
+    chosen = mean_median_options(method, constants)
     with shares(quiet) as progress:
         filled, report = fill(
             pixels, missing, method=method, device=device, progress=progress, options=chosen, return_report=True

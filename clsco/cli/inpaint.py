@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.cli.inputs import prepare_file
 from clsco.cli.output import echo
-from clsco.errors import ArgumentError, FileError, SceneError
-from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
-from clsco.files.images import (
-    WRITERS,
-    ImageWriter,
-    Picture,
-    check_same_size,
-    image_size,
-    read_image,
-    upright_note,
-    writer_for,
-)
+from clsco.errors import ArgumentError, SceneError
+from clsco.files import images
+from clsco.files.atomic import raise_file_error
+from clsco.files.images import WRITERS, ImageWriter, Picture, read_image
 from clsco.files.ranges import first_of
 from clsco.inpainting.rules import MeanMedian
 
@@ -30,17 +23,15 @@ from clsco.inpainting.rules import MeanMedian
 def read_pair(
     image: Path, mask: Path, threshold: float | None = None, layer: str | None = None
 ) -> tuple[Picture, NDArray[np.bool_]]:  # fmt: skip
-    """Read an image (rows, columns[, 3]) as stored, and a mask (rows, columns) that is True for missing pixels.
+    """Read an image as stored, whose missing pixels may be NaN, and a mask (rows, columns), True for missing pixels.
 
-    A pixel is missing where the mask is white (255, 65535, or 1.0 in floats) and known where it is 0. threshold: mask
-    values from it on are missing; then the mask may have any values. layer: as for `clsco.files.images.read_image`.
-    Missing pixels of a float image may be NaN. Raises FileError if a file cannot be read, the sizes differ, no pixel is
-    known, or the mask has colors or other values; ArgumentError if the threshold is not finite.
+    A pixel is missing where the mask is white (255, 65535, or 1.0 in floats) and known where it is 0; with a threshold,
+    values from it on are missing. layer: as for `clsco.files.images.read_image`. Raises FileError, ArgumentError.
     """
     if threshold is not None and not math.isfinite(threshold):
         raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
-    check_same_size(str(image), str(mask), image_size(mask))
-    if note := upright_note(str(image), str(mask)):
+    images.check_same_size(str(image), str(mask), images.image_size(mask))
+    if note := images.upright_note(str(image), str(mask)):
         echo(note, err=True)
     missing = _missing(mask, threshold)
     if missing.all():
@@ -66,29 +57,17 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
 
 
 def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> ImageWriter:
-    """Writer for OUT, after a check that the format can hold the image and the folder is writable.
-
-    is_float: True for an image of floats, False for one of codes, None while unknown. Raises FileError, also if OUT is
-    IMAGE or MASK.
-    """
+    """Writer for OUT, after checks of its name, format and folder; is_float: None while unknown. Raises FileError."""
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
         raise_file_error(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
-    for path in (image, mask):
-        if is_same_place(out, path):
-            raise FileError(f"{out}: must not be the image or the mask that it is made of; got {path}")
-    writer = writer_for(out)
-    if is_float and not writer.floats:
-        fitting = _listed(name for name, other in WRITERS.items() if other.floats)
-        raise_file_error(
-            out, f"{writer.label} holds codes; for floats it must end in {fitting}", f"the floats of {image}"
-        )
-    if is_float is False and not writer.code_bits:
-        fitting = _listed(name for name, other in WRITERS.items() if other.code_bits)
-        raise_file_error(
-            out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}"
-        )
-    make_writable_folder(out.parent)
+    writer = prepare_file(out, (image, mask), "the image or the mask")
+    if is_float is not None:
+        kind, other = ("floats", "codes") if is_float else ("codes", "floats")
+        *first, last = (name for name, each in WRITERS.items() if (each.floats if is_float else each.code_bits))
+        if suffix not in (*first, last):
+            rule = f"{writer.label} holds {other}; for {kind} it must end in {', '.join(first)} or {last}"
+            raise_file_error(out, rule, f"the {kind} of {image}")
     return writer
 
 
@@ -99,16 +78,11 @@ def mean_median_options(method: str, options: Mapping[str, Any]) -> MeanMedian |
     constants = {name: value for name, value in options.items() if value is not None}
     if not constants:
         return None
-    option = f"--{next(iter(constants)).replace('_', '-')}"
     if method != THESIS:
+        option = f"--{next(iter(constants)).replace('_', '-')}"
         raise SceneError(f"{option}: belongs to --method {THESIS}; got {method}")
     try:
         return MeanMedian(**constants)
     except SceneError as error:
         name, _, rest = str(error).partition(":")
         raise SceneError(f"--{name.replace('_', '-')}:{rest}") from None
-
-
-def _listed(suffixes: Iterable[str]) -> str:
-    *first, last = suffixes
-    return f"{', '.join(first)} or {last}"

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import click
 
 from clsco.cli.output import echo
-from clsco.errors import SceneError
+from clsco.errors import FileError, SceneError
 
 if TYPE_CHECKING:
     from clsco.files.color import Color
+    from clsco.files.images import ImageWriter
     from clsco.plan.device import DeviceFacts
     from clsco.plan.prepare import Prepared, PreparedFile
     from clsco.plan.request import Request
@@ -38,9 +39,7 @@ def first_scene(
 
 
 def report_inputs(planned: Sequence[PreparedFile]) -> None:
-    """Print notes on the images of scenes to stderr: whether a depth map may be upside down, which of its pixels have
-    no depth, how far the lens blurs it, and which samples a tolerance selects.
-    """
+    """Print notes to stderr: on images, depth maps, how far the lens blurs them, and samples for a tolerance."""
     from clsco.scene.model import DepthMap
 
     for path, labels, prepared in planned:
@@ -54,26 +53,22 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
             for item in maps:
                 from clsco.inputs.focus import lens_line  # 1 ms, and few scenes have depth maps
 
-                where = f"{item.depth} (with {label})" if label else str(item.depth)
-                line = lens_line(each.scene, each.files.map(each.scene, item))
-                echo(f"{where}: {line}", err=True)
+                _report(str(item.depth), label, lens_line(each.scene, each.files.map(each.scene, item)))
             if each.approximation is not None:
-                where = f" (with {label})" if label else ""
-                echo(f"{click.format_filename(path)}{where}: {each.approximation.line()}", err=True)
+                _report(click.format_filename(path), label, each.approximation.line())
 
 
 def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared], close: bool = False) -> None:
-    """Print to stderr which images are stretched, and which parts of the scenes are out of sight or black.
+    """Print to stderr which images are stretched, and, once each, which parts of scenes are out of sight or black.
 
-    Each line is printed once, for the first scene that it applies to. close: True to report also a close focus, which
-    makes sizes differ from the usual formulas.
+    close: True to report also a close focus, which makes sizes differ from the usual formulas.
     """
     from clsco.inputs.textures import find_stretched
     from clsco.plan.notes import close_focus_note, sight_notes
     from clsco.plan.predict import without_lens
 
     for line in find_stretched(each.scene for each in prepared):
-        echo(f"{click.format_filename(path)}: {line}", err=True)
+        _report(click.format_filename(path), "", line)
     known, reported = set["Scene"](), set[str]()
     for label, each in zip(labels, prepared, strict=True):
         without = without_lens(each.scene)
@@ -84,14 +79,30 @@ def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared
             close = False
         for line in (line for line in lines if line not in reported):
             reported.add(line)
-            where = f" (with {label})" if label else ""
-            echo(f"{click.format_filename(path)}{where}: {line}", err=True)
+            _report(click.format_filename(path), label, line)
+
+
+def _report(path: str, label: str, line: str) -> None:
+    echo(f"{path}{f' (with {label})' if label else ''}: {line}", err=True)
 
 
 def report_notes(path: str, notes: Iterable[str]) -> None:
     """Print notes on an image, as `clsco.files.images.Picture.notes` gives them, to stderr."""
     for note in notes:
         echo(f"{path}: {note}", err=True)
+
+
+def prepare_file(out: Path, sources: Iterable[Path], names: str) -> ImageWriter:
+    """Writer for an image file that is none of its sources, in a writable folder. Raises FileError, as `writer_for`."""
+    from clsco.files.atomic import is_same_place, make_writable_folder
+    from clsco.files.images import writer_for
+
+    for path in sources:
+        if is_same_place(out, path):
+            raise FileError(f"{out}: must not be {names} that it is made of; got {path}")
+    writer = writer_for(out)
+    make_writable_folder(out.parent)
+    return writer
 
 
 def report_loss(out: Path, color: Color) -> None:

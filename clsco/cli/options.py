@@ -20,36 +20,46 @@ from clsco.errors import DeviceError, SceneError
 
 if TYPE_CHECKING:
     from clsco.engine.batch import Span
-    from clsco.frame.truth_files import TruthFile
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it takes none
-    """Names that the shell completes and the command checks.
+    """Names that the shell completes and, with `strict`, click checks; many: several with commas between them.
 
-    source: returns the names; called only for completion, because it imports modules. many: several names with commas
-    between them.
+    source: returns the names; called only if they are needed, because it imports modules.
     """
 
     name = "name"
 
-    def __init__(self, source: Callable[[], Iterable[str]], many: bool = False) -> None:
-        self.source, self.many = source, many
+    def __init__(self, source: Callable[[], Iterable[str]], many: bool = False, strict: bool = False) -> None:
+        self.source, self.many, self.strict = source, many, strict
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if self.strict and value not in (known := list(self.source())):
+            self.fail(f"must be one of {', '.join(known)}; got {value}", param, ctx)
+        return value
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Completions of the last name."""
         del ctx, param
         head, comma, last = incomplete.rpartition(",") if self.many else ("", "", incomplete)
         return [CompletionItem(f"{head}{comma}{name}") for name in self.source() if name.startswith(last)]
 
 
-def attribute(place: str) -> Callable[[], Iterable[str]]:
-    """A function that imports a module and returns names that are defined there.
+def option(
+    names: str, metavar: str, text: str, kind: Any = str, shown: Any = None, **more: Any
+) -> Callable[[Command], Command]:
+    """An option with a value. names: with spaces between them; text: help; shown: default value that the help shows."""
+    default = {} if shown is None else {"default": shown, "show_default": True}
+    return click.option(*names.split(), metavar=metavar, help=text, type=kind, **default, **more)
 
-    place: an object whose entries are the names, as "clsco.files.video:PRESETS"; or a field of a model whose allowed
-    values are the names, as "clsco.scene.shapes:DepthMap.unit".
-    """
+
+def flag(names: str, text: str) -> Callable[[Command], Command]:
+    return click.option(*names.split(), is_flag=True, help=text)
+
+
+def attribute(place: str) -> Callable[[], Iterable[str]]:
+    """A function that returns the entries of a "module:OBJECT", or the allowed values of a "module:Model.key"."""
     module, _, path = place.partition(":")
 
     def names() -> Iterable[str]:
@@ -79,35 +89,20 @@ def usage_error(error: SceneError) -> click.UsageError:
     return click.UsageError("; ".join(f"--{message}" for message in error.messages))
 
 
-def _files(truth: str, formats: str, types: str) -> tuple[TruthFile, ...]:
-    """Files of ground truth that the options ask for."""
-    if not (truth or formats or types):
-        return ()
-    from clsco.frame.files import files_of
-
-    try:
-        return files_of(truth, formats, types)
-    except SceneError as error:
-        raise usage_error(error) from None
+PRESET = Names(attribute("clsco.files.video:PRESETS"), strict=True)
 
 
-class _Preset(Names):
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The name of a video preset; click fails for an unknown one."""
-        if value not in (known := list(self.source())):
-            self.fail(f"must be one of {', '.join(known)}; got {value}", param, ctx)
-        return value
-
-
-PRESET = _Preset(attribute("clsco.files.video:PRESETS"))
+def parse_pair(text: str, pattern: str, rule: str, ordered: bool = False) -> tuple[Any, Any]:
+    """The two numbers of a pattern, None for an empty one. ordered: the first must be below the second."""
+    match = re.fullmatch(pattern, text, re.ASCII)
+    numbers: list[Any] = [int(number) if number else None for number in match.groups()] if match else []
+    if not numbers or (ordered and numbers[0] >= numbers[1]):
+        raise click.BadParameter(f"must be {rule}; got {text}")
+    return numbers[0], numbers[1]
 
 
 def parse_span(text: str) -> Span:
-    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text, re.ASCII)
-    if match is None:
-        raise click.BadParameter(f"must be A:B, frames A to B - 1 counted from 0; got {text}")
-    first, end = (int(number) if number else None for number in match.groups())
-    return first, end
+    return parse_pair(text, r"(\d{0,9}):(\d{0,9})", "A:B, frames A to B - 1 counted from 0")
 
 
 def parse_memory(text: str) -> int:
@@ -146,7 +141,6 @@ class _Path(click.Path):
     """A path that is not empty, as Path("") would mean the current folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path; click fails for an empty one."""
         if os.fspath(value) == "":
             self.fail('must be a path; got ""', param, ctx)
         return super().convert(value, param, ctx)
@@ -155,27 +149,30 @@ class _Path(click.Path):
 PATH = _Path(path_type=Path)
 scene_argument = click.argument("scene", type=PATH)
 scenes_argument = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
-set_option = click.option(
-    "--set", "overrides", metavar="KEY=VALUE", multiple=True, type=Names(_keys),
-    help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
+set_option = option(
+    "--set overrides", "KEY=VALUE",
+    "Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
+    Names(_keys), multiple=True,
 )  # fmt: skip
 ARRAYS = Names(_arrays, many=True)
 SET_FORMAT = Names(attribute("clsco.data.containers:CONTAINERS"))
-_TRUTH = click.option(
-    "--truth", metavar="NAME,...", type=ARRAYS, default="",
-    help="Also compute the ground truth, and write these arrays, such as depth,coc; all: all that the formats hold.",
+_TRUTH = option(
+    "--truth", "NAME,...",
+    "Also compute the ground truth, and write these arrays, such as depth,coc; all: all that the formats hold.",
+    ARRAYS, default="",
 )  # fmt: skip
-_FORMAT = click.option(
-    "--format", "formats", metavar="FORMAT,...", type=Names(attribute("clsco.frame.files:TRUTH_FORMATS"), many=True),
-    default="",
-    help="Files of the ground truth: npz (default) or exr, which hold all of it; npy or pfm, a file per array; of the "
-    "field flo, kitti_flow, kitti_disparity, kitti_depth; the cameras as colmap; codes of a sensor as png or tiff. "
+_FORMAT = option(
+    "--format formats", "FORMAT,...",
+    "Files of the ground truth: npz (default) or exr, which hold all of it; npy or pfm, a file per array; of the field "
+    "flo, kitti_flow, kitti_disparity, kitti_depth; the cameras as colmap; codes of a sensor as png or tiff. "
     "npz+compressed: smaller files. Without --truth all that they hold.",
+    Names(attribute("clsco.frame.files:TRUTH_FORMATS"), many=True), default="",
 )  # fmt: skip
-types_option = click.option(
-    "--types", metavar="NAME=TYPE,...", type=Names(_types, many=True), default="",
-    help="Such as depth=float16, or all=float16: floats in 16 bits; in a data set also color=float32, linear instead "
-    "of codes of 16 bits, or uint8.",
+types_option = option(
+    "--types", "NAME=TYPE,...",
+    "Such as depth=float16, or all=float16: floats in 16 bits; in a data set also color=float32, linear instead of "
+    "codes of 16 bits, or uint8.",
+    Names(_types, many=True), default="",
 )  # fmt: skip
 
 
@@ -184,46 +181,47 @@ def truth_options(command: Command) -> Command:
 
     @wraps(command)
     def call(truth: str, formats: str, types: str, **values: Any) -> Any:
-        return command(files=_files(truth, formats, types), **values)
+        if not (truth or formats or types):
+            return command(files=(), **values)
+        from clsco.frame.files import files_of
+
+        try:
+            files = files_of(truth, formats, types)
+        except SceneError as error:
+            raise usage_error(error) from None
+        return command(files=files, **values)
 
     decorated: Any = call
     return _TRUTH(_FORMAT(types_option(decorated)))
 
 
-no_color_option = click.option(
-    "--no-color", is_flag=True, help="The ground truth alone: no image is made, which is most of the work."
-)
-device_option = click.option(
-    "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."
-)
+no_color_option = flag("--no-color", "The ground truth alone: no image is made, which is most of the work.")
+device_option = option("--device", "NAME", "Part of the name of an OpenCL device or platform, or gpu or cpu.")
 precision_option = click.option(
     "--precision", type=click.Choice(["single", "double"]),
     help="Of the geometry. Default: double where the device has it.",
 )  # fmt: skip
-memory_option = click.option(
-    "--memory", metavar="SIZE", type=parse_memory,
-    help="Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
+_MEMORY = option(
+    "--memory", "SIZE",
+    "Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
     "Default: half of what is free.",
+    parse_memory,
 )  # fmt: skip
-tolerance_option = click.option(
-    "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
-    help="Take the fewest time samples and silhouette samples whose estimated RMS error is at most E of white.",
+_TOLERANCE = option(
+    "--tolerance", "E",
+    "Take the fewest time samples and silhouette samples whose estimated RMS error is at most E of white.",
+    click.FloatRange(min=0.0, min_open=True),
 )  # fmt: skip
-
-
-def _progress_form(ctx: click.Context, param: click.Parameter, value: str) -> None:
-    del param
-    ctx.meta[FORM] = value
 
 
 def quiet_option(command: Command) -> Command:
     """Decorate a command with the options --quiet, passed as its argument `quiet`, and --progress."""
-    quiet = click.option("--quiet", is_flag=True, help="Show no progress.")
     form = click.option(
-        "--progress", type=click.Choice(["bar", "json"]), default="bar", expose_value=False, callback=_progress_form,
+        "--progress", type=click.Choice(["bar", "json"]), default="bar", expose_value=False,
+        callback=lambda ctx, _, value: ctx.meta.update({FORM: value}),
         help="Show a bar on a terminal (default), or print lines of JSON on stderr, for programs.",
     )  # fmt: skip
-    return quiet(form(command))
+    return flag("--quiet", "Show no progress.")(form(command))
 
 
 def computation_options(command: Command) -> Command:
@@ -235,4 +233,4 @@ def computation_options(command: Command) -> Command:
         return command(computation=Computation(**{name: values.pop(name) for name in names}), **values)
 
     decorated: Any = call
-    return device_option(precision_option(memory_option(tolerance_option(decorated))))
+    return device_option(precision_option(_MEMORY(_TOLERANCE(decorated))))

@@ -20,10 +20,9 @@ if TYPE_CHECKING:  # what needs OpenCL
 
 
 def plan_tables(plans: Sequence[Plan], device: str, time: FrameTime | None) -> list[RenderableType]:
-    """Tables of a plan: its passes, the features it leaves out, its costs, and unused keys of the scene.
+    """Tables of a plan, or of both views' plans: costs, passes, features left out, and unused keys of the scene.
 
-    plans: one, or those of the left and the right view; device: the device in use, or the reason why there is none;
-    time: time of a frame, or None if unknown.
+    device: the device in use, or the reason why there is none; time: of a frame, None if unknown.
     """
     plan = plans[0]
     scene = plan.scene
@@ -60,11 +59,7 @@ def planned_values(plans: Sequence[Plan], device: str, time: FrameTime | None) -
         views.append({"view": plan.eye, "blur": blur, "bytes": device_bytes(plan), "passes": passes})
     return {
         "frames": first.scene.sequence.frames,
-        "columns": first.columns,
-        "rows": first.rows,
-        "channels": first.channels,
-        "samples": first.samples,
-        "subframes": first.subframes,
+        **{name: getattr(first, name) for name in ("columns", "rows", "channels", "samples", "subframes")},
         "seconds": None if time is None else time.seconds,
         "device": None if time is None else device,
         "views": views,
@@ -91,7 +86,6 @@ def _of_lines(plan: Plan) -> str:
 
 
 def _times(plan: Plan, kind: Kind) -> int:
-    """Number of passes of this kind in a frame."""
     members = sum(each.kind == kind for each in plan.passes)
     return members if kind in ONCE_A_FRAME else members * plan.subframes
 
@@ -105,9 +99,7 @@ def _time(time: FrameTime | None) -> str:
 
 
 def _passes(plans: Sequence[Plan], time: FrameTime | None) -> list[tuple[str, ...]]:
-    """Rows of the passes, all occlusion groups together; for a stereo pair, rows of each view. A buffer counts for the
-    first pass that uses it.
-    """
+    """Rows of the passes of all views, occlusion groups together. A buffer counts for the first pass that uses it."""
     rows: list[tuple[str, ...]] = []
     views = ({},) * len(plans) if time is None else time.views
     for plan, seconds in zip(plans, views, strict=True):
@@ -130,23 +122,19 @@ def _passes(plans: Sequence[Plan], time: FrameTime | None) -> list[tuple[str, ..
 
 def _figures(plan: Plan) -> list[tuple[str, str]]:
     memory = f"{device_bytes(plan) / 2**20:.1f} MiB"
+    aperture, exposure = plan.scene.aperture, list[tuple[str, str]]()
+    if aperture.exposure != "normalized":
+        factor = exposure_factor(aperture, plan.psf)
+        exposure.append(("exposure", f"{factor:.4g} of the light through an open circle"))
     return [
         ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
         ("guard band", f"{plan.guard_px} px on every side"),
-        *_exposure(plan),
+        *exposure,
         ("blur method", plan.blur if plan.color else "none, as there is no image"),
         ("memory on the device", memory + (" for each view" if plan.scene.stereo else "")),
         ("strips", _strips(plan)),
         ("predicted work", f"{plan.taps:.3g} weights per frame"),
     ]
-
-
-def _exposure(plan: Plan) -> list[tuple[str, str]]:
-    """Rows on the exposure, if it depends on the aperture's area."""
-    aperture = plan.scene.aperture
-    if aperture.exposure == "normalized":
-        return []
-    return [("exposure", f"{exposure_factor(aperture, plan.psf):.4g} of the light through an open circle")]
 
 
 def _strips(plan: Plan) -> str:

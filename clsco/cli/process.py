@@ -20,10 +20,8 @@ def _end(number: int, _: FrameType | None) -> None:
 
 
 def run() -> None:
-    """Run the command line.
-
-    Modules are imported only when a command needs them. During imports, garbage collection and pydantic's search for
-    plug-ins are off, and at exit Python frees no objects: together a fifth of a short command's time (docs/lessons.md).
+    """Run the command line. During imports, garbage collection and pydantic's search for plug-ins are off, and at exit
+    Python frees no objects: together a fifth of a short command's time (docs/lessons.md).
     """
     for number in (signal.SIGINT, signal.SIGTERM):  # before all other imports, which take most of the time
         signal.signal(number, _end)

@@ -21,33 +21,50 @@ WITHIN_S = 1.0  # between lines within a frame
 
 
 @contextmanager
-def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; yields a function to call after each item.
+def progress(
+    total: int, quiet: bool, what: str = "frames", here: Progress | None = None
+) -> Iterator[Callable[..., object]]:
+    """Show a bar on a terminal, or lines of JSON on request; yields a function to call after some items, by default 1.
 
-    what: name of the items, plural.
+    what: items, plural. here: position of the device within a frame, to be shown as well.
     """
-    with _bar(total, quiet, what, None) as advance:
-        yield advance
+    if _is_in_lines():
+        with _lines(total, what, here) as advance:
+            yield advance
+        return
+    if not _is_shown(total, quiet):
+        yield lambda _count=1: None
+        return
+    from rich import progress as rich
+    from rich.console import Console
+    from rich.text import Text
+
+    columns = [rich.TextColumn(what), rich.BarColumn(), rich.MofNCompleteColumn(), rich.TimeElapsedColumn()]
+    if here is not None:
+        device = here
+
+        class Position(rich.ProgressColumn):
+            def render(self, task: rich.Task) -> Text:
+                return Text(position(device, task.completed, total, task.elapsed or 0.0))
+
+        columns.append(Position())
+    with rich.Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda count=1: bar.advance(task, count)
 
 
 @contextmanager
 def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Callable[[], object]]:
     """Progress as of `progress` that also shows the device's position within a frame and the time left."""
-    in_lines = _is_in_lines()
-    if not in_lines and not _is_shown(total, quiet):
+    if not _is_in_lines() and not _is_shown(total, quiet):
         yield lambda: None
         return
     from clsco.opencl.session import Progress, session_for
 
     session = session_for(device)
     session.progress = here = Progress()
-
-    def after_bar(done: float, elapsed: float) -> str:
-        return position(here, done, total, elapsed)
-
-    shown = _lines(total, "frames", here) if in_lines else _bar(total, quiet, "frames", after_bar)
     try:
-        with shown as advance:
+        with progress(total, quiet, here=here) as advance:
 
             def after_frame() -> None:
                 here.done = 0
@@ -59,10 +76,7 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
 
 
 def position(here: Progress, done: float, total: int, elapsed: float) -> str:
-    """Text of the position: the current step and its finished fraction, the time sample, and the time left.
-
-    done: finished frames of `total`; elapsed: seconds. The time left is known after the first time sample.
-    """
+    """Text of the position: step and its finished fraction, time sample, and, after the first one, the time left."""
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
     left = _seconds_left(here, done, total, elapsed)
@@ -77,7 +91,7 @@ def _seconds_left(here: Progress, done: float, total: int, elapsed: float) -> fl
 
 
 def _is_shown(total: int, quiet: bool) -> bool:
-    return not quiet and sys.stderr is not None and sys.stderr.isatty() and total > 0 and not _is_in_lines()
+    return not quiet and sys.stderr is not None and sys.stderr.isatty() and total > 0
 
 
 def _is_in_lines() -> bool:
@@ -86,12 +100,8 @@ def _is_in_lines() -> bool:
 
 
 @contextmanager
-def _lines(total: int, what: str, here: Progress | None = None) -> Iterator[Callable[[], object]]:
-    """Print a line of JSON at the beginning, after items at most every LINES_S seconds, and at the end.
-
-    here: position of the device within a frame, for a line every WITHIN_S seconds with the step, its finished share,
-    the time sample, and the seconds left if they are known.
-    """
+def _lines(total: int, what: str, here: Progress | None) -> Iterator[Callable[..., object]]:
+    """Print lines of JSON: first, after items, and last; with a position in a frame also every WITHIN_S seconds."""
     done, printed, last, begun = 0, -1, 0.0, time.monotonic()
     lock, ended = threading.Lock(), threading.Event()
 
@@ -109,9 +119,9 @@ def _lines(total: int, what: str, here: Progress | None = None) -> Iterator[Call
                 values["seconds_left"] = round(left, 1)
             print_line(**values)
 
-    def advance() -> None:
+    def advance(count: int = 1) -> None:
         nonlocal done, last
-        done += 1
+        done += count
         if (now := time.monotonic()) > last + LINES_S:
             last = now
             print_line()
@@ -129,37 +139,6 @@ def _lines(total: int, what: str, here: Progress | None = None) -> Iterator[Call
 
 
 @contextmanager
-def _bar(
-    total: int, quiet: bool, what: str, after_bar: Callable[[float, float], str] | None
-) -> Iterator[Callable[[], object]]:
-    """Show a bar, followed by the text that `after_bar` returns for the number done and the seconds elapsed."""
-    if _is_in_lines():
-        with _lines(total, what) as advance:
-            yield advance
-        return
-    if not _is_shown(total, quiet):
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
-    from rich.progress import TimeElapsedColumn as Elapsed
-    from rich.text import Text
-
-    columns: list[ProgressColumn] = [TextColumn(what), BarColumn(), MofNCompleteColumn(), Elapsed()]
-    if after_bar is not None:
-        shown = after_bar
-
-        class AfterBar(ProgressColumn):
-            def render(self, task: Task) -> Text:
-                return Text(shown(task.completed, task.elapsed or 0.0))
-
-        columns.append(AfterBar())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda: bar.advance(task)
-
-
-@contextmanager
 def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
     """Bar as of `progress` for work that reports a fraction from 0 to 1."""
     shown = 0
@@ -167,8 +146,8 @@ def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
 
         def show_share(share: float) -> None:
             nonlocal shown
-            while shown < int(100 * share):
-                advance()
-                shown += 1
+            if (percent := int(100 * share)) > shown:
+                advance(percent - shown)
+                shown = percent
 
         yield show_share

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clsco.cli.inputs import first_scene
-from clsco.cli.options import PATH, scene_argument, set_option
+from clsco.cli.options import PATH, option, scene_argument, set_option
 from clsco.cli.output import echo
 from clsco.errors import ClscoError
 
@@ -16,14 +16,6 @@ if TYPE_CHECKING:
     from clsco.reference.spreads import PsfStack
 
 SUFFIXES = (".npz", ".png")
-
-
-def _depths(text: str) -> tuple[float, ...]:
-    return _numbers(text, "Z,Z,..., distances in mm")
-
-
-def _wavelengths(text: str) -> tuple[float, ...]:
-    return _numbers(text, "NM,NM,..., wavelengths in nm")
 
 
 def _numbers(text: str, rule: str) -> tuple[float, ...]:
@@ -35,33 +27,24 @@ def _numbers(text: str, rule: str) -> tuple[float, ...]:
 
 @click.command()
 @scene_argument
-@click.option(
-    "-o", "out", metavar="OUT", required=True, type=PATH,
-    help="File: .npz for the weights and their axes, .png for a picture of them.",
+@option("-o out", "OUT", "File: .npz for the weights and their axes, .png for a picture of them.", PATH, required=True)
+@option(
+    "--at", "X Y",
+    "Column and row of the source in the frame, counted from 0; may be given again. Default: the middle.",
+    float, nargs=2, multiple=True,
 )  # fmt: skip
-@click.option(
-    "--at", metavar="X Y", type=float, nargs=2, multiple=True,
-    help="Column and row of the source in the frame, counted from 0; may be given again. Default: the middle.",
+@option(
+    "--depths", "Z,Z,...",
+    "Depths of the source, mm; inf is one. Default: nine through the focus, to the largest |R| of the scene.",
+    lambda text: _numbers(text, "Z,Z,..., distances in mm"),
 )  # fmt: skip
-@click.option(
-    "--depths", metavar="Z,Z,...", type=_depths,
-    help="Depths of the source, mm; inf is one. Default: nine through the focus, to the largest |R| of the scene.",
+@option(
+    "--wavelengths", "NM,NM,...", 'Wavelengths in place of colors, nm; only with psf.model = "wave".',
+    lambda text: _numbers(text, "NM,NM,..., wavelengths in nm"),
 )  # fmt: skip
-@click.option(
-    "--wavelengths", metavar="NM,NM,...", type=_wavelengths,
-    help="Wavelengths in place of colors, nm; only with psf.model = \"wave\".",
-)  # fmt: skip
-@click.option("--frame", "index", metavar="N", type=int, default=0, help="Frame whose lens is taken. Default: 0.")
+@option("--frame index", "N", "Frame whose lens is taken. Default: 0.", int, default=0)
 @set_option
-def psf(
-    scene: Path,
-    out: Path,
-    at: tuple[tuple[float, float], ...],
-    depths: tuple[float, ...] | None,
-    index: int,
-    wavelengths: tuple[float, ...] | None,
-    overrides: tuple[str, ...],
-) -> None:
+def psf(scene: Path, out: Path, at: tuple[tuple[float, float], ...], overrides: tuple[str, ...], **lens: Any) -> None:
     """Write the point spread functions of a scene's lens: the weights that its frames are made with.
 
     The functions are for a source that is not occluded, at depths on both sides of the focal surface. Needs no OpenCL.
@@ -71,16 +54,16 @@ def psf(
     from clsco.plan.request import Request
     from clsco.reference.spreads import psf_of
 
-    stack = psf_of(first_scene(scene, overrides, Request()), at or None, depths, index, wavelengths)
+    stack = psf_of(first_scene(scene, overrides, Request()), at or None, **lens)
     if out.suffix.lower() == ".npz":
         from clsco.files.images import write_npz
 
         write_npz(out, stack.arrays())
     else:
-        from clsco.cli.psf_sheet import sheet
+        from clsco.cli.sheets import psf_sheet
         from clsco.files.images import write_png
 
-        write_png(out, sheet(stack))
+        write_png(out, psf_sheet(stack))
     echo(f"{click.format_filename(out)}: {_about(stack)}")
 
 

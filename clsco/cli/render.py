@@ -9,70 +9,44 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clsco.cli import options
 from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, parse_focus
 from clsco.cli.inputs import report_inputs
-from clsco.cli.options import (
-    PATH,
-    PRESET,
-    Computation,
-    computation_options,
-    no_color_option,
-    parse_span,
-    quiet_option,
-    require_device,
-    scenes_argument,
-    set_option,
-    truth_options,
-)
+from clsco.cli.options import PATH, Computation, flag, option
 from clsco.cli.output import echo
-from clsco.errors import SceneError
+from clsco.cli.video import remove_clips, require_clips, write_clips
 
 if TYPE_CHECKING:
+    from clsco.cli.focus import Loaded
     from clsco.engine.batch import Job, Span
     from clsco.frame.truth_files import TruthFile
     from clsco.plan.request import Request
-    from clsco.scene.sweep import Sweep
 
 
 @click.command()
-@scenes_argument
-@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
-@truth_options
-@no_color_option
-@click.option(
-    "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
-)
-@set_option
+@options.scenes_argument
+@option("-o out", "DIR", "Folder for the frames.", PATH, required=True)
+@options.truth_options
+@options.no_color_option
+@option("--frames span", "A:B", "Frames A to B - 1, counted from 0.", options.parse_span, default=":")
+@options.set_option
 @focus_at_option
 @focus_depth_option
-@computation_options
-@click.option("--subframes", is_flag=True, help="Also write the image of each time sample: frame_0000_sample_00.png.")
-@click.option(
-    "--video", "preset", metavar="PRESET", type=PRESET,
-    help="When all frames are there, write a clip beside them, such as clip.mp4: mp4, ffv1, prores or another preset "
-    "of clsco video.",
+@options.computation_options
+@flag("--subframes", "Also write the image of each time sample: frame_0000_sample_00.png.")
+@option(
+    "--video preset", "PRESET",
+    "When all frames are there, write a clip beside them, such as clip.mp4: mp4, ffv1, prores or another preset of "
+    "clsco video.",
+    options.PRESET,
 )  # fmt: skip
-@click.option(
-    "--check", is_flag=True, help="Record how far frames are from rays through the lens, in their JSON files."
-)
-@click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
-@quiet_option
+@flag("--check", "Record how far frames are from rays through the lens, in their JSON files.")
+@flag("--resume", "Leave out frames that are in DIR already, whole and of this scene.")
+@options.quiet_option
 def render(
-    scenes: tuple[Path, ...],
-    out: Path,
-    files: tuple[TruthFile, ...],
-    no_color: bool,
-    span: Span,
-    overrides: tuple[str, ...],
-    focus_at: tuple[int, int] | None,
-    focus_depth: float | None,
-    computation: Computation,
-    subframes: bool,
-    preset: str | None,
-    check: bool,
-    resume: bool,
-    quiet: bool,
-) -> None:
+    scenes: tuple[Path, ...], files: tuple[TruthFile, ...], no_color: bool, overrides: tuple[str, ...],
+    focus_at: tuple[int, int] | None, focus_depth: float | None, check: bool, **values: Any,
+) -> None:  # fmt: skip
     """Render the frames of scenes to files.
 
     A frame is frame_0000.png, and frame_0000.json, which records how it was made. With several scenes, each has a
@@ -80,7 +54,7 @@ def render(
     """
     from clsco.scene.sweep import load_sweeps
 
-    if no_color and (subframes or preset):
+    if no_color and (values["subframes"] or values["preset"]):
         raise click.UsageError("--no-color: makes no image, so must be without --subframes and --video")
     require_uncolored(files, no_color)
     focus = parse_focus(focus_at, focus_depth)
@@ -89,7 +63,7 @@ def render(
         from clsco.truth import require_rays
 
         require_rays()
-    render_to_folders(loaded, out, files, computation, quiet, span, resume, subframes, preset, not no_color, check)
+    render_to_folders(loaded, files=files, color=not no_color, check=check, **values)
 
 
 def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
@@ -105,32 +79,24 @@ def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
             raise click.UsageError(f"--no-color: makes no image, so --truth must be without {named[0]}; got {file}")
 
 
-def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
+def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **values: Any) -> Request:
     """Request for the outputs in these files of ground truth; without files, for no outputs."""
     from clsco.plan.request import Request
 
     if computation is not None:
-        options |= {name: getattr(computation, name) for name in ("precision", "memory", "tolerance")}
+        values |= {name: getattr(computation, name) for name in ("precision", "memory", "tolerance")}
     if not files:
-        return Request(**options)
+        return Request(**values)
     from clsco.frame.files import needed_truth
 
-    return Request(needed_truth(files), **options)
+    return Request(needed_truth(files), **values)
 
 
 def render_to_folders(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]],
-    out: Path,
-    files: tuple[TruthFile, ...],
-    computation: Computation,
-    quiet: bool,
-    span: Span = (None, None),
-    resume: bool = False,
-    subframes: bool = False,
-    preset: str | None = None,
-    color: bool = True,
-    check: bool = False,
-) -> None:
+    loaded: Loaded, out: Path, files: tuple[TruthFile, ...], computation: Computation, quiet: bool,
+    span: Span = (None, None), resume: bool = False, subframes: bool = False, preset: str | None = None,
+    color: bool = True, check: bool = False,
+) -> None:  # fmt: skip
     """Plan scenes, and render the scenes of each file into its folder in `out`; other arguments as for `render`."""
     if files:
         from clsco.frame.files import require_truth_formats
@@ -144,31 +110,24 @@ def render_to_folders(
         request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
     prepared = prepare_files(loaded, request)
     report_inputs(prepared)
-    require_device(computation.device)
+    options.require_device(computation.device)
     from clsco.engine import batch
 
     if preset is not None:
-        from clsco.cli.video import require_clips
-
         require_clips(prepared, preset)
     jobs = batch.prepare_all(prepared, out, files, span, resume)
     if preset is not None:
-        from clsco.cli.video import remove_clips
-
         remove_clips(jobs, preset)  # clips of older frames
     with frame_progress(sum(len(job.frames) for job in jobs), quiet, computation.device) as advance:
         for _ in batch.run(jobs, computation.device, check):
             advance()
     if preset is not None:
-        from clsco.cli.video import write_clips
-
         write_clips(jobs, preset)
     if not quiet:
         echo(_written(out, jobs))
 
 
 def _written(out: Path, jobs: Sequence[Job]) -> str:
-    """Line that says which files were written, and where."""
     place, count = click.format_filename(out), sum(len(job.frames) for job in jobs)
     if not count:
         return f"{place}: all frames are there already"

@@ -8,22 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clsco.cli import options
 from clsco.cli.inputs import first_scene, report_scenes
-from clsco.cli.options import (
-    PATH,
-    Computation,
-    computation_options,
-    device_option,
-    no_color_option,
-    precision_option,
-    quiet_option,
-    require_device,
-    require_opencl,
-    scene_argument,
-    scenes_argument,
-    set_option,
-    truth_options,
-)
+from clsco.cli.options import PATH, Computation, option
 from clsco.cli.output import echo
 from clsco.cli.render import request_for, require_uncolored
 from clsco.errors import DeviceError, MissingDependencyError, SceneError
@@ -34,52 +21,50 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("-o", "out", metavar="DIR", type=PATH, default=Path("demo"), show_default=True, help="Folder.")
-@device_option
-@quiet_option
+@option("-o out", "DIR", "Folder.", PATH, shown=Path("demo"))
+@options.device_option
+@options.quiet_option
 def demo(out: Path, device: str | None, quiet: bool) -> None:
     """Render some of the example scenes, and a sheet that shows them and their ground truth."""
-    require_device(device)
-    from clsco.cli.demo import write_contact_sheet
+    options.require_device(device)
     from clsco.cli.progress import progress
+    from clsco.cli.sheets import DETAILS, demo_sheet
     from clsco.engine import batch
+    from clsco.files.images import write_png
     from clsco.frame.truth_files import TruthFile
     from clsco.plan.prepare import prepare
     from clsco.scene.examples import EXAMPLES, example
 
     files = (TruthFile("npz"),)
     scenes = {name: prepare(example(name), request_for(files)) for name in EXAMPLES}
-    jobs = {
-        name: batch.prepare(each, out / name, range(each.scene.sequence.frames), files, False)
+    jobs = [
+        batch.prepare(each, out / name, range(each.scene.sequence.frames), files, False)
         for name, each in scenes.items()
-    }
+    ]
     shown = {}
-    with progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
-        for job, frames in batch.run(list(jobs.values()), device):
+    with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
+        for job, frames in batch.run(jobs, device):
             shown[job.folder.name] = frames  # of a sequence, the last frame stays
             advance()
-    write_contact_sheet(out / "contact_sheet.png", shown)
+    sheet = demo_sheet({EXAMPLES[name]: views[0] for name, views in shown.items()}, [shown[name] for name in DETAILS])
+    write_png(out / "contact_sheet.png", sheet)
     place = click.format_filename(out)
     echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
     echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
-    echo(f"  {', '.join(jobs)}")
+    echo(f"  {', '.join(scenes)}")
 
 
 @click.command()
-@scene_argument
-@set_option
-@truth_options
-@no_color_option
-@computation_options
-@click.option("--json", "machine", is_flag=True, help="Print passes, bytes and predicted seconds as JSON.")
+@options.scene_argument
+@options.set_option
+@options.truth_options
+@options.no_color_option
+@options.computation_options
+@options.flag("--json machine", "Print passes, bytes and predicted seconds as JSON.")
 def plan(
-    scene: Path,
-    overrides: tuple[str, ...],
-    files: tuple[TruthFile, ...],
-    no_color: bool,
-    computation: Computation,
+    scene: Path, overrides: tuple[str, ...], files: tuple[TruthFile, ...], no_color: bool, computation: Computation,
     machine: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Report what rendering a scene takes, and how long: passes, memory, and time, which is measured on a part of a
     frame.
 
@@ -105,11 +90,9 @@ def plan(
 
 
 def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
-    """The session with the device that measures the plan; or, if no device was asked for and none works, None and the
-    reason.
-    """
+    """Session and name of the device that measures the plan; None and the reason without one that was asked for."""
     try:
-        require_opencl()
+        options.require_opencl()
         from clsco.opencl.session import session_for
 
         session = session_for(device)
@@ -121,30 +104,22 @@ def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
 
 
 @click.command()
-@scene_argument
-@click.option(
-    "--rays", metavar="N", type=click.IntRange(min=0), default=2**16, show_default=True,
-    help="Most rays of a pixel; 0: the reference alone, without the extra.",
-)  # fmt: skip
-@click.option(
-    "--seconds", metavar="S", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
-    help="Time for all rays, which ends at a standard error of 1e-3 of white.",
-)  # fmt: skip
-@click.option(
-    "-o", "out", metavar="OUT", type=PATH, help="File: .json for all figures, .png for a picture of the pixels tried."
+@options.scene_argument
+@option(
+    "--rays", "N", "Most rays of a pixel; 0: the reference alone, without the extra.", click.IntRange(0), shown=2**16
 )
-@set_option
-@device_option
-@precision_option
+@option(
+    "--seconds", "S", "Time for all rays, which ends at a standard error of 1e-3 of white.", click.FloatRange(min=0.0),
+    shown=20.0,
+)  # fmt: skip
+@option("-o out", "OUT", "File: .json for all figures, .png for a picture of the pixels tried.", PATH)
+@options.set_option
+@options.device_option
+@options.precision_option
 def check(
-    scene: Path,
-    rays: int,
-    seconds: float,
-    out: Path | None,
-    overrides: tuple[str, ...],
-    device: str | None,
+    scene: Path, rays: int, seconds: float, out: Path | None, overrides: tuple[str, ...], device: str | None,
     precision: str | None,
-) -> None:
+) -> None:  # fmt: skip
     """Compare frames with the NumPy reference, output by output, and with rays through the real lens.
 
     Fails if color differs from the reference by more than 1e-5 of white (in single precision, by more than 1e-4 in
@@ -160,7 +135,7 @@ def check(
 
         require_rays()
     first = first_scene(scene, overrides, request_for((), precision=precision))
-    require_device(device)
+    options.require_device(device)
     check_scene(scene, first.scene, (rays, seconds), out, device, precision)
 
 
@@ -173,7 +148,7 @@ def schema() -> None:
 
 
 @click.command()
-@scenes_argument
+@options.scenes_argument
 def validate(scenes: tuple[Path, ...]) -> None:
     """Check scene files and their textures without rendering: reports valid files, and all faults of the others."""
     from clsco.plan.prepare import prepare_files

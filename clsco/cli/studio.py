@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from clsco.cli.options import PATH, device_option, require_device
+from clsco.cli.options import PATH, device_option, flag, option, require_device
 from clsco.cli.output import echo
 from clsco.errors import MissingDependencyError, SceneError
 
@@ -18,10 +18,10 @@ from clsco.errors import MissingDependencyError, SceneError
 @click.option(
     "--host", default="", help="Address to listen at. Default: of this machine alone, another for each start."
 )
-@click.option("--allow-network", is_flag=True, help="Let --host be an address that other machines reach.")
-@click.option("--root", metavar="DIR", type=PATH, help="Folder with all files to read and write. Default: SCENE's.")
+@flag("--allow-network", "Let --host be an address that other machines reach.")
+@option("--root", "DIR", "Folder with all files to read and write. Default: SCENE's.", PATH)
 @device_option
-@click.option("--no-browser", is_flag=True, help="Only print the address.")
+@flag("--no-browser", "Only print the address.")
 def studio(
     scene: Path | None, port: int, host: str, allow_network: bool, root: Path | None, device: str | None,
     no_browser: bool,

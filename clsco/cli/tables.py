@@ -1,4 +1,4 @@
-"""Tables for the terminal: reports of inpainting, and OpenCL devices with their self-tests."""
+"""Tables for the terminal: reports of inpainting, OpenCL devices with their self-tests, and planned data sets."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from clsco.errors import visible
+from clsco.scene.formatting import format_bytes, format_seconds
 
 if TYPE_CHECKING:
+    from clsco.data.dryrun import DryRun, Summary
     from clsco.inpainting.report import Report
     from clsco.opencl.device import Device
     from clsco.opencl.self_test import Check
@@ -80,3 +82,45 @@ def print_tables(*things: RenderableType) -> None:
     width = None if sys.stdout.isatty() else 160
     shown = [visible(thing, lines=True) if isinstance(thing, str) else thing for thing in things]
     Console(width=width, markup=False, highlight=False, emoji=False).print(*shown, sep="\n", crop=False)
+
+
+def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
+    """Tables of a planned data set: parameters, measures of samples, size and time."""
+    accepted = dry_run.looked_at - len(dry_run.failed)
+    tables: list[RenderableType] = [_summaries(f"Parameters of {accepted} samples", "parameter", dry_run.parameters)]
+    if dry_run.splits:
+        rows = [(name, f"{share * dry_run.count:.0f}", f"{share:.2%}") for name, share in dry_run.splits.items()]
+        tables.append(table("Splits, about", ("split", "samples", "share"), rows, ("samples", "share")))
+    seen = [
+        ("accepted", f"{accepted / max(1, dry_run.attempts):.1%} of {dry_run.attempts} attempts"),
+        ("failed", f"{len(dry_run.failed)}"),
+        ("frames per sample", f"{dry_run.frames:g}"),
+    ]
+    of = f"{dry_run.looked_at} of {dry_run.count} samples"
+    tables.append(table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
+    if dry_run.measures:
+        tables.append(_summaries("What rays see", "measure", dry_run.measures))
+    sizes = [(name, format_bytes(size), format_bytes(size * dry_run.count)) for name, size in dry_run.bytes.items()]
+    total = sum(dry_run.bytes.values())
+    sizes.append(("in all", format_bytes(total), format_bytes(total * dry_run.count)))
+    if dry_run.bytes:
+        columns = ("array", "per sample", "of the set")
+        tables.append(table("Size before compression", columns, sizes, columns[1:]))
+    duration = "not known" if dry_run.seconds is None else format_seconds(dry_run.seconds)
+    tables.append(table("Time", ("predicted", "from"), [(duration, dry_run.basis)]))
+    return tables
+
+
+def print_dry_run(dry_run: DryRun) -> None:
+    """Print `dry_run_tables`, messages of failed samples, and the path of the contact sheet."""
+    print_tables(*dry_run_tables(dry_run), *dry_run.failed)
+    if dry_run.sheet is not None:
+        print_tables(f"{dry_run.sheet}: pictures of some samples")
+
+
+def _summaries(title: str, what: str, summaries: Sequence[Summary]) -> RenderableType:
+    rows = []
+    for one in summaries:
+        low, mean, high = ("" if value is None else f"{value:.5g}" for value in (one.low, one.mean, one.high))
+        rows.append((one.name, low, mean, high, one.note))
+    return table(title, (what, "lowest", "mean", "highest", ""), rows, ("lowest", "mean", "highest"))

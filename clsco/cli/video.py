@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsco.cli.options import PATH, PRESET, quiet_option
+from clsco.cli.options import PATH, PRESET, option, quiet_option
 from clsco.cli.output import echo
 from clsco.errors import ArgumentError
 
@@ -29,21 +29,19 @@ def _rate(text: str) -> Fraction:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=PATH)
-@click.option(
-    "-o", "out", metavar="OUT", required=True, type=PATH,
-    help="File for the clip: .mp4, .webm, .mkv, .mov or .y4m.",
-)  # fmt: skip
-@click.option(
-    "--preset", metavar="NAME", type=PRESET,
-    help="mp4, mp4-444, hevc10, av1, webm, h264-lossless, ffv1, ffv1-16, prores, prores-hq or y4m. Default: the first "
-    "of these with the extension of OUT.",
+@option("-o out", "OUT", "File for the clip: .mp4, .webm, .mkv, .mov or .y4m.", PATH, required=True)
+@option(
+    "--preset", "NAME",
+    "mp4, mp4-444, hevc10, av1, webm, h264-lossless, ffv1, ffv1-16, prores, prores-hq or y4m. Default: the first of "
+    "these with the extension of OUT.",
+    PRESET,
 )  # fmt: skip
 @click.option(
     "--view", type=click.Choice(["color", "sharp", "coc", "depth", "flow", "compare"]), default="color",
     show_default=True, help="coc, depth and flow as colors; compare: sharp and color side by side.",
 )  # fmt: skip
-@click.option("--fps", metavar="RATE", type=_rate, help="Frames per second, like 24000/1001. Default: 1 / interval.")
-@click.option("--speed", metavar="FACTOR", type=_rate, help="Play so many times as fast as the scene, such as 0.25.")
+@option("--fps", "RATE", "Frames per second, like 24000/1001. Default: 1 / interval.", _rate)
+@option("--speed", "FACTOR", "Play so many times as fast as the scene, such as 0.25.", _rate)
 @quiet_option
 def video(
     folder: Path, out: Path, preset: str | None, view: str, fps: Fraction | None, speed: Fraction | None, quiet: bool
@@ -104,9 +102,7 @@ def remove_clips(jobs: Sequence[Job], preset: str) -> None:
 
 
 def write_clips(jobs: Sequence[Job], preset: str) -> None:
-    """Write a clip beside the frames of each job if all frames of its scene exist; otherwise print that some are
-    missing.
-    """
+    """Write a clip beside the frames of each job, or print that some of them are missing or of another scene."""
     from clsco.frame.files import frame_json
     from clsco.frame.frame_folder import read_frame_folder
     from clsco.frame.video import Playing, write_folder_clip

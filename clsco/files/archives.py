@@ -62,10 +62,7 @@ def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
 
 
 def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """The array of an NPY file, which must have this type and shape; sizes in its header are not trusted.
-
-    The array shares the memory of `content` if `content` is writable.
-    """
+    """The array of an NPY file, in the memory of `content` if writable. Raises ValueError for another type or shape."""
     header = npy_header(io.BytesIO(content[:HEADER]))
     if header.dtype.hasobject or (header.dtype.newbyteorder("="), header.shape) != (dtype, shape):
         raise ValueError(f"{header.dtype} of shape {header.shape} for {dtype} {shape}")
@@ -77,9 +74,7 @@ def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], sha
 
 
 def open_archive(file: BinaryIO) -> zipfile.ZipFile:
-    """Open a ZIP archive with a small directory. Raises ValueError for a large one, BadZipFile if it is not an
-    archive.
-    """
+    """Open a ZIP archive. Raises ValueError if its directory is large, BadZipFile if it is not an archive."""
     import zipfile
 
     size = file.seek(0, os.SEEK_END)

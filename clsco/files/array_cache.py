@@ -1,6 +1,4 @@
-"""Cache on disk of arrays that are slow to compute: a file per key with a checksum; a damaged file counts as
-missing.
-"""
+"""Cache on disk of arrays that are slow to compute: a file per key with a checksum. Damaged files count as missing."""
 
 from __future__ import annotations
 
@@ -28,9 +26,7 @@ DIGEST = hashlib.sha256().digest_size
 
 
 def user_cache(name: str) -> ArrayCache:
-    """A cache in the user's cache folder; it stores nothing if that folder cannot be made, or other users could write
-    to it.
-    """
+    """A cache in the user's cache folder; stores nothing if that cannot be made, or other users could write to it."""
     try:
         return ArrayCache(private_folder("clsco", name))
     except (ExposedFolderError, OSError, RuntimeError):
@@ -38,10 +34,7 @@ def user_cache(name: str) -> ArrayCache:
 
 
 class ArrayCache:
-    """Named arrays by key, in a folder used only by this cache. Several processes may use it at the same time.
-
-    folder: None for a cache that stores nothing.
-    """
+    """Named arrays by key, in a folder of its own that several processes may use; folder: None to store nothing."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder, self._written = folder, MOST_BYTES
@@ -50,7 +43,7 @@ class ArrayCache:
         """The arrays of a key, read-only; None if they are missing or damaged."""
         if self.folder is None:
             return None
-        path = self._path(key)
+        path = _path(self.folder, key)
         try:
             content = _read(path)
             if hashlib.sha256(memoryview(content)[DIGEST:]).digest() != content[:DIGEST]:
@@ -64,7 +57,7 @@ class ArrayCache:
         """Store arrays, unless they are larger than LARGEST; a full disk or a read-only folder is not an error."""
         if self.folder is None or sum(array.nbytes for array in arrays.values()) > LARGEST:
             return
-        content, path = _packed(arrays), self._path(key)
+        content, path = _packed(arrays), _path(self.folder, key)
         temporary = path.with_suffix(f".{os.getpid()}-{secrets.token_hex(4)}.part")
         with suppress(OSError):
             try:
@@ -75,28 +68,25 @@ class ArrayCache:
             self._written += len(content)
             if self._written > MOST_BYTES // SCANS:
                 self._written = 0
-                self._shrink()
+                _shrink(self.folder)
 
-    def _path(self, key: str) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:40]}{SUFFIX}"
 
-    def _shrink(self) -> None:
-        assert self.folder is not None
-        files = [(path.stat().st_mtime_ns, path.stat().st_size, path) for path in self.folder.glob(f"*{SUFFIX}")]
-        total = sum(size for _, size, _ in files)
-        for _, size, path in sorted(files):
-            if total <= MOST_BYTES:
-                return
-            path.unlink(missing_ok=True)
-            total -= size
+def _path(folder: Path, key: str) -> Path:
+    return folder / f"{hashlib.sha256(key.encode()).hexdigest()[:40]}{SUFFIX}"
+
+
+def _shrink(folder: Path) -> None:
+    files = [(path.stat().st_mtime_ns, path.stat().st_size, path) for path in folder.glob(f"*{SUFFIX}")]
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
+        if total <= MOST_BYTES:
+            return
+        path.unlink(missing_ok=True)
+        total -= size
 
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Arrays of numbers as bytes: a line with the dtype and shape of each, then their contents.
-
-    They are read faster than from an NPZ, an archive with a Python literal per array.
-    """
+    """A line with the dtype and shape of each array, then their contents: read faster than an NPZ with its literals."""
     about = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])
 

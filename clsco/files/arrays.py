@@ -14,10 +14,7 @@ from clsco.files.decoders import check_limits, exr_planes, open_format
 
 
 def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]]:
-    """Read arrays of floats (rows, columns[, 2 or 3]) from an NPZ.
-
-    Raises FileError if an array is missing, has another type or shape, or has over 2^27 pixels.
-    """
+    """Read arrays of floats (rows, columns[, 2 or 3]) of at most 2^27 pixels from an NPZ. Raises FileError."""
     with open_format(path, {".npz": "NPZ"}) as (file, _), open_archive(file) as archive:
         arrays = {}
         for name in names:
@@ -35,10 +32,7 @@ def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]
 
 
 def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[np.floating]]:
-    """Read channels (rows, columns) of floats from an EXR, or from its view `view` if there are several.
-
-    Raises FileError if a channel is missing or not of floats, and for over 2^27 pixels or 2^29 values in all.
-    """
+    """Read channels (rows, columns) of floats from an EXR, or from one of its views. Raises FileError."""
     own = [f"{view}.{name}" if view else name for name in names]
 
     def choose(there: list[str]) -> list[str]:

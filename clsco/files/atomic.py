@@ -14,6 +14,8 @@ from typing import BinaryIO, NoReturn
 from clsco.errors import FileError, MissingDependencyError
 from clsco.resources import open_regular, work_name
 
+AnyPath = str | os.PathLike[str]
+
 _BLOCK = 2**18  # bytes that are read at once
 
 
@@ -29,7 +31,6 @@ def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file that is renamed to `path` once it is complete on disk; until then, an older file remains.
-
     Raises FileError if the folder, the disk or a codec fails, and leaves no file.
     """
     temporary = _temporary(path)
@@ -54,10 +55,7 @@ def atomic_write_bytes(path: Path, content: bytes) -> None:
 
 @contextlib.contextmanager
 def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Create a hidden folder whose files move to `folder` when all are written; on an error they are removed.
-
-    name: kind of the files, for messages. Older files remain until they are replaced. Raises FileError.
-    """
+    """Create a hidden folder whose files (`name` in messages) move to `folder` when all are written; or are removed."""
     temporary = _temporary(folder / name)
     try:
         temporary.mkdir()
@@ -80,7 +78,7 @@ def remove_file(path: Path) -> None:
         raise_file_error(path, "the file must be replaceable", error, error)
 
 
-def make_writable_folder(path: str | os.PathLike[str]) -> Path:
+def make_writable_folder(path: AnyPath) -> Path:
     """Make a folder and its parents, and check that files can be created in it. Raises FileError if they cannot."""
     path = Path(path)
     try:
@@ -93,7 +91,7 @@ def make_writable_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def is_same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+def is_same_place(path: AnyPath, other: AnyPath) -> bool:
     """True if two paths, existing or not, are equal once symbolic links are resolved; link cycles remain unresolved."""
     return os.path.realpath(path) == os.path.realpath(other)
 
@@ -105,10 +103,7 @@ def sha256(path: Path) -> str:
 
 
 def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
-    """Size in bytes and SHA-256 by key: `key` for a file, and `key`/NAME for each file NAME in a folder.
-
-    Raises OSError.
-    """
+    """Size in bytes and SHA-256 by key: `key` for a file, and `key`/NAME for each file in a folder. Raises OSError."""
     inside = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     keys = (key if each == path else f"{key}/{each.relative_to(path).as_posix()}" for each in inside)
     return {name: (each.stat().st_size, sha256(each)) for name, each in zip(keys, inside, strict=True)}

@@ -14,11 +14,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """A camera and its pose: X_camera = rotation X_world + translation, in mm.
+    """A camera and its pose: X_camera = rotation X_world + translation, in mm; x to the right, y down, z forward.
 
-    World and camera have x to the right, y down, z into the scene, as in OpenCV and COLMAP. columns, rows, focal and
-    center (column and row of the principal point; pixel centers are integers): px. distortion: k1, k2, p1, p2, k3 of
-    OpenCV, or ().
+    columns, rows, focal and center (column and row of the principal point; pixel centers are integers): px.
+    distortion: k1, k2, p1, p2, k3 of OpenCV, or ().
     """
 
     columns: int
@@ -31,9 +30,7 @@ class Pinhole:
 
 
 def _quaternion(rotation: Array) -> Array:
-    """Unit quaternion (w, x, y, z) of a rotation matrix, w >= 0; computed from the largest component to avoid
-    cancellation.
-    """
+    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; from the largest component to avoid cancellation."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
     # Four times the products of the components with each other, such as 4 w x at row 0, column 1.
     products = np.array(
@@ -49,11 +46,10 @@ def _quaternion(rotation: Array) -> Array:
 
 
 def colmap_texts(images: Iterable[tuple[str, Pinhole]]) -> dict[str, bytes]:
-    """A sparse model of COLMAP without points: content of cameras.txt, images.txt and points3D.txt.
+    """A sparse model of COLMAP without points, in mm, by file name; images: name and camera of each.
 
-    images: name and camera of each image. COLMAP has pixel centers at halves, so the principal point is written half a
-    pixel farther right and down. Lengths are in mm, as COLMAP has no unit. A camera with distortion is written as
-    FULL_OPENCV with k4 to k6 = 0. Validated by pycolmap, and by points projected into the frame.
+    COLMAP has pixel centers at halves, so the principal point is written half a pixel farther right and down.
+    Validated by pycolmap, and by points projected into the frame.
     """
     cameras: dict[str, int] = {}
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from world to camera, mm; then a line of no points"]

@@ -1,8 +1,7 @@
 """Color spaces of image files: curves that decode codes, and profiles with which an output looks like its input.
 
-Codes become linear radiance in the primaries of their own profile. Outputs get codes of the same curve, and the same
-profile, so unchanged pixels keep their codes and their look. If images with different profiles are used together, a
-matrix converts each to the primaries of sRGB.
+Codes become linear radiance in the primaries of their own profile, and outputs get the same curve and profile. If
+images with different profiles are used together, a matrix converts each to the primaries of sRGB.
 """
 
 from __future__ import annotations
@@ -17,18 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.primaries import (
-    CICP_CHROMATICITIES,
-    D50,
-    SRGB_CHROMATICITIES,
-    Matrix,
-    adaptation,
-    chromaticities_to_srgb,
-    colorants,
-    colorants_to_chromaticities,
-    white_of,
-)
 from clsco.files.transfer import CODES, Curve, decode
+
+Matrix = NDArray[np.float64]
 
 LARGEST_PROFILE = 2**22  # bytes
 MOST_TAGS = 256
@@ -41,16 +31,34 @@ _BT709 = (1 / 0.45, 1 / _ALPHA, 1 - 1 / _ALPHA, 1 / 4.5, 4.5 * _BETA, 0.0, 0.0)
 _LINEAR = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _CICP = {1: _BT709, 6: _BT709, 14: _BT709, 15: _BT709, 4: (2.2, *_LINEAR[1:]), 5: (2.8, *_LINEAR[1:]), 8: _LINEAR}
 _CICP_SRGB, _CICP_BT709_PRIMARIES = 13, 1
+ALIKE = 1e-3  # a matrix this close to the identity counts as the identity: under half a code of 8 bits at white
+D50 = np.array([0.9642, 1.0, 0.8249])  # white of the profile connection space (ICC.1:2022, 7.2.16)
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+_D65, _C = (0.3127, 0.329), (0.31, 0.316)
+SRGB_CHROMATICITIES = (*_D65, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
+_OF_1953, _OF_525_LINES = (0.67, 0.33, 0.21, 0.71, 0.14, 0.08), (0.63, 0.34, 0.31, 0.595, 0.155, 0.07)
+_P3 = (0.68, 0.32, 0.265, 0.69, 0.15, 0.06)
+CICP_CHROMATICITIES = {  # ITU-T H.273, table 2: x and y of white, red, green and blue
+    1: SRGB_CHROMATICITIES,
+    4: (*_C, *_OF_1953),
+    5: (*_D65, 0.64, 0.33, 0.29, 0.6, 0.15, 0.06),
+    6: (*_D65, *_OF_525_LINES),
+    7: (*_D65, *_OF_525_LINES),
+    8: (*_C, 0.681, 0.319, 0.243, 0.692, 0.145, 0.049),
+    9: (*_D65, 0.708, 0.292, 0.17, 0.797, 0.131, 0.046),
+    11: (0.314, 0.351, *_P3),
+    12: (*_D65, *_P3),
+    22: (*_D65, 0.63, 0.34, 0.295, 0.605, 0.155, 0.077),
+}
 
 
 @dataclass(frozen=True)
 class Color:
     """Color space of an image file; by default sRGB, which needs no profile.
 
-    name: printable name from the profile. icc: the ICC profile, or b"". chunks: kind and content of PNG chunks that act
-    as a profile. channels: channels of images that the profile fits, 0 for any. curve: transfer curve of the codes,
-    None for that of sRGB. chromaticities: x and y of white, red, green and blue, None if unknown or those of sRGB.
-    note: one line on why a profile could not be read, or "".
+    name: printable. icc: the ICC profile, or b"". chunks: kind and content of PNG chunks that act as a profile.
+    channels: of images that the profile fits, 0 for any. curve: None for that of sRGB. chromaticities: x and y of
+    white, red, green and blue, None if unknown or those of sRGB. note: why a profile could not be read, or "".
     """
 
     name: str = "sRGB"
@@ -68,9 +76,7 @@ class Color:
 
     @cached_property
     def to_srgb(self) -> Matrix | None:
-        """Matrix (3, 3) from linear values in this color space to those of sRGB; None if no conversion is needed or
-        known.
-        """
+        """Matrix (3, 3) from linear values in this color space to sRGB; None if no conversion is needed or known."""
         return None if self.chromaticities is None else chromaticities_to_srgb(self.chromaticities)
 
     def converts(self, transfer: str) -> bool:
@@ -87,10 +93,7 @@ class Color:
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile of an RGB image: that of the file, or one made from the primaries; b"" if none is needed.
-
-        linear: True to make a profile for linear values, False for codes.
-        """
+        """ICC profile of an RGB image, the file's or made of its primaries for codes or linear values; or b""."""
         if self.icc or self.chromaticities is None:
             return self.icc
         return _profile(self.name, self.chromaticities, _curve_tag(self.curve, linear))
@@ -129,14 +132,15 @@ def exr_color(chromaticities: Sequence[float]) -> Color:
     """The color space of linear values from an EXR's attribute: x and y of red, green, blue and white, or ()."""
     if not chromaticities:
         return SRGB
-    numbers = [float(number) for number in chromaticities]
-    matrix = chromaticities_to_srgb([*numbers[6:], *numbers[:6]])
+    numbers = tuple(map(float, chromaticities))
+    known = numbers[6:] + numbers[:6]
+    matrix = chromaticities_to_srgb(known)
     named = " ".join(f"{number:.6g}" for number in numbers)
     if matrix is None:
         return Color(note=f"the chromaticities {named} are left out: they span no colors")
     if (matrix == np.eye(3)).all():
         return SRGB
-    return Color(f"of chromaticities {named}", chromaticities=(*numbers[6:], *numbers[:6]))
+    return Color(f"of chromaticities {named}", chromaticities=known)
 
 
 def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
@@ -146,13 +150,12 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
     if len(cicp) == 4:
         carried = ((b"cICP", cicp),)
         known = CICP_CHROMATICITIES.get(cicp[0])
-        if cicp[1] == _CICP_SRGB:
-            return SRGB if cicp[0] == _CICP_BT709_PRIMARIES else Color("of cICP", chunks=carried, chromaticities=known)
-        if cicp[1] in _CICP:
-            curve = _unless_srgb([_parametric(_CICP[cicp[1]])])
-            return Color("of cICP", chunks=carried, curve=curve, chromaticities=known)
+        if (cicp[0], cicp[1]) == (_CICP_BT709_PRIMARIES, _CICP_SRGB):
+            return SRGB
+        curve = _unless_srgb([_parametric(_CICP[cicp[1]])]) if cicp[1] in _CICP else None
         note = f"the transfer curve {cicp[1]} of the chunk cICP is not known: codes are taken as sRGB's"
-        return Color("of cICP", chunks=carried, chromaticities=known, note=note)
+        note = "" if cicp[1] in (_CICP_SRGB, *_CICP) else note
+        return Color("of cICP", chunks=carried, curve=curve, chromaticities=known, note=note)
     if b"sRGB" in chunks:
         return SRGB
     exponent = int.from_bytes(gamma, "big") / 1e5 if len(gamma) == 4 else 0.0
@@ -180,10 +183,7 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
 
 
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
-    """Name, channels, radiance of 2^16 codes per channel, and chromaticities, from an ICC profile (ICC.1:2022).
-
-    Radiance is None if the profile has no curves, and chromaticities are None if it has no matrix.
-    """
+    """Name, channels, radiance of 2^16 codes per channel or None, and chromaticities or None, by ICC.1:2022."""
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
     if len(icc) < 132 or icc[36:40] != b"acsp":
@@ -206,10 +206,8 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tup
 
 
 def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
-    """Chromaticities of an RGB profile; None if unknown.
-
-    The colorants in the profile are adapted to D50; the white before adaptation follows from the tag `chad`, or from
-    `wtpt` in profiles before version 4.
+    """Chromaticities of an RGB profile, whose colorants are adapted to D50; None if unknown.
+    The white before adaptation follows from the tag `chad`, or from `wtpt` before version 4.
     """
     columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
     if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):
@@ -305,11 +303,48 @@ def _parametric(parameters: tuple[float, ...]) -> NDArray[np.float64]:
 
 
 def _increasing(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The table of a curve, with falls due to rounding removed, clipped to 0 to 1.
-
-    Raises ValueError for a curve without an inverse, as outputs could not be encoded.
-    """
+    """The table of a curve, without falls by rounding, clipped to 0 to 1. Raises ValueError if it has no inverse."""
     highest = np.maximum.accumulate(table)
     if not np.isfinite(table).all() or (highest - table).max() > LARGEST_FALL or highest[-1] <= highest[0]:
         raise ValueError("a curve that does not increase")
     return np.asarray(np.clip(highest, 0.0, 1.0))
+
+
+def chromaticities_to_srgb(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
+    """Matrix (3, 3) to linear sRGB from primaries given as x and y of white, red, green and blue; None if they are
+    collinear. White stays white, by Bradford's adaptation; exactly the identity for those of sRGB up to rounding.
+    """
+    xyz, srgb = colorants(chromaticities), colorants(SRGB_CHROMATICITIES)
+    if xyz is None or srgb is None:
+        return None
+    matrix = np.asarray(np.linalg.solve(srgb, xyz), np.float64)
+    return np.eye(3) if np.abs(matrix - np.eye(3)).max() <= ALIKE else matrix
+
+
+def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
+    """Chromaticities, white first, from X, Y and Z of primaries as columns, adapted to D50 from those of the white."""
+    with np.errstate(all="ignore"):  # `colorants` rejects chromaticities that are not finite
+        native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])
+        return tuple((native[:2] / native.sum(axis=0)).T.ravel().tolist())
+
+
+def adaptation(white: Matrix) -> Matrix:
+    """Bradford's matrix from X, Y and Z under a white to X, Y and Z under D50."""
+    return np.asarray(np.linalg.solve(_BRADFORD, ((_BRADFORD @ D50) / (_BRADFORD @ white))[:, None] * _BRADFORD))
+
+
+def white_of(chromaticities: Sequence[float] | Matrix) -> Matrix:
+    x, y = chromaticities[:2]
+    return np.array([x / y, 1.0, (1 - x - y) / y])
+
+
+def colorants(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
+    """X, Y and Z of red, green and blue as columns, adapted to D50; None if the primaries are collinear."""
+    x, y = np.asarray(chromaticities, np.float64).reshape(4, 2).T
+    if not np.isfinite([x, y]).all() or y[0] <= 0:
+        return None
+    white, columns = white_of((x[0], y[0])), np.stack([x, y, 1 - x - y])[:, 1:]  # y of a primary may be below 0
+    if np.linalg.cond(columns) > 1e6 or (_BRADFORD @ white <= 0).any():
+        return None
+    matrix: Matrix = adaptation(white) @ (columns * np.linalg.solve(columns, white))
+    return matrix

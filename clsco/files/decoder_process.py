@@ -1,7 +1,6 @@
 """Runs untrusted decoders, such as those of TIFF and HDF5, in a child process with memory and CPU limits.
 
-The process starts at the first call, serves later calls, and ends with its parent. It is restarted after a limit or a
-crash has ended it.
+The process starts at the first call, is restarted after a limit or a crash, and ends with its parent.
 """
 
 from __future__ import annotations
@@ -64,12 +63,9 @@ class _Serving:
         process, self.process = self.process, None
         if process is None:
             return None
-        assert process.stdin is not None
-        assert process.stdout is not None
-        with suppress(OSError):
-            process.stdin.close()
-        process.stdout.close()
-        return process.wait()
+        with suppress(OSError), process:  # closes the pipes, and waits for its end
+            pass
+        return process.returncode
 
     def forget(self) -> None:
         """Forget the process in a forked child: it belongs to the parent."""
@@ -85,13 +81,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Output:
-    """Call a function on a file in the decoder process; returns its result.
+    """Call a function on a file, opened again at its first byte, in the decoder process; returns its result.
 
     function: "module:name" of a function that takes an open file and JSON-compatible `options`, and returns a
-    JSON-compatible mapping and arrays. The process opens the same file again, at its first byte. most: bytes of all
-    arrays; the process may use 256 MiB plus four times this memory, and 20 s of CPU time plus 1 s per 32 MiB.
-
-    Raises ValueError if the function fails, crashes the process, or exceeds a limit; the message says which.
+    JSON-compatible mapping and arrays. most: bytes of all arrays, by which limits grow. Raises ValueError if the
+    function fails, crashes the process, or exceeds a limit.
     """
     about, seconds = os.fstat(file.fileno()), SECONDS + most / RATE
     memory = MEMORY + FACTOR * most
@@ -122,10 +116,7 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Out
 
 
 def _exchange(process: subprocess.Popen[bytes], request: bytes, most: int) -> Output | str:
-    """Send a request to the process and read its answer; a str is an error message.
-
-    Raises EOFError if the process ends, ValueError for malformed answers.
-    """
+    """Send a request and read its answer; a str is an error message. Raises EOFError if the process ends."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write(request + b"\n")

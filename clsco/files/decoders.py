@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ClscoError, import_extra, require_extra
 from clsco.files.archives import image_shape, npy_header
-from clsco.files.atomic import raise_file_error
+from clsco.files.atomic import AnyPath, raise_file_error
 from clsco.files.decoder_process import run_decoder
 from clsco.files.layers import full_names, image_channels, list_names
 from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, check_png, png_size
@@ -29,6 +29,7 @@ MAX_SIDE = 65536
 LARGEST_EXR = 2**29  # largest number of values in all channels of an EXR, which are decoded together
 DENSEST_EXR = 2**15  # most values per byte of an EXR; DWAB, the densest compression, has half as many for a plain color
 MOST_WINDOW = 4  # largest data window of a part of an EXR, as a multiple of the pixels of the display window
+LONGEST_PFM = 256  # largest header of a PFM, bytes
 MOST_SCANS = 100  # most scans of a JPEG, each of which processes all pixels; encoders make about 20 at most
 PIXEL_BYTES = 32  # largest size of a file per pixel: four float64
 MOST_TAG = 2**24  # largest color profile read from a TIFF, bytes; profiles above LARGEST_PROFILE are rejected later
@@ -57,18 +58,15 @@ _FIRST_BYTES = {
 
 
 @contextlib.contextmanager
-def open_format(
-    path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS
-) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a file whose extension and first bytes agree on a format.
+def open_format(path: AnyPath, formats: Mapping[str, str] = IMAGE_FORMATS) -> Iterator[tuple[BinaryIO, str]]:
+    """Open a file whose extension and first bytes agree on a format; yields it, at its first byte, and the format.
 
-    Yields the file, at its first byte, and the format. formats: format by extension. Errors of the file or of a codec,
-    also those raised in the body of the `with` statement, become FileError.
+    Errors of the file or of a codec, also those raised in the body of the `with` statement, become FileError.
     """
     path = Path(path)
     kind = formats.get(path.suffix.lower(), "")
     try:
-        with _opened(path) as file:
+        with open_regular(path, follow=True) as file:
             if not kind:
                 raise_file_error(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
             head = file.read(8)
@@ -80,27 +78,18 @@ def open_format(
             yield file, kind
     except ClscoError:
         raise
+    except IsADirectoryError:
+        raise_file_error(path, "must be an image file", "a folder")
     except OSError as error:
-        raise_file_error(
-            path, "must be a file that can be read" if error.errno else f"must be a whole {kind}", error, error
-        )
+        if error.strerror == DEVICE:
+            raise_file_error(path, "must be an image file", DEVICE)
+        rule = "must be a file that can be read" if error.errno else f"must be a whole {kind}"
+        raise_file_error(path, rule, error, error)
     except Exception as error:  # damage: each codec has exceptions of its own, and none documents them all
         raise_file_error(path, f"must be a whole {kind}", error, error)
 
 
-def _opened(path: Path) -> BinaryIO:
-    try:
-        return open_regular(path, follow=True)
-    except IsADirectoryError:
-        raise_file_error(path, "must be an image file", "a folder")
-    except OSError as error:
-        if error.strerror != DEVICE:
-            raise
-        raise_file_error(path, "must be an image file", DEVICE)
-
-
 def path_of(file: BinaryIO) -> Path:
-    """Path of an open file."""
     return Path(file.name)
 
 
@@ -113,7 +102,8 @@ def unzstd(path: Path, content: bytes, most: int) -> memoryview:
 def read_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     """(columns, rows) from an open file's header, upright; rewinds the file. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)
-    return (rows, columns) if read_tags(file, kind).is_laid_down else (columns, rows)
+    lies_on_side = read_tags(file, kind).orientation >= 5  # stored rows are columns of the upright image
+    return (rows, columns) if lies_on_side else (columns, rows)
 
 
 def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
@@ -142,11 +132,9 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
 
 
 def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
-    """Decode an open file whose header is within the limits, and turn it upright: (rows, columns[, channels]) as
-    stored.
+    """Decode an open file within the limits, and turn it upright: (rows, columns[, channels]) as stored.
 
-    layer: of an EXR, as for `clsco.files.layers.image_channels`. Raises any error of its codec, which `open_format`
-    turns into a FileError.
+    layer: of an EXR, as for `clsco.files.layers.image_channels`. `open_format` turns errors into FileError.
     """
     columns, rows = _stored_size(file, kind)
     orientation = read_tags(file, kind).orientation
@@ -235,11 +223,6 @@ def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
     return header, profile.tobytes()
 
 
-def _tiff_size(file: BinaryIO) -> tuple[int, int]:
-    header, _ = _tiff_header(file)
-    return header["columns"], header["rows"]
-
-
 def _tiff_tags(file: BinaryIO) -> Tags:
     header, profile = _tiff_header(file)
     return Tags(header["orientation"], profile)
@@ -288,21 +271,14 @@ def _exr_tags(file: BinaryIO) -> Tags:
 
 
 def _window(corners: Sequence[Any]) -> tuple[int, int]:
-    """Columns and rows of an EXR's window."""
     (left, top), (right, bottom) = (corner.tolist() for corner in corners)
     return right - left + 1, bottom - top + 1
-
-
-def _exr_size(file: BinaryIO) -> tuple[int, int]:
-    columns, rows = _window(exr_parts(file)[0].header["displayWindow"])
-    return columns, rows
 
 
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
     """Decode channels of an EXR from any of its parts: (rows, columns) of the display window, by name.
 
-    choose: takes the names of all channels, as from `full_names`, and returns those to decode. outside: value of pixels
-    of the display window that are outside a part's data window.
+    choose: takes the names of all channels, and returns those to decode. outside: value outside of data windows.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(
@@ -359,22 +335,12 @@ def _decode_exr(file: BinaryIO, layer: str | None = None) -> NDArray[Any]:
 
 def _pfm_header(file: BinaryIO) -> tuple[int, int, int, float]:
     """Header of a PFM: channels, columns, rows, and the scale whose sign is the byte order."""
-    words: list[bytes] = []
-    word = b""
-    while len(words) < 4:
-        byte = file.read(1)
-        if not byte or len(word) > 32:
-            raise ValueError(f"a header of {[*words, word]}")
-        if not byte.isspace():
-            word += byte
-        elif word:
-            words, word = [*words, word], b""
-    return (3 if words[0] == b"PF" else 1), int(words[1]), int(words[2]), float(words[3])
-
-
-def _pfm_size(file: BinaryIO) -> tuple[int, int]:
-    columns, rows = _pfm_header(file)[1:3]
-    return columns, rows
+    head = file.read(LONGEST_PFM)
+    match = re.match(rb"(P[Ff])\s+(\S+)\s+(\S+)\s+(\S+)\s", head)
+    if match is None:
+        raise ValueError(f"a header of {head[:32]!r}")
+    file.seek(match.end())
+    return (3 if match[1] == b"PF" else 1), int(match[2]), int(match[3]), float(match[4])
 
 
 def _decode_pfm(file: BinaryIO) -> NDArray[Any]:
@@ -407,9 +373,9 @@ def _decode_npy(file: BinaryIO) -> NDArray[Any]:
 _CODECS = {
     "PNG": (png_size, _decode_png),
     "JPEG": (_jpeg_size, _decode_jpeg),
-    "TIFF": (_tiff_size, _decode_tiff),
-    "EXR": (_exr_size, _decode_exr),
-    "PFM": (_pfm_size, _decode_pfm),
+    "TIFF": (lambda file: tuple(_tiff_header(file)[0][name] for name in ("columns", "rows")), _decode_tiff),
+    "EXR": (lambda file: _window(exr_parts(file)[0].header["displayWindow"]), _decode_exr),
+    "PFM": (lambda file: _pfm_header(file)[1:3], _decode_pfm),
     "NPY": (_npy_size, _decode_npy),
 }
 _TAGS = {"PNG": png_tags, "JPEG": jpeg_tags, "TIFF": _tiff_tags, "EXR": _exr_tags}

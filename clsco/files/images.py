@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,20 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import import_extra
-from clsco.files.atomic import atomic_write, raise_file_error
+from clsco.files.atomic import AnyPath, atomic_write, raise_file_error
 from clsco.files.color import SRGB, Color
 from clsco.files.decoders import IMAGE_FORMATS, decode_file, open_format, path_of, read_size, read_tags
-from clsco.files.png import png_parts
+from clsco.files.png import Codes, png_parts
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image as its file stores it: uint8 and uint16 codes, or float32 linear radiance (finite).
+    """An image (rows, columns[, 3]) as its file stores it: uint8 and uint16 codes, or float32 linear radiance (finite).
 
-    data: (rows, columns[, 3]), row 0 on top. color: color space of the codes. below: number of negative values, which
-    floats may have, for example after a filter that rings.
+    below: number of negative values, which floats may have, for example after a filter that rings.
     """
 
     data: NDArray[Any]
@@ -50,24 +48,17 @@ class Picture:
         return self.data.dtype.kind == "f"
 
 
-def read_image(
-    path: str | os.PathLike[str], hidden: NDArray[np.bool_] | None = None, layer: str | None = None
-) -> Picture:  # fmt: skip
+def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: str | None = None) -> Picture:
     """Read a gray or RGB image: PNG, JPEG, TIFF, EXR, PFM or NPY.
 
     hidden: pixels (rows, columns) whose floats need not be finite; none by default. layer: of an EXR with several, as
-    for `clsco.files.layers.image_channels`.
+    for `clsco.files.layers.image_channels`. Raises FileError, or MissingDependencyError: TIFF and 16-bit color PNG need
+    the extra `formats`, EXR needs `exr`.
 
-    Raises FileError if the file does not hold exactly one such image: it is unreadable or damaged, has the wrong
-    extension, over 2^27 pixels or 65536 a side (rejected from the header), is transparent or CMYK, or has several pages
-    or values that are not finite. Raises MissingDependencyError if TIFF and 16-bit color PNG lack the extra `formats`,
-    or EXR the extra `exr`.
-
-    8 and 16 bits are returned as stored; palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64
-    become float32. Axes of length 1 before and behind the image in an NPY are dropped. PNG, JPEG and TIFF are turned
-    upright by their orientation. Opaque alpha is dropped. From an EXR, the channels R G B or Y of one layer are read in
-    its display window: pixels outside of the data window are 0. The color space is returned, not applied; the scale of
-    a PFM is ignored. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
+    Palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 float32. Axes of length 1 around the
+    image in an NPY, and opaque alpha, are dropped. PNG, JPEG and TIFF are turned upright by their orientation. An EXR
+    is read in its display window: pixels outside of the data window are 0. The color space is returned, not applied;
+    the scale of a PFM is ignored.
     """
     with open_format(path) as (file, kind):
         data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
@@ -75,7 +66,7 @@ def read_image(
         return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
-def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+def image_size(path: AnyPath) -> tuple[int, int]:
     """Columns and rows of an image, as `read_image` would give them, from its header alone. Raises FileError."""
     with open_format(path) as (file, kind):
         return read_size(file, kind)
@@ -84,10 +75,8 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 def check_sizes(
     image: str, right: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
 ) -> None:  # fmt: skip
-    """Raise FileError if a mask or a depth map differs from its image in size (columns, rows).
-
-    image, other: names of the image and of the mask or depth map; right, size: their sizes. hint: what the message adds
-    if columns and rows are exchanged.
+    """Raise FileError if the size (columns, rows) of a mask or depth map `other` is not that of its image, `right`.
+    hint: what the message adds if columns and rows are exchanged.
     """
     if size != right:
         sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
@@ -96,21 +85,15 @@ def check_sizes(
 
 
 def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
-    """Raise FileError if the file of a mask or a depth map differs in size from its image, or a file cannot be read.
-
-    image, other: paths. size: columns and rows of the other file, upright. formats: of the other file, as for
-    `clsco.files.decoders.open_format`.
-    """
+    """Raise FileError if a file of a mask or depth map, `size` upright, has another size than its image."""
     _, turned, untagged = _turned_alone(image, other, formats)
     hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
     check_sizes(image, image_size(image), other, size, *([hint] if turned else []))
 
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
-    """Note that a file without an orientation tag is taken to be upright; "" if there is nothing to note.
-
-    The note is for an image and its mask or depth map, if only one of them has a tag, and their sizes do not prove that
-    the other one is upright. Parameters and errors are those of `check_same_size`.
+    """Note that one of an image and its mask or depth map is taken to be upright, as only the other one has an
+    orientation tag and sizes do not decide; "" if there is nothing to note.
     """
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)
@@ -120,29 +103,19 @@ def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORM
 
 
 def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[int, str, str]:
-    """Orientation, if only one of two files is turned by its tag, and the paths of this and of the other file.
-
-    Returns 1, "" and "" if both or neither are turned.
-    """
+    """Orientation, if only one of two files is turned by its tag, and the paths of it and the other; else 1, "", ""."""
     if image == other:
         return 1, "", ""
-    orientations = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
-    turned = [path for path, orientation in orientations.items() if orientation != 1]
-    if len(turned) != 1:
-        return 1, "", ""
-    return orientations[turned[0]], turned[0], other if turned[0] == image else image
-
-
-def _orientation(path: str, formats: Mapping[str, str]) -> int:
-    with open_format(path, formats) as (file, kind):
-        return read_tags(file, kind).orientation
+    orientations = []
+    for path, known in ((image, IMAGE_FORMATS), (other, formats)):
+        with open_format(path, known) as (file, kind):
+            orientations.append((read_tags(file, kind).orientation, path))
+    (least, untagged), (orientation, turned) = sorted(orientations)
+    return (orientation, turned, untagged) if least == 1 < orientation else (1, "", "")
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Decoded values as in `Picture.data`: bools become 8 bits, other floats float32; hidden: as for `read_image`.
-
-    Raises FileError for anything but a gray or RGB image of finite values.
-    """
+    """Decoded values as in `Picture.data`. Raises FileError for anything but a gray or RGB image of finite values."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
         raise_file_error(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
     if data.dtype == np.bool_:  # a mask of NumPy
@@ -161,20 +134,14 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
     return data
 
 
-def write_png(
-    path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np.uint16], color: Color = SRGB
-) -> None:  # fmt: skip
+def write_png(path: AnyPath, data: Codes, color: Color = SRGB) -> None:
     """Write codes (rows, columns[, 3]) as a PNG of 8 or 16 bits in a color space. Raises FileError."""
     with atomic_write(Path(path)) as file:
         file.writelines(png_parts(data, color.png_chunks(data.ndim == 3)))
 
 
-def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = SRGB) -> None:
-    """Write an image of uint8, uint16 or float32, (rows, columns[, 3]), as a TIFF with lossless compression.
-
-    color: its ICC profile, or one made from its primaries, is stored in the file. Raises MissingDependencyError,
-    FileError.
-    """
+def write_tiff(path: AnyPath, data: NDArray[Any], color: Color = SRGB) -> None:
+    """Write uint8, uint16 or float32 (rows, columns[, 3]) as a lossless TIFF, with a profile of `color`."""
     tifffile = import_extra(path, "tifffile", "formats")
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
     if profile := color.profile(data.dtype.kind == "f") if data.ndim == 3 else color.icc:
@@ -183,11 +150,11 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
         tifffile.imwrite(file, data, metadata=None, **options)
 
 
-def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
-    """Write named arrays as an NPZ, for np.load. Raises FileError.
+def write_npz(path: AnyPath, arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
+    """Write named arrays as an NPZ, for np.load. Equal arrays give equal bytes. Raises FileError.
 
-    Masks and object numbers are compressed, floats by default are not: 15 MB of ground truth (512 x 512, color) become
-    13.6 MB in 16 ms; compressing everything takes 210 to 450 ms and leaves 7.1 MB. Equal arrays give equal bytes.
+    Floats by default are not compressed: 15 MB of ground truth (512 x 512, color) become 13.6 MB in 16 ms; compressing
+    everything takes 210 to 450 ms and leaves 7.1 MB.
     """
     with atomic_write(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
@@ -199,19 +166,22 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], 
 
 
 def write_exr(
-    path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], names: Sequence[str] = (),
+    path: AnyPath, *views: Mapping[str, NDArray[Any]], names: Sequence[str] = (),
     attributes: Sequence[Mapping[str, Any]] = (),
 ) -> None:  # fmt: skip
-    """Write named channels (rows, columns) in an OpenEXR file with lossless compression.
+    """Write named channels (rows, columns) of each view in an OpenEXR file with lossless compression.
 
-    float16 is stored as such, uint16 becomes uint32, all other types float32. views: channels of each view, by name.
-    names: names of the views, "left" and "right" for stereo pairs, () for a single view. Several views are parts with
-    the attribute `view`, as in OpenEXR since version 2.0. attributes: standard attributes of each view, such as
-    {"aperture": 2.8}. Raises MissingDependencyError, FileError.
+    float16 is stored as such, uint16 becomes uint32, all other types float32. names: of the views, which are parts with
+    the attribute `view`, as in OpenEXR since version 2.0; () for a single view. attributes: standard attributes of each
+    view, such as {"aperture": 2.8}.
     """
     exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
-    pixels = [{name: np.ascontiguousarray(plane, _exr_type(plane)) for name, plane in view.items()} for view in views]
+    types = {"float16": "float16", "uint16": "uint32"}
+    pixels = [
+        {name: np.ascontiguousarray(plane, types.get(plane.dtype.name, "float32")) for name, plane in view.items()}
+        for view in views
+    ]
     headers = [{**header, **about} for about in attributes or [{}] * len(views)]
     if names:
         parts = zip(names, headers, pixels, strict=True)
@@ -224,10 +194,6 @@ def write_exr(
         content.write(keeper)
         if keeper.error is not None:
             raise keeper.error
-
-
-def _exr_type(plane: NDArray[Any]) -> str:
-    return {"float16": "float16", "uint16": "uint32"}.get(plane.dtype.name, "float32")
 
 
 class _ErrorKeeper:
@@ -246,13 +212,13 @@ class _ErrorKeeper:
             raise
 
 
-def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:
     """Write a JSON file. Raises FileError if a number is not finite, or the file cannot be written."""
     with atomic_write(Path(path)) as file:
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
+def write_exr_image(path: AnyPath, image: NDArray[np.floating], color: Color = SRGB) -> None:
     """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, for readers that need them."""
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
@@ -262,10 +228,9 @@ def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], c
 class ImageWriter:
     """Writer of images with one file extension.
 
-    label: name of the format with its article, for messages. write: takes a path, an image (rows, columns[, 3]) of
-    codes or of linear float32, and, if `color_kinds` is not empty, a color space. code_bits: largest number of bits per
-    code in the format, 0 if it holds no codes. floats: True if it holds linear float32. needs: a module, and the extra
-    of clsco that installs it. color_kinds: attributes of `Color` that the format can store.
+    label: with its article, for messages. write: takes a path, an image of codes or of linear float32, and, if
+    `color_kinds`, the attributes of `Color` that the format can store, are not empty, a color space. code_bits: most
+    bits per code, 0 without codes. needs: a module, and the extra of clsco that installs it.
     """
 
     label: str
@@ -304,13 +269,9 @@ def writer_for(path: Path) -> ImageWriter:
     return writer
 
 
-def save_image(
-    path: str | os.PathLike[str], image: NDArray[np.float32], bits: int = 16, color: Color = SRGB
-) -> None:  # fmt: skip
+def save_image(path: AnyPath, image: NDArray[np.float32], bits: int = 16, color: Color = SRGB) -> None:
     """Write an image (rows, columns[, 3]) of linear radiance in the format of its extension: PNG, TIFF or EXR.
-
-    bits: bits of a PNG's codes, 8 or 16; 32 gives 16. color: color space of the file. Raises MissingDependencyError,
-    and FileError for another extension or a failed write.
+    bits: of a PNG's codes, 8 or 16; 32 gives 16. Raises MissingDependencyError, FileError.
     """
     to, ending = Path(path), Path(path).suffix.lower()
     if ending not in WRITERS:

@@ -13,10 +13,7 @@ SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """For each part of a file, the full names of its channels by their names within the part.
-
-    parts: (name, channels) of each part. In a file with a single part, full names are the names within the part.
-    """
+    """Full names of channels by names within the part, for each (name, channels); the same for a single part."""
     if len(parts) == 1:
         return [{name: name for name in parts[0][1]}]
     known = [part for part, _ in parts]
@@ -35,10 +32,9 @@ def list_names(names: Iterable[str]) -> str:
 
 
 def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
-    """The channels of an image: R G B or Y, and A if there is one.
+    """The channels of an image: R G B or Y, and A if there is one. Raises LookupError(rule, the file's layers).
 
-    layer: name of the layer, or its last words; by default the only layer, the one without a name, or one named in
-    `MAIN_LAYERS`. Raises LookupError(rule, description of the file's layers).
+    layer: its name, or its last words; by default the only one, the one without a name, or one named in `MAIN_LAYERS`.
     """
     layers = _layers(names)
     images = [name for name, own in layers.items() if {"R", "G", "B"} <= own or ("Y" in own and not own & {"RY", "R"})]
@@ -64,8 +60,8 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     """The channels that may be the depth: all of the most likely kind, or none.
 
     Likely kinds in order: Z; a channel called depth, or Z or V of a layer called depth; Z or V of any other layer; R G
-    B; Y; the only channel. A Z or V beside X and Y is the component of a vector, and does not count. layer: name of a
-    layer, its last words, or name of a channel; by default any layer, but for R G B and Y the one without a name.
+    B; Y; the only channel. A Z or V beside X and Y is the component of a vector, and does not count. layer: its name,
+    its last words, or a channel; by default any layer, but for R G B and Y the one without a name.
     """
     if layer is not None:
         if layer in names:
@@ -81,20 +77,16 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
         prefix, _, last = name.rpartition(".")
         return last.lower() == "depth" or (is_value(name) and "depth" in prefix.lower().split("."))
 
+    own = {name: name if layer is None else name.rpartition(".")[2] for name in names}  # in the layer, or the file
     kinds = (
         [name for name in names if name == "Z" and is_value(name)],
         [name for name in names if is_depth(name)],
         [name for name in names if is_value(name)],
-        [name for name in names if _own(name, layer) in ("R", "G", "B")],
-        [name for name in names if _own(name, layer) == "Y"],
+        [name for name in names if own[name] in ("R", "G", "B")],
+        [name for name in names if own[name] == "Y"],
         list(names) if len(names) == 1 else [],
     )
     return next((kind for kind in kinds if kind), [])
-
-
-def _own(name: str, layer: str | None) -> str:
-    """Name of a channel within the named layer, or within the file."""
-    return name if layer is None else name.rpartition(".")[2]
 
 
 def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:

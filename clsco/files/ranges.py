@@ -11,9 +11,8 @@ from clsco.errors import FileError
 
 
 def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
-    """The first wrong value, its position, and the number of wrong values: "nan at row 0, column 1 (2 in all)".
-
-    wrong: mask in the shape of `values`, or without the channel axis; in this case all channels of the pixel are shown.
+    """The first wrong value, its position, and the number of wrong values: "nan at row 0, column 1 (2 in all)". With a
+    mask without the channel axis, all channels of the pixel are shown.
     """
     first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
     shown = ", ".join(f"{value:.6g}" for value in np.ravel(values[first]))

@@ -22,26 +22,19 @@ _PNG_TAGS = (b"eXIf", b"iTXt", b"iCCP", *_PNG_COLORS)
 _JPEG_ICC = b"ICC_PROFILE\0"
 _JPEG_EXIF, _JPEG_XMP, _PNG_XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0", b"XML:com.adobe.xmp\0\0\0\0\0"
 _XMP_ORIENTATION = re.compile(rb'tiff:Orientation(?:="|>)([1-8])["<]')
-_ORIENTATION, _ICC = 0x0112, 0x8773  # numbers of tags in EXIF and TIFF
+ORIENTATION = 0x0112  # number of the tag in EXIF and TIFF
 
 
 @dataclass(frozen=True)
 class Tags:
-    """Tags of an image file.
-
-    orientation: 1 to 8, as in EXIF and TIFF. icc: ICC profile, or b"". chunks: kind and content of PNG chunks that act
-    as a profile. chromaticities: the attribute of an EXR, or ().
+    """Orientation of an image file, 1 to 8 as in EXIF and TIFF, and what tells its color space: an ICC profile, kind
+    and content of PNG chunks, or an EXR's attribute `chromaticities`.
     """
 
     orientation: int = 1
     icc: bytes = b""
     chunks: tuple[tuple[bytes, bytes], ...] = ()
     chromaticities: tuple[float, ...] = ()
-
-    @property
-    def is_laid_down(self) -> bool:
-        """True if stored rows are columns of the upright image."""
-        return self.orientation >= 5
 
     def color(self, channels: int) -> Color:
         """Color space of the image, which has 1 or 3 channels."""
@@ -63,7 +56,6 @@ def turn_upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def png_tags(file: BinaryIO) -> Tags:
-    """Tags of an open PNG, from its chunks."""
     exif = xmp = icc = b""
     colors: dict[bytes, bytes] = {}
     file.seek(8)
@@ -86,7 +78,6 @@ def png_tags(file: BinaryIO) -> Tags:
 
 
 def jpeg_tags(file: BinaryIO) -> Tags:
-    """Tags of an open JPEG, from its segments."""
     exif = xmp = b""
     parts: dict[int, bytes] = {}
     for kind, body in jpeg_segments(file):
@@ -100,9 +91,7 @@ def jpeg_tags(file: BinaryIO) -> Tags:
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the segments of a JPEG before its pixels. Raises ValueError or struct.error if it is
-    damaged.
-    """
+    """Kind and content of the segments of a JPEG before its pixels. Raises ValueError or struct.error for damage."""
     file.seek(2)
     while True:
         mark, kind, length = struct.unpack(">BBH", file.read(4))
@@ -114,12 +103,6 @@ def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
         if kind == 0xDA:
             return
         yield kind, file.read(length - 2)
-
-
-def tiff_tags(values: Any) -> Tags:
-    """Tags of a page of a TIFF from its `tifffile.TiffTags`."""
-    orientation, icc = values.valueof(_ORIENTATION, default=1), values.valueof(_ICC, default=b"")
-    return Tags(orientation if orientation in range(1, 9) else 1, icc if isinstance(icc, bytes) else b"")
 
 
 def _inflated(chunk: bytes) -> bytes:
@@ -140,7 +123,7 @@ def _orientation(exif: bytes, xmp: bytes) -> int:
         with contextlib.suppress(Exception):  # pixels may be intact if a tag is damaged; Pillow raises many types
             known = Image.Exif()
             known.load(exif)
-            orientation = known.get(_ORIENTATION)
+            orientation = known.get(ORIENTATION)
     if orientation is None and (match := _XMP_ORIENTATION.search(xmp)):
         orientation = int(match[1])
     return orientation if orientation in range(1, 9) else 1

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,37 +16,28 @@ CODES = np.arange(2**16, dtype=np.uint16)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A transfer curve that is not in `TRANSFERS`, such as that of a color profile.
-
-    radiance: linear radiance of each 16-bit code, never decreasing: (1, 65536) for all channels, or (3, 65536) for red,
-    green and blue.
+    """A transfer curve that is not in `TRANSFERS`: linear radiance of each 16-bit code, never decreasing, (1, 65536)
+    for all channels, or (3, 65536) for red, green and blue.
     """
 
     radiance: NDArray[np.float64]
+    _starts: dict[int, NDArray[np.float64]] = field(default_factory=dict, init=False, repr=False)
 
     def of_codes(self, bits: int) -> NDArray[np.float64]:
         """Radiance (1 or 3, 2^bits) of the codes of 8 or 16 bits."""
         return self.radiance[:, :: 257 if bits == 8 else 1]
 
     def starts(self, bits: int) -> NDArray[np.float64]:
-        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts, half a code below it."""
-        return self._starts_8 if bits == 8 else self._starts_16
-
-    @cached_property
-    def _starts_8(self) -> NDArray[np.float64]:
-        return self._above_codes(0.5 * (self.radiance[:, 128::257] + self.radiance[:, 129::257]), 8)
-
-    @cached_property
-    def _starts_16(self) -> NDArray[np.float64]:
-        return self._above_codes(0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:]), 16)
-
-    def _above_codes(self, starts: NDArray[np.float64], bits: int) -> NDArray[np.float64]:
-        """Starts of codes, moved above the radiance of the code below where the curve is flat.
-
-        So each code is decoded to a radiance that is encoded to the same code.
+        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts: half a code below it, or above the
+        code below where the curve is flat, so that codes come back.
         """
-        below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
-        return np.where(starts > below, starts, np.maximum(0.5 * (below + above), np.nextafter(below, 2.0)))
+        if bits not in self._starts:
+            half = 0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:])
+            starts = half[:, 128::257] if bits == 8 else half
+            below, above = self.of_codes(bits)[:, :-1], self.of_codes(bits)[:, 1:]
+            least = np.maximum(0.5 * (below + above), np.nextafter(below, 2.0))
+            self._starts[bits] = np.where(starts > below, starts, least)
+        return self._starts[bits]
 
 
 Transfer = str | Curve
@@ -57,8 +47,7 @@ def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]
     """Linear radiance (float64, 1 = white) of stored values of any shape.
 
     data: uint8 and uint16 are codes, 0 black and 255 or 65535 white; floats are already linear. transfer: "srgb" (IEC
-    61966-2-1), "linear", or a curve; a curve for red, green and blue needs these in the last axis. Validated against
-    the standard's formula for every code, and as the inverse of `encode`.
+    61966-2-1), "linear", or a curve; a curve for red, green and blue needs these in the last axis.
     """
     if data.dtype.kind == "f":
         return data.astype(np.float64)

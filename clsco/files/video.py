@@ -20,7 +20,6 @@ from clsco.files.atomic import atomic_write, raise_file_error
 from clsco.files.decoders import check_limits
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
-from clsco.files.yuv import yuv_planes
 from clsco.resources import remove_left
 
 SLOWEST, FASTEST = 1, 240  # frames per second that an interval may give
@@ -28,14 +27,24 @@ MOST = 2**20  # largest rate, numerator and denominator of a rate; containers ca
 STANDARD_RATES = 1001 * 120  # largest denominator of an interval: from a float, 1001 / 120000 s is found exactly
 _TRANSFER_TAGS = {"srgb": 13, "linear": 8}  # codes of ITU-T H.273
 _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
+RED, BLUE = 0.2126, 0.0722  # shares of luma
+_GREEN = 1 - RED - BLUE
+# Rows: Y, Cb, Cr. In 8 bits, luma from 0 to 1 has 219 steps, and a color difference from -1/2 to 1/2 has 224.
+_MATRIX = np.array(
+    [
+        [219 * RED, 219 * _GREEN, 219 * BLUE],
+        [-112 * RED / (1 - BLUE), -112 * _GREEN / (1 - BLUE), 112],
+        [112, -112 * _GREEN / (1 - RED), -112 * BLUE / (1 - RED)],
+    ]
+)
+_OFFSETS = np.array([16, 128, 128])
 
 
 @dataclass(frozen=True)
 class VideoPreset:
     """Encoding of a clip: FFmpeg's names of container, codec and pixel format, and options of the encoder.
 
-    suffix: extension of its files. bits: bits per value. gray: pixel format of gray frames; "" to store them in color.
-    least: least number of columns and of rows that the encoder accepts.
+    gray: pixel format of gray frames; "" to store them in color. least: fewest columns and rows of the encoder.
     """
 
     suffix: str
@@ -82,10 +91,7 @@ PRESETS = {
 
 
 def preset_for(path: Path, name: str | None = None) -> str:
-    """Name of the preset for a file: `name`, or the first preset with the file's extension.
-
-    Raises ArgumentError for an unknown preset, FileError for an extension that is not the preset's.
-    """
+    """Name of the preset for a file: `name`, or the first one with its extension. Raises ArgumentError, FileError."""
     suffix = path.suffix.lower()
     if name is None:
         suffixes = dict.fromkeys(preset.suffix for preset in PRESETS.values())
@@ -99,12 +105,7 @@ def preset_for(path: Path, name: str | None = None) -> str:
     return name
 
 
-def require_video(path: Path) -> None:
-    """Raise MissingDependencyError if PyAV is not installed."""
-    _av(path)
-
-
-def _av(path: Path) -> Any:
+def require_video(path: Path) -> Any:
     """Import PyAV; the settings of its GnuTLS are disabled, because anybody could put them in a shared folder."""
     os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
     return import_extra(path, "av", "video")
@@ -121,10 +122,7 @@ def require_size(path: Path, name: str, columns: int, rows: int) -> None:
 
 
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
-    """Frames per second, exactly, from a Fraction, an integer or text like 24, 23.976 or 24000/1001.
-
-    Raises ArgumentError for anything else, and for rates that are not positive, or that containers cannot store.
-    """
+    """Exact frames per second of a Fraction, an integer or text like 24, 23.976 or 24000/1001. Raises ArgumentError."""
     text = value.strip() if isinstance(value, str) else ""
     if text and len(text) <= 32 and re.fullmatch(r"\d+(\.\d+)?|\d+/0*[1-9]\d*", text, re.ASCII):
         rate = Fraction(text)
@@ -141,8 +139,7 @@ def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
 def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fraction:
     """Frames per second of frames that are `interval` seconds apart, played `speed` times as fast.
 
-    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second,
-    where you must give a rate.
+    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second.
     """
     rate = Fraction(0)
     if 1e-9 < interval < 1e9:
@@ -161,15 +158,12 @@ def write_clip(
     """Write frames as a video file, atomically.
 
     frames: (rows, columns[, 3]) of one shape and type: codes (uint8, uint16) or linear radiance (floats, 1 = white),
-    which is clipped. rate: frames per second. preset: one of `PRESETS`. transfer: curve of the codes, "srgb" or
-    "linear"; floats are encoded by it. comment: for the file's metadata, where the container has any.
+    which is clipped. transfer: curve of the codes, "srgb" or "linear"; floats are encoded by it. comment: for the
+    file's metadata, where the container has any.
 
     Returns notes on changes: 16 bits rounded to fewer, padded sizes, a rate that Matroska rounds. Raises
-    MissingDependencyError without PyAV, and FileError if there are no frames, frames differ or are not finite, or an
-    encoder or the disk fails. Errors raised by `frames` propagate unchanged. After any error no file is left.
-
-    Equal frames give equal bytes with the same PyAV. Validated: pixels, rates and tags as read back through PyAV for
-    each preset, and the bits of lossless ones (tests/files/test_video.py).
+    MissingDependencyError and FileError; errors raised by `frames` propagate unchanged. After any error no file is
+    left. Equal frames give equal bytes with the same PyAV.
     """
     require_video(target)
     source = _showable(target, frames)
@@ -184,14 +178,10 @@ def write_clip(
             clip.encode(str(Path(file.name).absolute()), _check_kinds(target, first, source))
     except _FromFramesError as error:
         raise error.error from None
-    return (*clip.changes(preset), *_rounded_rate(target, rate))
-
-
-def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
-    """Note on the rate that FFmpeg reads from a clip, if it differs from `rate`: Matroska stores the interval in ns."""
-    with _av(path).open(str(path.absolute())) as container:
-        seen = container.streams.video[0].average_rate
-    return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
+    with require_video(target).open(str(target.absolute())) as container:
+        seen = container.streams.video[0].average_rate  # another one from Matroska, which stores the interval in ns
+    rounded = () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
+    return (*clip.changes(preset), *rounded)
 
 
 class _FromFramesError(Exception):
@@ -268,7 +258,7 @@ class _Clip:
 
     def encode(self, target: str, frames: Iterator[NDArray[Any]]) -> None:
         """Write all frames. Raises FileError, and OSError if the disk fails."""
-        av, preset = _av(self.where), self.preset
+        av, preset = require_video(self.where), self.preset
         os.environ.setdefault("SVT_LOG", "1")  # errors only: otherwise SVT-AV1 writes two dozen lines to stderr
         files = {"fflags": "+bitexact"} | ({"movflags": "+faststart"} if preset.container in ("mp4", "mov") else {})
         try:
@@ -288,7 +278,6 @@ class _Clip:
             raise_file_error(self.where, f"must be encodable and writable, by {what}", error, error)
 
     def _picture(self, av: Any, number: int, frame: NDArray[Any]) -> Any:
-        """A frame as a PyAV video frame."""
         columns, rows = self.size
         around = ((0, rows - frame.shape[0]), (0, columns - frame.shape[1]), (0, 0))[: frame.ndim]
         picture = av.VideoFrame(columns, rows, self.pixels)
@@ -337,8 +326,41 @@ def _with_bits(codes: NDArray[Any], bits: int) -> NDArray[Any]:
     """Codes converted to 8 or 16 bits: rounded half up, or widened so that white stays white."""
     if codes.dtype.itemsize * 8 == bits:
         return codes
-    return (
-        codes.astype(np.uint16) * np.uint16(257)
-        if bits == 16
-        else ((codes.astype(np.uint32) + 128) // 257).astype("u1")
-    )
+    return codes * np.uint16(257) if bits == 16 else ((codes.astype(np.uint32) + 128) // 257).astype("u1")
+
+
+def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1)) -> list[NDArray[Any]]:
+    """Luma and color differences of an image: Y (rows, columns), and Cb and Cr, smaller by `blocks`, rounded once.
+
+    codes: uint8 or uint16 (rows, columns[, 3]), in the transfer curve that the video states. bits: of the planes, 8 or
+    10; they are uint8 or uint16. blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0,
+    (1, 2) for 4:2:2; the image consists of whole blocks.
+
+    Color differences are sited as in MPEG-2: on the left of two columns, averaged with weights 1 2 1, and midway
+    between two rows. libswscale gives the same from 8-bit codes, but its 10-bit luma from 16-bit codes is too large by
+    1.7 codes, at most 3.8.
+    """
+    top, scale = np.iinfo(codes.dtype).max, 2 ** (bits - 8)
+    if codes.ndim == 2:
+        luma = codes.astype(np.float32) * np.float32(219 * scale / top)
+        planes = np.stack([luma, np.zeros_like(luma), np.zeros_like(luma)])
+    else:
+        values = codes.reshape(-1, 3).T.astype(np.float32)
+        planes = ((_MATRIX * (scale / top)).astype(np.float32) @ values).reshape(3, *codes.shape[:2])
+    down, right = blocks
+    smaller = [_halved(plane, down, right) for plane in planes[1:]]
+    kind = np.uint8 if bits == 8 else np.uint16
+    pairs = zip((planes[0], *smaller), _OFFSETS, strict=True)
+    return [(plane + np.float32(offset * scale + 0.5)).astype(kind) for plane, offset in pairs]
+
+
+def _halved(plane: NDArray[np.float32], down: int, right: int) -> NDArray[np.float32]:
+    """A plane sampled at every second column if `right` is 2, and between every two rows if `down` is 2."""
+    if right == 2:
+        padded = np.pad(plane, ((0, 0), (1, 0)), mode="edge")
+        plane = (
+            0.25 * padded[:, :-1:2]
+            + 0.5 * padded[:, 1::2]
+            + 0.25 * np.pad(plane, ((0, 0), (0, 1)), mode="edge")[:, 1::2]
+        )
+    return 0.5 * (plane[::2] + plane[1::2]) if down == 2 else plane

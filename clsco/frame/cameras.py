@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files.cameras import Pinhole
-from clsco.files.depth_codes import MM_PER_M
+from clsco.files.truth_codes import MM_PER_M
 from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
 from clsco.optics.exposure import middle_time

@@ -18,10 +18,9 @@ from clsco.files.archives import npy_bytes
 from clsco.files.atomic import atomic_folder, atomic_write_bytes, make_writable_folder, remove_file, sha256
 from clsco.files.cameras import colmap_texts
 from clsco.files.color import SRGB, Color
-from clsco.files.depth_codes import kitti_depth_codes, kitti_disparity_codes, pfm_bytes
-from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_exr, write_json, write_npz, write_png, write_tiff
 from clsco.files.transfer import encode
+from clsco.files.truth_codes import flo_bytes, kitti_depth_codes, kitti_disparity_codes, kitti_flow_codes, pfm_bytes
 from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, mark_behind_lens
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import Frame

@@ -165,17 +165,9 @@ def test_signposts_lead_to_files_and_definitions() -> None:
 @pytest.mark.parametrize(
     ("name", "text", "wrong"),
     [
-        (
-            "a.clh",
-            "// Twin: clsco/reference/trace/gone.py. Host:\n// clsco/passes/trace.py.\n",
-            "clsco/reference/trace/gone.py",
-        ),
+        ("a.clh", "// Twin: clsco/truth/gone.py. Host:\n// clsco/passes/trace.py.\n", "clsco/truth/gone.py"),
         ("a.clh", "// As in trace.cl and gone.cl.\n", "gone.cl"),
-        (
-            "a.clh",
-            "// see tilt_slope, see PsfGrid in clsco/optics/psf_grid.py\n",
-            "PsfGrid of clsco/optics/psf_grid.py",
-        ),
+        ("a.clh", "// see tilt_slope, see PsfGrid in clsco/optics/lens.py\n", "PsfGrid of clsco/optics/lens.py"),
         ("a.clh", "// see gone_slope\n", "gone_slope"),
         ("a.py", '"""Arguments as for `clsco.render`; `clsco.optics.lens.gone`."""', "clsco.optics.lens.gone"),
         ("a.py", '"""A plane, see `f`; a\nplane, see `gone`."""\ndef f() -> int: ...\n', "`gone`"),

@@ -92,19 +92,22 @@ def test_import_clsco_imports_nothing_large(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("words", [["--help"], ["dataset", "make", "--help"]])
 def test_help_waits_for_no_numpy(words: list[str], tmp_path: Path) -> None:
+    assert imported(words, tmp_path) & {"numpy", "pydantic", "pyopencl", "rich"} == set()
+
+
+def imported(words: list[str], cwd: Path) -> set[str]:
+    """Modules that a command imports, and other words that it prints."""
     code = f"import sys; from clsco.cli.main import main; main({words}, standalone_mode=False); print(*sys.modules)"
-    assert set(python(code, tmp_path, ROOT).split()) & {"numpy", "pydantic", "pyopencl", "rich"} == set()
+    return set(python(code, cwd, ROOT).split())
 
 
 def test_a_scene_imports_what_it_has(tmp_path: Path) -> None:
-    words = ["validate", str(ROOT / "examples/sphere.toml")]
-    code = f"import sys; from clsco.cli.main import main; main({words}, standalone_mode=False); print(*sys.modules)"
-    said = python(code, tmp_path, ROOT).split()
+    said = imported(["validate", str(ROOT / "examples/sphere.toml")], tmp_path)
     assert "clsco.optics.pupils.circle" in said
     spreads = {f"clsco.optics.{name}" for name in ("field", "pupils.diffracted", "pupils.gaussian", "pupils.outline")}
     others = {"clsco.files.images", "clsco.plan.image_motion"}
     unneeded = {"clsco.cli.dataset", "numpy.polynomial", "rich", "statistics"}
-    assert {*said} & (spreads | others | unneeded) == set()
+    assert said & (spreads | others | unneeded) == set()
 
 
 def test_the_front_door_offers_what_the_stub_and_the_docs_list() -> None:

@@ -16,14 +16,14 @@ from clsco.cli import check
 from clsco.files.images import read_image
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import MOTION_NAMES, TRUTH_NAMES
-from tests.cli.test_main import BALL, messages
-from tests.command import clsco_
+from tests.cli.test_main import messages
+from tests.command import clsco_, done
 from tests.scenes import scene_file
 
 
 @pytest.fixture
-def ball(tmp_path: Path) -> Path:
-    return scene_file(tmp_path / "ball.toml", BALL + 'texture = "#c08040"\n')
+def ball(ball: Path) -> Path:
+    return scene_file(ball, ball.read_text() + 'texture = "#c08040"\n')
 
 
 def test_differences() -> None:
@@ -66,8 +66,7 @@ def test_in_single_precision_a_pixel_in_500_may_differ() -> None:
 
 def test_check_agrees(ball: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
-    result = clsco_("check", ball, "--rays", 512, "--set", "sequence.frames=2", "-o", report)
-    assert result.exit_code == 0, result.output
+    result = done("check", ball, "--rays", 512, "--set", "sequence.frames=2", "-o", report)
     rows = [line.split() for line in result.output.splitlines()]
     for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
         named = [row for row in rows if row[:1] == [name]]

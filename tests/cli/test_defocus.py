@@ -52,31 +52,16 @@ def test_defaults_are_those_of_a_scene(files: tuple[Path, Path]) -> None:
 
 
 def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
-    options = {
-        "unit": "disparity",
-        "scale": 0.5,
-        "baseline": 60.0,
-        "offset": -124.343,
-        "depth_kind": "z",
-        "no_depth": "far",
-        "focal_length": 50.0,
-        "f_number": 2.8,
-        "focus_distance": 900.0,
-        "pixel_pitch": 0.005,
-    }
-    scene = scene_of(*files, options)
-    item, camera = only_map(scene), scene.camera
-    values: list[Any] = [item.unit, item.scale, item.baseline, item.offset, item.depth_kind, item.no_depth]
-    values += [camera.focal_length, camera.f_number, camera.focus_distance, camera.pixel_pitch]
-    assert values == list(options.values())
+    keys: dict[str, Any] = {"unit": "disparity", "scale": 0.5, "baseline": 60.0, "offset": -124.343}
+    keys |= {"depth_kind": "z", "no_depth": "far"}
+    camera = {"focal_length": 50.0, "f_number": 2.8, "focus_distance": 900.0, "pixel_pitch": 0.005}
+    scene = scene_of(*files, keys | camera)
+    assert {key: getattr(only_map(scene), key) for key in keys} == keys
+    assert {key: getattr(scene.camera, key) for key in camera} == camera
 
 
 def test_overrides_come_last_and_reach_every_key(files: tuple[Path, Path]) -> None:
-    overrides = [
-        "camera.aperture_diameter=4",
-        "object.0.center=[0.0, 0.0, 300.0]",
-        "camera.motion.velocity=[1.0, 0.0, 0.0]",
-    ]
+    overrides = ["camera.aperture_diameter=4", "object.0.center=[0, 0, 300]", "camera.motion.velocity=[1, 0, 0]"]
     scene = scene_of(*files, {"f_number": 2.0, "unit": "mm"}, overrides)
     assert (scene.camera.aperture_diameter, scene.camera.f_number) == (4.0, None)
     assert only_map(scene).center == (0.0, 0.0, 300.0)
@@ -97,10 +82,8 @@ def test_an_image_file_is_distinguished_from_a_folder(tmp_path: Path) -> None:
     assert not is_image_file(tmp_path / "folder.jpg")
     with pytest.raises(FileError) as caught:
         is_image_file(tmp_path / "a.jpg")
-    assert (
-        str(caught.value)
-        == f"{tmp_path / 'a.jpg'}: must be a folder, or end in one of .png .tif .tiff .exr; got '.jpg'"
-    )
+    rule = "must be a folder, or end in one of .png .tif .tiff .exr"
+    assert str(caught.value) == f"{tmp_path / 'a.jpg'}: {rule}; got '.jpg'"
 
 
 def test_one_file_takes_one_image(files: tuple[Path, Path], tmp_path: Path) -> None:
@@ -180,29 +163,29 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
     image, depth = files
     other = tmp_path / "other.png"
     write_png(other, DEPTHS[:4])
+    pair = [image, depth, "-o", tmp_path / "a"]
+    at = [*pair, "--focus-at", "3,4"]
+    several = "focus: goes without several values of the focus; got 2"
     cases: list[tuple[list[object], int, str]] = [
         ([image, depth], 2, "Missing option '-o'"),
         ([image, depth, "-o", tmp_path / "a.png", "--format", "npz"], 2, "--truth: OUT must be a folder; got "),
-        ([image, depth, "-o", tmp_path / "a", "--scale", "1/0"], 2, "like 1/256; got 1/0"),
-        ([image, depth, "-o", tmp_path / "a", "--scale", "1e"], 2, "like 1/256; got 1e"),
+        ([*pair, "--scale", "1/0"], 2, "like 1/256; got 1/0"),
+        ([*pair, "--scale", "1e"], 2, "like 1/256; got 1e"),
         ([image, depth, "-o", tmp_path / "a.jpg"], 1, "a.jpg: must be a folder, or end in one of .png .tif .tiff .exr"),
         ([image, other, "-o", tmp_path / "a"], 1, f"{other}: the size must be that of {image}, 12 x 9 "),
-        ([image, depth, "-o", tmp_path / "a", "--unit", "feet"], 1, "defocus: object[0].unit: must be mm, m, "),
-        ([image, depth, "-o", tmp_path / "a", "--scale", "1e-3"], 1, "give unit m"),
+        ([*pair, "--unit", "feet"], 1, "defocus: object[0].unit: must be mm, m, "),
+        ([*pair, "--scale", "1e-3"], 1, "give unit m"),
         ([image, tmp_path / "none.exr", "-o", tmp_path / "a"], 1, "none.exr: must be a file that can be read; got "),
-        ([image, depth, "-o", tmp_path / "a", "--set", "camera={f_number=2, aperture_diameter=3}"], 1, "not both; got"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3;4"], 2, "must be X,Y, a pixel's column and row counted"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "12,0"], 1, "image.png: focus: must be a pixel of"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-depth", "1.5"], 2, "1.5 is not in the range 0.0<=x<=1.0"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-depth", "0.5"], 2, "without --focus-depth"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-distance", "250"], 2, "got both"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focal-length", "400"], 1,
-         "beyond the focal length, 400 mm; got a depth of 251 mm"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--unit", "coc", "--scale", "0.1"], 1,
-         'image.png: focus: depths must be known; got unit = "coc"'),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--set", "camera.focus_distance=[250, 300]"], 1,
-         "image.png: focus: goes without several values of the focus; got 2"),
-    ]  # fmt: skip
+        ([*pair, "--set", "camera={f_number=2, aperture_diameter=3}"], 1, "not both; got"),
+        ([*pair, "--focus-at", "3;4"], 2, "must be X,Y, a pixel's column and row counted"),
+        ([*pair, "--focus-at", "12,0"], 1, "image.png: focus: must be a pixel of"),
+        ([*pair, "--focus-depth", "1.5"], 2, "1.5 is not in the range 0.0<=x<=1.0"),
+        ([*at, "--focus-depth", "0.5"], 2, "without --focus-depth"),
+        ([*at, "--focus-distance", "250"], 2, "got both"),
+        ([*at, "--focal-length", "400"], 1, "beyond the focal length, 400 mm; got a depth of 251 mm"),
+        ([*at, "--unit", "coc", "--scale", "0.1"], 1, 'image.png: focus: depths must be known; got unit = "coc"'),
+        ([*at, "--set", "camera.focus_distance=[250, 300]"], 1, f"image.png: {several}"),
+    ]
     for words, status, message in cases:
         result = clsco_("defocus", *words)
         assert (result.exit_code, result.stdout) == (status, ""), result.output

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from clsco.cli.main import main
 from clsco.data.distribution import load_distribution
 from clsco.scene.sweep import load_sweeps
+from tests.command import clsco_, done
 
 ROOT = Path(__file__).resolve().parents[2] / "examples"
 
 
 def examples(*words: object) -> Result:
-    return CliRunner().invoke(main, ["examples", *map(str, words)])
+    return clsco_("examples", *words)
 
 
 def test_all_are_listed_and_copied(tmp_path: Path) -> None:
@@ -23,8 +23,7 @@ def test_all_are_listed_and_copied(tmp_path: Path) -> None:
     sets = sorted(path.stem for path in (ROOT / "sets").glob("*.toml"))
     assert all(f"{name} " in listed for name in [*scenes, *(f"sets/{name}" for name in sets)])
     assert "thesis/" not in listed
-    result = examples(*scenes, "thesis/fig_4_10", "-o", tmp_path / "scenes")
-    assert result.exit_code == 0, result.output
+    done("examples", *scenes, "thesis/fig_4_10", "-o", tmp_path / "scenes")
     for _, sweep in load_sweeps(sorted((tmp_path / "scenes").glob("*.toml")), ()):
         assert not isinstance(sweep, Exception), sweep
     assert (tmp_path / "scenes" / "depth_map_depth.png").read_bytes() == (ROOT / "depth_map_depth.png").read_bytes()

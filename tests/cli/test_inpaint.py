@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from numpy.typing import NDArray
 
 import clsco
 from clsco.cli.inpaint import read_pair
-from clsco.cli.main import main
+from clsco.cli.progress import shares
 from clsco.files.images import read_image, write_exr, write_png, write_tiff
+from tests.command import clsco_, done
 
 ROWS, COLUMNS = 20, 24
 MISSING = np.zeros((ROWS, COLUMNS), np.bool_)
@@ -33,21 +34,18 @@ def save(tmp_path: Path) -> Save:
 
     def write(name: str, array: NDArray[Any]) -> Path:
         path = tmp_path / name
-        if path.suffix == ".png":
-            write_png(path, array)
-        elif path.suffix == ".tif":
-            write_tiff(path, array)
-        elif path.suffix == ".exr":
+        if path.suffix == ".exr":
             write_exr(path, {"Y": array} if array.ndim == 2 else {c: array[..., n] for n, c in enumerate("RGB")})
         else:
-            np.save(path, array)
+            savers: dict[str, Callable[..., None]] = {".png": write_png, ".tif": write_tiff, ".npy": np.save}
+            savers[path.suffix](path, array)
         return path
 
     return write
 
 
 def run(*words: str | Path) -> Result:
-    return CliRunner().invoke(main, ["inpaint", *map(str, words)])
+    return clsco_("inpaint", *words)
 
 
 @pytest.mark.parametrize(
@@ -66,8 +64,7 @@ def test_files_are_filled_as_arrays_are(
 ) -> None:
     data = CODES.astype(dtype) if channels == 1 else np.stack([CODES, CODES // 2, 255 - CODES], -1).astype(dtype)
     image, mask = save(name, data), save("mask.png", MASK)
-    result = run(image, mask, "-o", tmp_path / "made" / out, "--method", "mean-median")
-    assert result.exit_code == 0, result.output
+    result = done("inpaint", image, mask, "-o", tmp_path / "made" / out, "--method", "mean-median")
     expected, report = clsco.inpaint(data, MISSING, method="mean-median", return_report=True)
     pixels = read_image(tmp_path / "made" / out).data
     if out.endswith(".exr") and channels == 1:
@@ -76,14 +73,8 @@ def test_files_are_filled_as_arrays_are(
     assert pixels.dtype == expected.dtype
     assert (pixels == expected).all()
     assert report.stages is not None
-    for recorded in (
-        f"{MISSING.sum()}",
-        f"{report.stages.border.size}",
-        f"{report.stages.sweeps}",
-        "20 x 24",
-        "median",
-    ):
-        assert recorded.replace("20 x 24", "24 x 20") in result.stdout
+    counts = (MISSING.sum(), report.stages.border.size, report.stages.sweeps)
+    assert all(recorded in result.stdout for recorded in (*map(str, counts), "24 x 20", "median"))
     assert result.stderr == ""
 
 
@@ -108,8 +99,7 @@ def test_missing_pixels_of_floats_may_be_no_numbers(save: Save, tmp_path: Path) 
 
 def test_an_image_without_missing_pixels_is_copied_and_that_is_reported(save: Save, tmp_path: Path) -> None:
     image, mask, out = save("image.png", CODES), save("mask.png", 0 * MASK), tmp_path / "out.png"
-    result = run(image, mask, "-o", out)
-    assert result.exit_code == 0
+    result = done("inpaint", image, mask, "-o", out)
     assert f"no pixel is missing: {out} is a copy of {image}\n" in result.stdout
     assert (read_image(out).data == CODES).all()
 
@@ -178,15 +168,13 @@ def test_a_threshold_that_is_no_number_is_refused(save: Save, tmp_path: Path) ->
 
 
 def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    from clsco.cli import progress as show
-
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with show.shares(False) as progress:
+    with shares(False) as progress:
         for share in (0.0, 0.005, 0.3, 0.3, 0.999):
             progress(share)
     assert "99/100" in terminal.getvalue()

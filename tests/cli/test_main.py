@@ -18,11 +18,12 @@ import pytest
 from click.testing import Result
 
 import clsco
-from clsco.cli import demo
+from clsco.cli import sheets
 from clsco.cli.main import COMMANDS, main
 from clsco.engine import batch
 from clsco.errors import FileError
 from clsco.files.images import read_image
+from clsco.files.png import png_parts
 from clsco.frame.files import read_complete
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import FILE_NAMES, MOTION_NAMES, TRUTH_NAMES
@@ -31,24 +32,10 @@ from clsco.plan.prepare import prepare
 from clsco.scene import examples
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
-from tests.command import clsco_
+from tests.command import clsco_, done
 from tests.scenes import PLANE, scene_file
 
 ROOT = Path(__file__).resolve().parents[2]
-BALL = """
-title = "Ball"
-[camera]
-resolution = [40, 24]
-pixel_pitch = 0.1
-normalization_distance = 20.0
-[sequence]
-frames = 3
-samples = 3
-[[object]]
-name = "ball"
-shape = "sphere"
-motion.velocity = [3.0, 0.0, 0.0]
-"""
 
 
 def messages(result: Result, status: int) -> list[str]:
@@ -56,11 +43,6 @@ def messages(result: Result, status: int) -> list[str]:
     assert (result.exit_code, result.stdout) == (status, ""), result.output
     assert isinstance(result.exception, SystemExit)
     return result.stderr.splitlines()
-
-
-@pytest.fixture
-def ball(tmp_path: Path) -> Path:
-    return scene_file(tmp_path / "ball.toml", BALL)
 
 
 def names(folder: Path) -> list[str]:
@@ -161,15 +143,20 @@ def marks(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
 
 
+def rendered_again(folder: Path, *words: object) -> set[str]:
+    """Run a command; gives the names of files in a folder that it has written."""
+    before = marks(folder)
+    done(*words)
+    assert sorted(marks(folder)) == sorted(before | marks(folder))
+    return {name for name, mark in marks(folder).items() if before.get(name) != mark}
+
+
 def test_resume_renders_what_is_missing_damaged_or_of_another_scene(ball: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = ("render", ball, "-o", out)
 
     def redone(*more: str) -> set[str]:
-        before = marks(out)
-        assert clsco_(*command, *more).exit_code == 0
-        assert sorted(marks(out)) == sorted(before | marks(out))
-        return {name[6:10] for name, mark in marks(out).items() if before.get(name) != mark}
+        return {name[6:10] for name in rendered_again(out, *command, *more)}
 
     assert clsco_(*command).exit_code == 0
     assert redone("--resume") == set()
@@ -199,12 +186,8 @@ def test_resume_notices_another_texture_of_the_same_name(tmp_path: Path) -> None
 
 
 def test_a_depth_map_lies_outside_the_frames(tmp_path: Path) -> None:
-    scene = parse_scene(
-        {
-            "camera": {"resolution": [4, 3]},
-            "object": [{"shape": "depth_map", "depth": str(tmp_path / "frame_0000.npz")}],
-        }
-    )
+    item = {"shape": "depth_map", "depth": str(tmp_path / "frame_0000.npz")}
+    scene = parse_scene({"camera": {"resolution": [4, 3]}, "object": [item]})
     np.savez(tmp_path / "frame_0000.npz", depth=np.full((3, 4), 280.0))
     with pytest.raises(FileError, match="a depth must not lie where frames are written"):
         batch.prepare(prepare(scene), tmp_path, [0], (), False)
@@ -226,11 +209,7 @@ BAD_SCENES = {
 
 @pytest.fixture
 def bad(tmp_path: Path) -> Path:
-    whole = scene_file(tmp_path / "whole.toml", PLANE)
-    assert clsco_("render", whole, "-o", tmp_path).exit_code == 0
-    picture = (tmp_path / "frame_0000.png").read_bytes()
-    for path in tmp_path.iterdir():
-        path.unlink()
+    picture = b"".join(png_parts(np.zeros((9, 12), np.uint8)))
     (tmp_path / "broken.png").write_bytes(picture[:60])
     for name, (text, _) in BAD_SCENES.items():
         if text is not None:
@@ -244,19 +223,13 @@ def test_validate_tells_all_faults_of_all_files(bad: Path, ball: Path) -> None:
     for line, (name, (_, rule)) in zip(result.stderr.splitlines(), BAD_SCENES.items(), strict=True):
         assert name in line
         assert rule in line
-    result = clsco_("validate", ball, ball)
-    assert (result.exit_code, result.output) == (0, f"{ball}: valid\n" * 2)
+    assert done("validate", ball, ball).output == f"{ball}: valid\n" * 2
 
 
 def test_without_a_device_it_says_what_to_install(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "_devices", lambda: ())
-    commands = (
-        ["render", ball, "-o", tmp_path / "out"],
-        ["check", ball],
-        ["devices"],
-        ["demo", "-o", tmp_path / "out"],
-    )
-    for command in commands:
+    out = ("-o", tmp_path / "out")
+    for command in (["render", ball, *out], ["check", ball], ["devices"], ["demo", *out]):
         (line,) = messages(clsco_(*command), 3)
         assert 'pip install "clsco[pocl]"' in line
     assert not (tmp_path / "out").exists()
@@ -272,8 +245,7 @@ def test_what_needs_no_opencl_works_without_it(ball: Path) -> None:
 
 
 def test_plan(ball: Path) -> None:
-    result = clsco_("plan", ball, "--set", "psf.occlusion=layered", "--set", "motion.rotation=axis")
-    assert result.exit_code == 0
+    result = done("plan", ball, "--set", "psf.occlusion=layered", "--set", "motion.rotation=axis")
     text = " ".join(result.output.split())
     assert "3, 40 x 24 px, gray" in text
     assert "intermediate frames 3 per frame" in text
@@ -291,8 +263,7 @@ def test_plan(ball: Path) -> None:
 
 
 def test_devices() -> None:
-    result = clsco_("devices", "--self-test")
-    assert result.exit_code == 0
+    result = done("devices", "--self-test")
     used = device.choose()
     assert used.name in result.output
     assert f"used: {used} (" in result.output
@@ -320,7 +291,10 @@ def test_help_and_version() -> None:
     assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
     for name in COMMANDS:
         assert f"\n  {name} " in clsco_("--help").output
-        assert clsco_(name, "--help").exit_code == 0
+        done(name, "--help")
+    for name in ("make", "status", "verify", "show", "convert", "open", "remake"):
+        assert f"\n  {name} " in clsco_("dataset", "--help").output
+        done("dataset", name, "--help")
     assert clsco_("paint").exit_code == 2
 
 
@@ -332,12 +306,10 @@ def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         scene = whole(name)
         if name == "depth_map":  # its files have their size
             return scene
-        return scene.model_copy(
-            update={"camera": scene.camera.model_copy(update={"resolution": (64, 64), "pixel_pitch": 0.08})}
-        )
+        return scene.replace("camera.resolution", (64, 64)).replace("camera.pixel_pitch", 0.08)
 
     monkeypatch.setattr(examples, "example", small)
-    monkeypatch.setattr(examples, "EXAMPLES", {name: examples.EXAMPLES[name] for name in demo.DETAILS})
+    monkeypatch.setattr(examples, "EXAMPLES", {name: examples.EXAMPLES[name] for name in sheets.DETAILS})
     out = tmp_path / "demo"
     result = clsco_("demo", "-o", out)
     assert (result.exit_code, result.stderr) == (0, "")
@@ -355,23 +327,22 @@ def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (colors > 60).mean() > 0.05  # maps of the ground truth have color, photographs of bricks have none
 
 
-def test_ctrl_c(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*args: Any) -> Iterator[Frame]:
-        raise KeyboardInterrupt
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (KeyboardInterrupt, 130, "interrupted"),
+        (MemoryError, 1, "error: memory: must hold the arrays of the scene; got too little of it"),
+    ],
+)
+def test_ctrl_c_and_too_little_memory(
+    ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException], status: int, line: str
+) -> None:
+    def ended(*args: Any) -> Iterator[Frame]:
+        raise error
         yield
 
-    monkeypatch.setattr(batch, "run", interrupted)
-    assert messages(clsco_("render", ball, "-o", tmp_path), 130) == ["interrupted"]
-
-
-def test_too_little_memory(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def too_large(*args: Any) -> Iterator[Frame]:
-        raise MemoryError
-        yield
-
-    monkeypatch.setattr(batch, "run", too_large)
-    (line,) = messages(clsco_("render", ball, "-o", tmp_path), 1)
-    assert line.startswith("error: memory: ")
+    monkeypatch.setattr(batch, "run", ended)
+    assert messages(clsco_("render", ball, "-o", tmp_path), status) == [line]
 
 
 @pytest.mark.parametrize("command", ["render", "defocus", "inpaint"])

@@ -16,21 +16,10 @@ from clsco.plan.prepare import Prepared
 from tests.command import clsco_
 from tests.scenes import scene_file
 
-CAMERA = "[camera]\nresolution = [40, 24]\npixel_pitch = 0.1\nnormalization_distance = 20.0\n"
-BALL = """
-[sequence]
-frames = 3
-samples = 400
-[[object]]
-shape = "sphere"
-[object.motion]
-velocity = [3.0, 0.0, 0.0]
-"""
-
 
 @pytest.fixture
-def ball(tmp_path: Path) -> Path:
-    return scene_file(tmp_path / "ball.toml", CAMERA + BALL)
+def ball(ball: Path) -> Path:
+    return scene_file(ball, ball.read_text().replace("samples = 3", "samples = 400"))
 
 
 @pytest.fixture(autouse=True)

@@ -11,11 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from clsco.cli.main import main
 from clsco.cli.progress import position
 from clsco.opencl.session import Progress
+from tests.command import clsco_, done
 from tests.scenes import PLANE, scene_file
 
 
@@ -53,22 +52,21 @@ def test_a_terminal_shows_frames_and_what_the_device_does(tmp_path: Path) -> Non
 
 def test_programs_get_lines_of_json(tmp_path: Path) -> None:
     scene = scene_file(tmp_path / "scene.toml", f"[sequence]\nframes = 3\n{PLANE}")
-    words = ["render", str(scene), "-o", str(tmp_path / "out"), "--progress", "json", "--quiet"]
-    result = CliRunner().invoke(main, words)
+    words = ["render", scene, "-o", tmp_path / "out", "--progress", "json", "--quiet"]
+    result = clsco_(*words)
     assert (result.exit_code, result.stdout) == (0, "")
     said = [json.loads(line) for line in result.stderr.splitlines()]
     assert said[0] == {"progress": "frames", "done": 0, "total": 3}
     assert said[-1] == {"progress": "frames", "done": 3, "total": 3}
     assert [each["done"] for each in said] == sorted(each["done"] for each in said)
-    result = CliRunner().invoke(main, [*words, "--resume"])
+    result = clsco_(*words, "--resume")
     assert [json.loads(line)["total"] for line in result.stderr.splitlines()] == [0]
 
 
 def test_lines_of_json_tell_the_position_within_a_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.cli.progress.WITHIN_S", 0.01)
     scene = scene_file(tmp_path / "scene.toml", f"[sequence]\nsamples = 9\n{PLANE}motion.velocity = [9.0, 0.0, 0.0]\n")
-    result = CliRunner().invoke(main, ["render", str(scene), "-o", str(tmp_path / "out"), "--progress", "json"])
-    assert result.exit_code == 0
+    result = done("render", scene, "-o", tmp_path / "out", "--progress", "json")
     said = [json.loads(line) for line in result.stderr.splitlines()]
     within = [each for each in said if "step" in each]
     assert any(each["step"] for each in within)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import clsco
-from clsco.cli.main import main
-from clsco.cli.psf_sheet import CELL, sheet
+from clsco.cli.sheets import CELL, psf_sheet
 from clsco.files.images import read_image
 from clsco.frame.contact_sheet import GAP
+from tests.command import clsco_
+from tests.scenes import scene_file
 
 SCENE = """
 [camera]
@@ -27,21 +27,18 @@ distance = 300.0
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    path = tmp_path / "scene.toml"
-    path.write_text(SCENE)
-    return path
+    return scene_file(tmp_path / "scene.toml", SCENE)
 
 
 def run(*words: object) -> tuple[int, str]:
-    result = CliRunner().invoke(main, ["psf", *map(str, words)])
+    result = clsco_("psf", *words)
     return result.exit_code, result.output
 
 
 def test_weights_and_axes_are_written(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "psf.npz"
-    code, text = run(
-        scene, "-o", out, "--set", "camera.f_number=2", "--at", 3, 4.5, "--at", 39, 31, "--depths", "200,inf"
-    )
+    places = ("--at", 3, 4.5, "--at", 39, 31)
+    code, text = run(scene, "-o", out, "--set", "camera.f_number=2", *places, "--depths", "200,inf")
     assert code == 0
     assert text == f"{out}: circle, integrated: 2 places, 2 depths, 29 x 29 px, R -3.334 to 13.33 px\n"
     expected = clsco.psf(clsco.load_scene(scene, ["camera.f_number=2"]), [(3, 4.5), (39, 31)], [200, np.inf]).arrays()
@@ -58,7 +55,7 @@ def test_a_picture_has_a_column_for_each_depth_with_the_same_scale(scene: Path, 
     assert text.startswith("the first of 2 scenes, ")
     picture = read_image(out).data
     stack = clsco.psf(clsco.load_scene(scene, ["camera.f_number=2"]), depths=[208.3333, 250.0, 312.5])
-    np.testing.assert_array_equal(picture, sheet(stack))
+    np.testing.assert_array_equal(picture, psf_sheet(stack))
     top = GAP + 18  # below the title
     cells = [picture[top : top + CELL, left : left + CELL] for left in range(GAP, GAP + 3 * (CELL + GAP), CELL + GAP)]
     bright = [int((cell[..., 0] > 127).sum()) for cell in cells]
@@ -70,25 +67,21 @@ def test_a_picture_has_a_column_for_each_depth_with_the_same_scale(scene: Path, 
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("-o", "psf.gif"), 1, "error: psf.gif: must end in .npz or .png"),
-        (
-            ("-o", "psf.npz", "--at", "40", "0"),
-            1,
-            "error: psf: at: must be in the frame, columns 0 to 39 and rows 0 to 31",
-        ),
-        (("-o", "psf.npz", "--depths", "-1"), 1, "error: psf: depths must be one or more distances in mm, above 0"),
-        (("-o", "psf.npz", "--depths", "near"), 2, "must be Z,Z,..., distances in mm; got near"),
-        (("-o", "psf.npz", "--frame", "1"), 1, "error: psf: frame must be between 0 and 0; got 1"),
-        (("-o", "no/such/psf.npz"), 1, "error: no/such/psf.npz: "),
-        (("-o", "no/such/psf.png"), 1, "error: no/such/psf.png: "),
-        ((), 2, "Missing option '-o'"),
+        ("-o psf.gif", 1, "error: psf.gif: must end in .npz or .png"),
+        ("-o psf.npz --at 40 0", 1, "error: psf: at: must be in the frame, columns 0 to 39 and rows 0 to 31"),
+        ("-o psf.npz --depths -1", 1, "error: psf: depths must be one or more distances in mm, above 0"),
+        ("-o psf.npz --depths near", 2, "must be Z,Z,..., distances in mm; got near"),
+        ("-o psf.npz --frame 1", 1, "error: psf: frame must be between 0 and 0; got 1"),
+        ("-o no/such/psf.npz", 1, "error: no/such/psf.npz: "),
+        ("-o no/such/psf.png", 1, "error: no/such/psf.png: "),
+        ("", 2, "Missing option '-o'"),
     ],
 )
 def test_what_is_refused(
-    scene: Path, words: tuple[str, ...], code: int, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    scene: Path, words: str, code: int, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    status, text = run(scene, *words)
+    status, text = run(scene, *words.split())
     assert (status, message in text) == (code, True), text
     assert list(tmp_path.iterdir()) == [scene]
 

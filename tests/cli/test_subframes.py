@@ -5,20 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import clsco
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.files import read_complete
-from tests.cli.test_main import BALL, names
+from tests.cli.test_main import names
 from tests.command import clsco_
-from tests.scenes import scene_file
-
-
-@pytest.fixture
-def ball(tmp_path: Path) -> Path:
-    return scene_file(tmp_path / "ball.toml", BALL)
 
 
 def test_they_are_files_of_the_frame(ball: Path, tmp_path: Path) -> None:

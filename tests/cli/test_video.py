@@ -20,7 +20,6 @@ from clsco.files.video import PRESETS
 from tests.command import clsco_
 from tests.scenes import scene_file
 
-ROOT = Path(__file__).resolve().parents[2]
 BALL = """
 [camera]
 resolution = [48, 32]
@@ -34,6 +33,7 @@ shape = "sphere"
 [object.motion]
 velocity = [20.0, 0.0, 0.0]
 """
+PLAYED = "4 frames at 25 frames per second, as sequence.interval = 0.04 s"
 
 
 def lines(result: Result, status: int) -> list[str]:
@@ -52,8 +52,7 @@ def ball(scene: Path) -> Path:
     """Frames of a ball that moves, with their truth, and a clip."""
     folder = scene.parent / "out"
     result = clsco_("render", scene, "-o", folder, "--format", "npz,exr", "--video", "ffv1")
-    expected = f"{folder}/clip.mkv: 4 frames at 25 frames per second, as sequence.interval = 0.04 s"
-    assert lines(result, 0) == [expected]
+    assert lines(result, 0) == [f"{folder}/clip.mkv: {PLAYED}"]
     return folder
 
 
@@ -72,9 +71,7 @@ def test_render_writes_a_clip_beside_its_frames(ball: Path) -> None:
     about, rate, pictures = decoded(ball / "clip.mkv", "gray")
     assert rate == 25
     np.testing.assert_array_equal(pictures, codes(ball), strict=True)
-    assert about["comment"] == (
-        f"clsco {clsco.__version__}; 4 frames at 25 frames per second, as sequence.interval = 0.04 s"
-    )
+    assert about["comment"] == f"clsco {clsco.__version__}; {PLAYED}"
 
 
 def test_a_clip_waits_for_all_frames(scene: Path, tmp_path: Path) -> None:
@@ -123,9 +120,8 @@ def test_a_scene_without_a_rate_is_refused_before_it_is_rendered(scene: Path, tm
 def test_the_default_interval_is_one_frame_per_second(scene: Path, tmp_path: Path) -> None:
     keys = ["--set", "sequence.interval=1", "--set", "sequence.frames=2"]
     (line,) = lines(clsco_("render", scene, "-o", tmp_path, *keys, "--video", "mp4"), 0)
-    assert line.endswith(
-        "2 frames at 1 frames per second, as sequence.interval = 1 s; clsco video --fps 24 plays it faster"
-    )
+    said = "2 frames at 1 frames per second, as sequence.interval = 1 s; clsco video --fps 24 plays it faster"
+    assert line.endswith(said)
     assert decoded(tmp_path / "clip.mp4")[1] == 1
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clsco.cli.dry_run import print_dry_run
+from clsco.cli.tables import print_dry_run
 from clsco.data import dryrun
 from clsco.data.distribution import load_distribution
 from clsco.data.dryrun import dry_run

@@ -11,7 +11,6 @@ from typing import Any
 import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 Array = NDArray[Any]
 
@@ -41,11 +40,6 @@ def torchvision_pfm(path: Path, channels: int) -> Array:
         order = "<" if float(file.readline().rstrip()) < 0 else ">"
         data = np.fromfile(file, f"{order}f4").reshape(rows, columns, 3 if kind == b"PF" else 1)
     return np.flip(data, axis=0)[..., :channels]
-
-
-def torchvision_kitti_disparity(path: Path) -> Array:
-    """(rows, columns): torchvision.datasets.Kitti2015Stereo._read_disparity."""
-    return np.asarray(np.asarray(Image.open(path)) / 256.0)
 
 
 def dpt_bytes(meters: Array) -> bytes:

@@ -9,9 +9,10 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -36,23 +37,20 @@ LIGHT = np.random.default_rng(7).random((300, 300), "f4")
 def frame(channels: int) -> Frame:
     generator = np.random.default_rng(3)
     shape = (6, 8) if channels == 1 else (6, 8, 3)
-    depth = generator.random((6, 8)).astype("f4")
-    depth[0] = np.inf
-    return Frame(
-        index=3,
-        color=(generator.random(shape) * 1.5 - 0.2).astype("f4"),
-        sharp=generator.random(shape).astype("f4"),
-        depth=depth,
-        blur_radius=(generator.random((6, 8)) - 0.5).astype("f4"),
-        mask=generator.random((6, 8)) < 0.5,
-        filled=generator.integers(0, 3, (6, 8), "u1"),
-        missing=generator.random((6, 8)) < 0.5,
-        object_id=generator.integers(-1, 3, (6, 8), "i4"),
-        normal=generator.random((6, 8, 3)).astype("f4"),
-        flow=generator.random((6, 8, 2)).astype("f4"),
-        hidden=generator.random((6, 8)) < 0.5,
-        metadata={"title": "Kugel, groß"},
-    )
+    shapes = {"color": shape, "sharp": shape, "depth": (6, 8), "blur_radius": (6, 8), "normal": (6, 8, 3)}
+    arrays = arrays_of(generator, shapes | {"flow": (6, 8, 2)}, ("mask", "missing", "hidden"))
+    arrays["depth"][0] = np.inf
+    codes: Any = {
+        "filled": generator.integers(0, 3, (6, 8), "u1"),
+        "object_id": generator.integers(-1, 3, (6, 8), "i4"),
+    }
+    return Frame(index=3, **arrays, **codes, metadata={"title": "Kugel, groß"})
+
+
+def arrays_of(generator: np.random.Generator, shapes: Mapping[str, tuple[int, ...]], masks: tuple[str, ...]) -> Any:
+    """Floats from -0.2 to 1.3 of these shapes, and masks of 6 x 8 pixels."""
+    floats = {name: (generator.random(shape) * 1.5 - 0.2).astype("f4") for name, shape in shapes.items()}
+    return floats | {name: generator.random((6, 8)) < 0.5 for name in masks}
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -87,22 +85,15 @@ def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
 def pair() -> tuple[Frame, Frame]:
     """Two views of different content."""
     generator = np.random.default_rng(4)
+    shapes: dict[str, Any] = {"subframes": (2, 6, 8), "flow_backward": (6, 8, 2), "uv": (6, 8, 2)}
+    shapes |= {"color": (6, 8), "disparity": (6, 8), "alpha": (6, 8)}
     left, right = (
         replace(
-            frame(1),
-            color=generator.random((6, 8)).astype("f4"),
-            disparity=generator.random((6, 8)).astype("f4"),
-            occluded=generator.random((6, 8)) < 0.5,
-            flow_backward=generator.random((6, 8, 2)).astype("f4"),
-            flow_occluded=generator.random((6, 8)) < 0.5,
-            uv=generator.random((6, 8, 2)).astype("f4"),
-            alpha=generator.random((6, 8)).astype("f4"),
-            subframes=generator.random((2, 6, 8)).astype("f4"),
-            eye=eye,
+            frame(1), **arrays_of(generator, shapes, ("occluded", "flow_occluded")), eye=eye,
             metadata={"guard_px": guard},
         )
         for eye, guard in (("left", 4), ("right", 5))
-    )
+    )  # fmt: skip
     return left, right
 
 
@@ -121,11 +112,8 @@ def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> Non
     assert [part.name() for part in parts] == [part.header["view"] for part in parts] == ["left", "right"]
     for shown, part in zip(views, parts, strict=True):
         frame_channels = exr_channels(shown.arrays())
-        assert (
-            set(part.channels)
-            == set(frame_channels)
-            >= {"R", "Z", "flow.u", "flow_backward.v", "flow_occluded", "disparity", "occluded"}
-        )
+        assert set(part.channels) == set(frame_channels)
+        assert set(part.channels) >= {"R", "Z", "flow.u", "flow_backward.v", "flow_occluded", "disparity", "occluded"}
         for name, channel in part.channels.items():
             np.testing.assert_array_equal(channel.pixels, frame_channels[name].astype("f4"), strict=True)
         np.testing.assert_array_equal(part.channels["disparity"].pixels, shown.disparity, strict=True)

@@ -21,23 +21,16 @@ from clsco.files.color import LARGEST_PROFILE, SRGB, Color, chunk_color, icc_col
 from clsco.files.images import WRITERS, read_image, write_png, write_tiff
 from clsco.files.transfer import CODES, decode, encode
 from clsco.inputs.textures import load_texture
-from tests.command import clsco_
+from tests.command import clsco_, done
+from tests.files.profiles import ADOBE, D65, P3, made, srgb_table
 
 Array = NDArray[Any]
-WHITE = [0.3127, 0.329, 1.0]
-P3, ADOBE = [0.68, 0.32, 1, 0.265, 0.69, 1, 0.15, 0.06, 1], [0.64, 0.33, 1, 0.21, 0.71, 1, 0.15, 0.06, 1]
-
-
-def made(kind: str = "rgb", **options: Any) -> bytes:
-    return bytes(imagecodecs.cms_profile(kind, **options))
-
-
 SQUARE = (np.linspace(0, 1, 1024) ** 2 * 65535).astype("u2")
 RGB_PROFILES = {
     "Adobe RGB": (made("adobergb"), ADOBE),
-    "gamma 2.4": (made(whitepoint=WHITE, primaries=P3, gamma=2.4), P3),
-    "a table": (made(whitepoint=WHITE, primaries=P3, transferfunction=SQUARE), P3),
-    "linear": (made(whitepoint=WHITE, primaries=ADOBE, gamma=1.0), ADOBE),
+    "gamma 2.4": (made(whitepoint=D65, primaries=P3, gamma=2.4), P3),
+    "a table": (made(whitepoint=D65, primaries=P3, transferfunction=SQUARE), P3),
+    "linear": (made(whitepoint=D65, primaries=ADOBE, gamma=1.0), ADOBE),
 }
 PHOTO = np.random.default_rng(4).integers(0, 256, (12, 16, 3)).astype(np.uint8)
 GRAY_22 = made("gray", gamma=2.2)
@@ -53,7 +46,7 @@ def curve_of(color: Color) -> Any:
 def test_codes_decode_as_by_littlecms(name: str) -> None:
     icc, primaries = RGB_PROFILES[name]
     ramp = np.repeat(CODES[None, :, None], 3, axis=2)
-    linear = made(whitepoint=WHITE, primaries=primaries, gamma=1.0)
+    linear = made(whitepoint=D65, primaries=primaries, gamma=1.0)
     options: Any = {"colorspace": "rgb", "outcolorspace": "rgb", "outdtype": "float32"}
     expected = imagecodecs.cms_transform(ramp, icc, linear, **options)
     # Its own float32, and 16 bits of the matrices, whose rows sum to 1 within 2e-5.
@@ -76,7 +69,7 @@ def test_codes_come_back(name: str, bits: int) -> None:
 
 
 def test_codes_are_the_nearest_ones() -> None:
-    curve = curve_of(icc_color(made(whitepoint=WHITE, primaries=P3, gamma=2.0), 3))
+    curve = curve_of(icc_color(made(whitepoint=D65, primaries=P3, gamma=2.0), 3))
     linear = np.array([[-1.0, 0.0, 0.2501, 1.0, 7.0, np.nan, (99.49 / 255) ** 2, (99.51 / 255) ** 2]], np.float32)
     np.testing.assert_array_equal(encode(linear, 8, curve), [[0, 0, 128, 255, 255, 0, 99, 100]])
     np.testing.assert_array_equal(encode(linear[..., :5], 16, curve), [[0, 0, 32774, 65535, 65535]])
@@ -178,14 +171,10 @@ def test_a_name_has_no_controls() -> None:
 
 
 def test_srgb_keeps_its_bits() -> None:
-    for icc in (made("srgb"), made(whitepoint=WHITE, primaries=P3, transferfunction=srgb_table())):
+    for icc in (made("srgb"), made(whitepoint=D65, primaries=P3, transferfunction=srgb_table(1024))):
         color = icc_color(icc, 3)
         assert (color.curve, color.note, color.icc) == (None, "", icc)
         assert color.transfer("srgb") == "srgb"
-
-
-def srgb_table() -> Array:
-    return np.asarray(np.rint(decode((np.arange(1024) * 65535 // 1023).astype("u2"), "srgb") * 65535).astype("u2"))
 
 
 CHRM = struct.pack(">8I", 31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000)
@@ -236,10 +225,6 @@ def saved(path: Path, data: Array, icc: bytes) -> Path:
 
 
 def icc_in(path: Path) -> bytes:
-    if path.suffix == ".tif":
-        with tifffile.TiffFile(path) as tiff:
-            page: Any = tiff.pages[0]
-            return bytes(page.iccprofile or b"")
     with Image.open(path) as image:
         return bytes(image.info.get("icc_profile", b""))
 
@@ -255,12 +240,9 @@ def test_readers_find_profiles(tmp_path: Path, suffix: str, dtype: str, gray: bo
         data, icc = data[..., 0], GRAY_22
     picture = read_image(saved(tmp_path / f"a.{suffix}", data, icc))
     assert picture.color.icc == icc
-    np.testing.assert_array_equal(
-        load_texture(tmp_path / f"a.{suffix}", "srgb").radiance,
-        decode(picture.data, curve_of(picture.color)).astype(np.float32),
-    )
-    plain = load_texture(tmp_path / f"a.{suffix}", "linear").radiance
-    np.testing.assert_array_equal(plain, decode(picture.data, "linear").astype(np.float32))
+    for transfer, curve in (("srgb", curve_of(picture.color)), ("linear", "linear")):
+        radiance = load_texture(tmp_path / f"a.{suffix}", transfer).radiance
+        np.testing.assert_array_equal(radiance, decode(picture.data, curve).astype(np.float32))
 
 
 @pytest.mark.parametrize("out", ["out.png", "out.tif"])
@@ -275,8 +257,7 @@ def test_kept_pixels_look_the_same(tmp_path: Path, out: str) -> None:
     np.save(tmp_path / "radius.npy", np.zeros(PHOTO.shape[:2]))
     blurred = ["defocus", image, tmp_path / "radius.npy", "--unit", "coc"]
     for words in (["inpaint", image, tmp_path / "mask.png"], blurred):
-        result = clsco_(*words, "-o", tmp_path / out)
-        assert result.exit_code == 0, result.output
+        result = done(*words, "-o", tmp_path / out)
         assert "profile" not in result.output
         assert icc_in(tmp_path / out) == icc
         unchanged = hole == 0 if "inpaint" in words else np.ones_like(hole, np.bool_)
@@ -288,8 +269,7 @@ def test_frames_in_a_folder_have_the_profile(tmp_path: Path) -> None:
     image = saved(tmp_path / "image.png", PHOTO, icc)
     np.save(tmp_path / "radius.npy", np.zeros(PHOTO.shape[:2]))
     words = ("-o", tmp_path / "all", "--unit", "coc", "--format", "exr")
-    result = clsco_("defocus", image, tmp_path / "radius.npy", *words)
-    assert result.exit_code == 0, result.output
+    done("defocus", image, tmp_path / "radius.npy", *words)
     assert icc_in(tmp_path / "all" / "frame_0000.png") == icc
     np.testing.assert_array_equal(read_image(tmp_path / "all" / "frame_0000.png").data, PHOTO)
     described = json.loads((tmp_path / "all" / "frame_0000.json").read_text())
@@ -309,12 +289,9 @@ def test_blur_is_linear_in_the_images_own_light(tmp_path: Path) -> None:
     half[:, ::2] = 255
     means = {}
     for name, gamma in (("linear", 1.0), ("square", 2.0)):
-        saved(tmp_path / "image.png", half, made(whitepoint=WHITE, primaries=P3, gamma=gamma))
+        saved(tmp_path / "image.png", half, made(whitepoint=D65, primaries=P3, gamma=gamma))
         np.save(tmp_path / "radius.npy", np.full((16, 64), 9.0))
-        result = clsco_(
-            "defocus", tmp_path / "image.png", tmp_path / "radius.npy", "-o", tmp_path / "a.png", "--unit", "coc"
-        )
-        assert result.exit_code == 0, result.output
+        done("defocus", tmp_path / "image.png", tmp_path / "radius.npy", "-o", tmp_path / "a.png", "--unit", "coc")
         means[name] = read_image(tmp_path / "a.png").data[8, 24:40].mean()
     assert means["linear"] == pytest.approx(127.5, abs=4)
     assert means["square"] == pytest.approx(255 * 0.5**0.5, abs=4)
@@ -330,8 +307,7 @@ def test_what_cannot_be_carried_or_read_is_said(tmp_path: Path) -> None:
     write_tiff(image, PHOTO, Color("P", b"damaged"))
     write_png(tmp_path / "mask.png", np.zeros(PHOTO.shape[:2], np.uint8))
     for words in (["defocus", image, tmp_path / "depth.png"], ["inpaint", image, tmp_path / "mask.png"]):
-        result = clsco_(*words, "-o", tmp_path / "a.png")
-        assert result.exit_code == 0
+        result = done(*words, "-o", tmp_path / "a.png")
         assert f"{image}: {LEFT_OUT}no ICC profile\n" in result.stderr
         assert icc_in(tmp_path / "a.png") == b""
 

@@ -83,20 +83,14 @@ def refusal(path: Path) -> str:
 
 
 ROUND_TRIPS: list[tuple[str, str, Callable[[Path, Array], object]]] = [
-    ("png", "u1", write_png),
-    ("png", "u2", write_png),
+    *[("png", dtype, write_png) for dtype in ("u1", "u2")],
     ("png", "u1", lambda path, data: iio.imwrite(path, data)),
-    ("png", "u2", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
-    ("PNG", "u1", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
-    ("tif", "u1", save_tiff),
+    *[(kind, "u2", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))) for kind in ("png", "PNG")],
+    *[("tif", dtype, save_tiff) for dtype in ("u1", "f2", "f4", "f8")],
     ("tiff", "u2", save_tiff),
     ("tif", ">u2", lambda path, data: save_tiff(path, data, byteorder=">")),
     ("tif", "u2", lambda path, data: save_tiff(path, data, compression="zlib", predictor=True)),
-    ("tif", "f2", save_tiff),
-    ("tif", "f4", save_tiff),
-    ("tif", "f8", save_tiff),
-    ("exr", "f2", save_rgb_exr),
-    ("exr", "f4", save_rgb_exr),
+    *[("exr", dtype, save_rgb_exr) for dtype in ("f2", "f4")],
     ("pfm", "f4", save_pfm),
     ("pfm", "f4", lambda path, data: save_pfm(path, data, ">")),
     *[("npy", dtype, np.save) for dtype in ("u1", "u2", ">u2", "f2", "f4", "f8")],
@@ -141,14 +135,18 @@ def test_few_bits_and_palettes_become_8_bits(tmp_path: Path, bits: int) -> None:
 
 @pytest.mark.parametrize("depth", [1, 2, 4, 8, 16])
 def test_a_transparent_gray_that_no_pixel_has_is_none(tmp_path: Path, depth: int) -> None:
-    packed = bytes(2 * depth)
     for key, count in ((1, 0), (0, 16)):
-        rows = b"\0" + packed
-        (tmp_path / "a.png").write_bytes(png(16, 1, depth, 0, rows, chunk(b"tRNS", struct.pack(">H", key))))
-        if count:
-            assert refusal(tmp_path / "a.png") == "pixels must be opaque; got 16 of a transparent color (chunk tRNS)"
-        else:
-            np.testing.assert_array_equal(read_image(tmp_path / "a.png").data, np.zeros((1, 16)))
+        rows, transparent = bytes(1 + 2 * depth), chunk(b"tRNS", struct.pack(">H", key))
+        check_keyed(tmp_path / "a.png", png(16, 1, depth, 0, rows, transparent), count, np.zeros((1, 16)))
+
+
+def check_keyed(path: Path, content: bytes, count: int, data: Array) -> None:
+    """Check that a PNG with so many pixels of a transparent color is refused, or gives these data without any."""
+    path.write_bytes(content)
+    if count:
+        assert refusal(path) == f"pixels must be opaque; got {count} of a transparent color (chunk tRNS)"
+    else:
+        np.testing.assert_array_equal(read_image(path).data, data)
 
 
 @pytest.mark.parametrize("dtype", ["u1", "u2"])
@@ -157,11 +155,8 @@ def test_a_transparent_color_that_no_pixel_has_is_none(tmp_path: Path, dtype: st
     rows = b"".join(b"\0" + row.astype(f">{dtype}").tobytes() for row in data)
     other = (data[0, 0] ^ np.array([0, 0, 1], dtype)).tolist()
     for key, count in ((other, 0), (data[0, 0].tolist(), 1)):
-        (tmp_path / "a.png").write_bytes(png(5, 4, bits, 2, rows, chunk(b"tRNS", struct.pack(">HHH", *key))))
-        if count:
-            assert refusal(tmp_path / "a.png") == "pixels must be opaque; got 1 of a transparent color (chunk tRNS)"
-        else:
-            np.testing.assert_array_equal(read_image(tmp_path / "a.png").data, data)
+        transparent = chunk(b"tRNS", struct.pack(">HHH", *key))
+        check_keyed(tmp_path / "a.png", png(5, 4, bits, 2, rows, transparent), count, data)
     (tmp_path / "a.png").write_bytes(png(5, 4, bits, 2, rows, chunk(b"tRNS", b"\0")))
     assert refusal(tmp_path / "a.png").startswith("must be a whole PNG; got ")
 

@@ -8,43 +8,32 @@ import struct
 from pathlib import Path
 from typing import Any
 
-import imagecodecs
 import numpy as np
 import OpenEXR
 import pytest
-from click.testing import CliRunner
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
 from tifffile import TiffFile
 
 import clsco
-from clsco.cli.main import main
 from clsco.data.record import make_record
-from clsco.files.color import Color, chunk_color, icc_color
+from clsco.files.color import CICP_CHROMATICITIES as CICP
+from clsco.files.color import SRGB_CHROMATICITIES, Color, chromaticities_to_srgb, chunk_color, icc_color
 from clsco.files.images import read_image, write_png, write_tiff
-from clsco.files.primaries import CICP_CHROMATICITIES, SRGB_CHROMATICITIES, chromaticities_to_srgb
 from clsco.files.transfer import decode, encode
 from clsco.inputs.files import InputFiles
 from clsco.inputs.textures import load_scene_textures
+from tests.command import clsco_, done
 from tests.data.samples import drawn
+from tests.files.profiles import ADOBE, D65, P3, made, srgb_table
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
-D65 = [0.3127, 0.329, 1.0]
-P3, ADOBE = [0.68, 0.32, 1, 0.265, 0.69, 1, 0.15, 0.06, 1], [0.64, 0.33, 1, 0.21, 0.71, 1, 0.15, 0.06, 1]
 PHOTO = np.random.default_rng(8).integers(0, 256, (48, 64, 3)).astype(np.uint8)
 
 
-def made(kind: str = "rgb", **options: Any) -> bytes:
-    return bytes(imagecodecs.cms_profile(kind, **options))
-
-
-def srgb_table() -> Array:
-    return np.rint(decode((np.arange(4096) * 65535 // 4095).astype("u2"), "srgb") * 65535).astype("u2")
-
-
 PROFILES = {
-    "Display P3": made(whitepoint=D65, primaries=P3, transferfunction=srgb_table()),
+    "Display P3": made(whitepoint=D65, primaries=P3, transferfunction=srgb_table(4096)),
     "Adobe RGB": made("adobergb"),
     "white of 5000 K": made(whitepoint=[0.3457, 0.3585, 1.0], primaries=ADOBE, gamma=1.8),
 }
@@ -86,8 +75,7 @@ def test_frames_are_as_by_littlecms(tmp_path: Path, name: str) -> None:
     write_png(tmp_path / "photo.png", PHOTO, Color("P", icc))
     write_png(tmp_path / "plain.png", PHOTO)
     path = scene_in(tmp_path, "photo.png", "plain.png")
-    result = CliRunner().invoke(main, ["render", str(path), "-o", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
+    result = done("render", path, "-o", tmp_path / "out")
     called = icc_color(icc, 3).name
     line = f"frames are in sRGB, and colors of the profile {called} are converted to it"
     assert result.stderr.endswith(f"{tmp_path / 'photo.png'}: {line}\n")
@@ -140,8 +128,7 @@ def test_profiles_without_a_matrix_are_taken_as_such(tmp_path: Path) -> None:
     write_png(tmp_path / "a.png", PHOTO, Color("P", icc))
     write_png(tmp_path / "b.png", PHOTO[..., 0].copy(), Color("P", made("gray", gamma=2.2)))
     path = scene_in(tmp_path, "a.png", "b.png")
-    result = CliRunner().invoke(main, ["render", str(path), "-o", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
+    result = done("render", path, "-o", tmp_path / "out")
     no_curves = "the color profile without a name has no curves: codes are taken as sRGB's"
     line = "frames are in sRGB, and colors of the profile without a name are taken as such"
     notes = f"{tmp_path / 'a.png'}: {no_curves}\n{tmp_path / 'a.png'}: {line}\n"  # gray has no colors
@@ -155,10 +142,10 @@ def test_profiles_of_srgb_have_no_matrix_but_one() -> None:
     assert icc_color(made("gray", gamma=2.2), 1).to_srgb is None
 
 
-@pytest.mark.parametrize("code", sorted(CICP_CHROMATICITIES))
+@pytest.mark.parametrize("code", sorted(CICP))
 def test_primaries_of_chunks_are_as_by_littlecms(code: int) -> None:
     """cICP, and cHRM of the same numbers, against a profile of these numbers that LittleCMS makes, adapted to D50."""
-    numbers = CICP_CHROMATICITIES[code]
+    numbers = CICP[code]
     white, *primaries = ([*numbers[k : k + 2], 1.0] for k in range(0, 8, 2))
     icc = made(whitepoint=white, primaries=[n for primary in primaries for n in primary], gamma=1.0)
     expected = icc_color(icc, 3).to_srgb
@@ -252,15 +239,14 @@ def test_chromaticities_of_an_exr_come_out_of_every_writer(tmp_path: Path, name:
     numbers, image = ACES[name], saved_exr(tmp_path / "image.exr", ACES[name])
     np.save(tmp_path / "radius.npy", np.zeros((48, 64)))
     write_png(tmp_path / "mask.png", np.zeros((48, 64), np.uint8))
-    blurred = ["defocus", str(image), str(tmp_path / "radius.npy"), "--unit", "coc"]
-    filled = ["inpaint", str(image), str(tmp_path / "mask.png")]
+    blurred = ["defocus", image, tmp_path / "radius.npy", "--unit", "coc"]
+    filled = ["inpaint", image, tmp_path / "mask.png"]
     scene = scene_in(tmp_path, "image.exr", "image.exr")
     (tmp_path / "all").mkdir()
     runs = [(blurred, "a.exr"), (filled, "b.exr"), (blurred, "a.png"), (blurred, "a.tif"), (filled, "b.tif")]
-    runs += [([*blurred, "--format", "exr"], "folder"), (["render", str(scene), "--format", "exr"], "all")]
+    runs += [([*blurred, "--format", "exr"], "folder"), (["render", scene, "--format", "exr"], "all")]
     for words, out in runs:
-        result = CliRunner().invoke(main, [*words, "-o", str(tmp_path / out)])
-        assert (result.exit_code, "left out" in result.stderr) == (0, False), result.output
+        assert "left out" not in done(*words, "-o", tmp_path / out).stderr
     frame = clsco.render_frame(clsco.load_scene(scene))
     frame.save(tmp_path / "frame.exr")
     frame.save(tmp_path / "frame.tif")
@@ -269,9 +255,8 @@ def test_chromaticities_of_an_exr_come_out_of_every_writer(tmp_path: Path, name:
         np.testing.assert_array_equal(chromaticities_in(tmp_path / path), np.array(numbers, np.float32))
         np.testing.assert_allclose(read_image(tmp_path / path).data, RADIANCE, atol=1e-6)
     for path in ("folder/frame_0000.json", "all/frame_0000.json"):
-        np.testing.assert_array_equal(
-            json.loads((tmp_path / path).read_text())["chromaticities"], np.array(numbers, np.float32)
-        )
+        described = json.loads((tmp_path / path).read_text())
+        np.testing.assert_array_equal(described["chromaticities"], np.array(numbers, np.float32))
     matrix = by_hand(numbers)
     for path in ("a.png", "all/frame_0000.png", "a.tif", "b.tif", "frame.tif"):
         picture = read_image(tmp_path / path)
@@ -296,7 +281,7 @@ def test_an_exr_beside_another_image_is_converted(tmp_path: Path, name: str, tra
     saved_exr(tmp_path / "image.exr", ACES[name])
     write_png(tmp_path / "plain.png", PHOTO)
     path = scene_in(tmp_path, "image.exr", "plain.png", f'image.transfer = "{transfer}"\n')
-    result = CliRunner().invoke(main, ["render", str(path), "-o", str(tmp_path / "out"), "--format", "exr"])
+    result = clsco_("render", path, "-o", tmp_path / "out", "--format", "exr")
     assert "frames are in sRGB, and colors of the profile of chromaticities 0.7" in result.stderr
     assert "are converted to it" in result.stderr
     np.testing.assert_allclose(chromaticities_in(tmp_path / "out/frame_0000.exr")[:2], (0.64, 0.33), atol=1e-6)
@@ -314,7 +299,7 @@ def test_chromaticities_of_parts_and_those_that_are_none(tmp_path: Path) -> None
         assert color.note.endswith("are left out: they span no colors")
 
 
-CHRM = (np.array(CICP_CHROMATICITIES[12]) * 1e5).round().astype(">u4").tobytes()
+CHRM = (np.array(CICP[12]) * 1e5).round().astype(">u4").tobytes()
 
 
 @pytest.mark.parametrize("chunks", [
@@ -326,9 +311,8 @@ def test_primaries_of_a_png_survive_in_tiff_and_exr(tmp_path: Path, chunks: dict
     write_png(tmp_path / "image.png", PHOTO, color)
     np.save(tmp_path / "radius.npy", np.zeros((48, 64)))
     for out in ("a.tif", "a.exr"):
-        words = ["defocus", str(tmp_path / "image.png"), str(tmp_path / "radius.npy"), "--unit", "coc", "-o"]
-        result = CliRunner().invoke(main, [*words, str(tmp_path / out)])
-        assert (result.exit_code, "no place" in result.stderr) == (0, False), result.output
+        words = ["defocus", tmp_path / "image.png", tmp_path / "radius.npy", "--unit", "coc", "-o", tmp_path / out]
+        assert "no place" not in done(*words).stderr
     before, tiff = read_image(tmp_path / "image.png"), read_image(tmp_path / "a.tif")
     np.testing.assert_array_equal(tiff.data, PHOTO)
     light = [decode(each.data, each.color.transfer("srgb")) for each in (before, tiff)]

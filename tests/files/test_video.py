@@ -21,8 +21,7 @@ import clsco
 from clsco.errors import ArgumentError, FileError
 from clsco.files import video
 from clsco.files.transfer import encode
-from clsco.files.video import PRESETS, parse_rate, preset_for, rate_of, write_clip
-from clsco.files.yuv import yuv_planes
+from clsco.files.video import PRESETS, parse_rate, preset_for, rate_of, write_clip, yuv_planes
 
 NTSC = Fraction(30000, 1001)
 YUV = [name for name, preset in PRESETS.items() if preset.is_yuv]

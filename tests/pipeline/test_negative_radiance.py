@@ -12,8 +12,8 @@ import tifffile
 from numpy.typing import NDArray
 
 import clsco
-from clsco.files.depth_codes import pfm_bytes
 from clsco.files.images import read_image, write_exr_image, write_png
+from clsco.files.truth_codes import pfm_bytes
 from clsco.inputs.textures import load_texture
 from tests.command import clsco_
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from

@@ -1,37 +1,32 @@
-"""The demonstration: a list of examples, and a labeled contact sheet of their images and ground truth."""
+"""Contact sheets: of example frames and their ground truth for `clsco demo`, of weights for `clsco psf`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from clsco.files.images import write_png
 from clsco.frame.contact_sheet import PAPER, contact_sheet, split_into_rows
 from clsco.frame.frame import GREEN, Frame
 from clsco.frame.notebook import codes_to_show
 from clsco.frame.views import Picture, flow_colors, viridis
-from clsco.scene.examples import EXAMPLES
+
+if TYPE_CHECKING:
+    from clsco.reference.spreads import PsfStack
 
 DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
 WIDE, NARROW = 300, 196  # px
 NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
+CELL, MOST_ACROSS = 144, 14  # px a side of a point spread function, and functions in a row
+EMPTY = (12, 12, 16)
 
 
 def views(frames: Sequence[Frame]) -> dict[str, Picture]:
-    """Pictures (rows, columns, 3) of a frame or a stereo pair, by a label with the range of values.
-
-    frames: one frame, or the left and the right view; with all ground truth.
-    """
-    frame = frames[0]
-    assert frame.depth is not None
-    assert frame.blur_radius is not None
-    assert frame.mask is not None
-    assert frame.normal is not None
-    assert frame.flow is not None
-    assert frame.sharp is not None
+    """Pictures of a frame or a stereo pair with all ground truth, by a label with the range of values."""
+    frame: Any = frames[0]
     seen, radius = frame.mask, frame.blur_radius
     radius = radius if radius.ndim == 2 else radius[..., GREEN]
     near, far = float(frame.depth[seen].min()), float(frame.depth[seen].max())
@@ -41,7 +36,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
     depth = viridis(np.where(seen, frame.depth, far), near, far)
     maps = {f"depth, {near:.0f} to {far:.0f} mm": depth}
-    if frame.disparity is not None and frame.occluded is not None:
+    if frame.disparity is not None:
         low, high = (float(limit) for limit in (frame.disparity[seen].min(), frame.disparity[seen].max()))
         label = f"disparity, {low:.1f} to {high:.1f} px"
         covered = np.where(frame.occluded[..., None], OCCLUDED, codes_to_show(frame.sharp))
@@ -59,10 +54,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
 
 
 def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) -> Picture:
-    """Draw labeled frames, and below them all outputs of the detailed frames; returns (rows, columns, 3).
-
-    shown: frames by label; detailed: frames, or stereo pairs, with all ground truth.
-    """
+    """Draw frames with their labels, and below them all outputs of the detailed frames or stereo pairs."""
     photographs = [(_fitted(codes_to_show(frame.color), WIDE), label) for label, frame in shown.items()]
     details = [[(_fitted(picture, NARROW), label) for label, picture in views(frames).items()] for frames in detailed]
     title = "The truth that comes with a frame, at the middle of the shutter"
@@ -76,10 +68,32 @@ def _fitted(picture: Picture, side: int) -> Picture:
     return np.asarray(ImageOps.fit(Image.fromarray(picture), (side, side), Image.Resampling.LANCZOS))
 
 
-def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write the contact sheet of all EXAMPLES as a PNG. Raises FileError.
+def psf_sheet(stack: PsfStack) -> Picture:
+    """Draw a stack with a row for each channel and place, and a column for each depth, all of the same scale in px."""
+    channels, places, depths, side, _ = stack.weights.shape
+    rows = []
+    for channel, place in np.ndindex(channels, places):
+        x, y = stack.at[place]
+        where = f" at {x:g}, {y:g}" if places > 1 else ""
+        tiles = []
+        for depth in range(depths):
+            weights, radius = stack.weights[channel, place, depth], stack.radius[channel, place, depth]
+            distance = f"{stack.depth[depth]:.5g} mm" if np.isfinite(stack.depth[depth]) else "infinite"
+            label = f"Z {distance}, R {radius:+.3g}{f', {stack.channels[channel]}' if channels > 1 else ''}{where}"
+            tiles.append((_cell(weights), f"{label}\nw {weights.max():.2g}"))
+        rows += split_into_rows(tiles, MOST_ACROSS)
+    return contact_sheet(rows, f"{stack.name}; {side} x {side} px; each as bright as its largest weight, w", lines=2)
 
-    frames: a frame, or both views of a stereo pair, for each name in EXAMPLES.
-    """
-    shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
-    write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))
+
+def _cell(weights: NDArray[np.float32]) -> Picture:
+    """A point spread function as a picture of CELL px a side, enlarged by a whole factor if there is room."""
+    shown = np.round(255.0 * np.clip(weights / max(float(weights.max()), 1e-30), 0.0, 1.0)).astype(np.uint8)
+    side = shown.shape[0]
+    if side > CELL:  # the largest weight of each pixel of the picture, so that points are seen
+        first = np.arange(CELL) * side // CELL
+        shown = np.maximum.reduceat(np.maximum.reduceat(shown, first, axis=0), first, axis=1)
+    times = CELL // shown.shape[0]
+    grown = Image.fromarray(np.kron(shown, np.ones((times, times), np.uint8)))
+    cell = Image.new("RGB", (CELL, CELL), EMPTY)
+    cell.paste(grown, ((CELL - grown.width) // 2, (CELL - grown.height) // 2))
+    return np.asarray(cell)
