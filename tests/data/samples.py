@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -44,17 +43,11 @@ def frame(number: int, size: tuple[int, int] = (9, 12), color: bool = True, inde
 
 def drawn(number: int, variants: int = 1, split: str = "train") -> Sample:
     """A sample as a distribution gives it."""
-    scene = parse_scene({"object": [{"shape": "sphere", "center": [0, 0, 280], "radius": 30}]})
-    found: Any = SimpleNamespace(
-        number=number,
-        split=split,
-        attempts=1,
-        parameters={"camera.f_number": 1.5 + number, "object.0.shape": "sphere"},
-        table={"object": [{"shape": "sphere", "center": [0, 0, 280], "radius": 30, "n": [number] * (number % 3)}]},
-        labels=tuple(f"f_number_{n}" for n in range(variants)) if variants > 1 else ("",),
-        scenes=(scene,) * variants,
-    )
-    return found
+    ball = {"shape": "sphere", "center": [0, 0, 280], "radius": 30}
+    parameters = {"camera.f_number": 1.5 + number, "object.0.shape": "sphere"}
+    table = {"object": [{**ball, "n": [number] * (number % 3)}]}
+    labels = tuple(f"f_number_{n}" for n in range(variants)) if variants > 1 else ("",)
+    return Sample(number, split, 1, parameters, table, labels, (parse_scene({"object": [ball]}),) * variants)
 
 
 def record(number: int, size: tuple[int, int] = (9, 12), wanted: tuple[str, ...] = (), **options: Any) -> Record:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -60,9 +59,8 @@ def test_variants_share_what_does_not_depend_on_the_lens() -> None:
     nearer = replace(frame(1), depth=frame(2).depth)
     apart = make_record(sample, 0, [[frame(1)], [nearer]], ("color", "depth", "mask"))
     assert list(apart.arrays) == ["v00.color", "v00.depth", "v01.color", "v01.depth", "mask"]
-    moving: Any = sample
-    moving.scenes = tuple(scene.replace("object.0.radius", 20.0 + k) for k, scene in enumerate(sample.scenes))
-    others = make_record(sample, 0, [[frame(1)], [frame(1)]], ("color", "depth"))
+    scenes = tuple(scene.replace("object.0.radius", 20.0 + k) for k, scene in enumerate(sample.scenes))
+    others = make_record(replace(sample, scenes=scenes), 0, [[frame(1)], [frame(1)]], ("color", "depth"))
     assert "v01.depth" in others.arrays
 
 

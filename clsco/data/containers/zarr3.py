@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Iterator
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -59,12 +59,13 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 def _blocks(path: Path, records: Iterable[Record]) -> Iterator[tuple[base.Layout, int, list[Record]]]:
     """Layout of all records, largest number of records in a block, and the records of a block. Raises FileError."""
     following = iter(records)
-    if (first := next(following, None)) is None:
+    block = list(islice(following, 1))
+    if not block:
         raise_file_error(path, "zarr must have a sample", "none")
-    layout = _layout_of(first)
+    layout = _layout_of(block[0])
     size = max(1, min(MOST_SAMPLES, MOST_BYTES // max(base.record_bytes(layout), 1)))
-    following = chain([first], following)
-    while block := list(islice(following, size)):
+    block += islice(following, size - 1)
+    while block:
         for record in block:
             own = _layout_of(record)
             for name in (*layout, *own):
@@ -73,6 +74,7 @@ def _blocks(path: Path, records: Iterable[Record]) -> Iterator[tuple[base.Layout
                     got = f"{name} {own[name][0]} {own[name][1]}" if name in own else f"no {name}"
                     raise_file_error(path, rule, f"{got} in sample {record.key}")
         yield layout, size, block
+        block = list(islice(following, size))
 
 
 def _layout_of(record: Record) -> base.Layout:
