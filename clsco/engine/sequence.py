@@ -108,13 +108,7 @@ def render(
     return (frame for _, frame in rendered)
 
 
-def render_frame(
-    scene: SceneLike,
-    index: int = 0,
-    *,
-    device: DeviceLike = None,
-    **options: Unpack[Options],
-) -> Frame:
+def render_frame(scene: SceneLike, index: int = 0, *, device: DeviceLike = None, **options: Unpack[Options]) -> Frame:
     """Render one frame of a scene.
 
     Parameters

@@ -43,15 +43,7 @@ from clsco.plan.decisions import Choices, choose
 from clsco.plan.descriptions import describe_blur, describe_frame, describe_pixels, describe_rays, shapes_of
 from clsco.plan.device import DeviceFacts, ThisMachine
 from clsco.plan.features import curvature_of, shape_features
-from clsco.plan.image import (
-    blur_passes,
-    color_passes,
-    light_of,
-    prefix_names,
-    sensor_pass,
-    strips_of,
-    vignetting_pass,
-)
+from clsco.plan.image import blur_passes, color_passes, light_of, prefix_names, sensor_pass, strips_of, vignetting_pass
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, check_shape, occluder_room
 from clsco.plan.passes import Kind, Pass
 from clsco.plan.predict import (
