@@ -355,8 +355,8 @@ class Visibility:
         )
         circles, new = [circle.select(rows) for circle in self.circles], np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
         common = ("row", "cells", "mask")
-        arrays = {name: v for name, v in vars(self).items() if isinstance(v, np.ndarray) and name not in common}
-        planes = {name: array[rows] for name, array in arrays.items()}
+        arrays = ((name, v) for name, v in vars(self).items() if isinstance(v, np.ndarray) and name not in common)
+        planes: dict[str, Any] = {name: array[rows] for name, array in arrays}
         return replace(self, row=new, occluders=occluders, circles=tuple(circles), **planes)
 
 
