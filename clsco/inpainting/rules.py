@@ -104,10 +104,8 @@ class Score:
 
 
 def score_scale(span: float) -> float:
-    """Factor by which values are multiplied before they are rounded for scores.
-
-    The largest power of two for which span times factor is at most 2^16; span: largest minus smallest value, at least
-    0.
+    """Factor of values before they are rounded for scores: the largest power of two for which it takes the range of the
+    values, `span`, to at most 2^16.
     """
     mantissa, exponent = frexp(span)
     above = exponent - (mantissa == 0.5)  # span is at most 2^above

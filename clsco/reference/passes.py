@@ -153,12 +153,11 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
 
 
 def _of_color(texture: Texture, color: int | None) -> Texture:
-    """A texture reduced to one channel."""
-    if color is None:
-        return texture
+    """A texture reduced to one channel, if a color is given."""
+    chosen = slice(None) if color is None else slice(color, color + 1)
     if isinstance(texture, MappedTexture):
-        return replace(texture, levels=tuple(level[..., color : color + 1] for level in texture.levels))
-    return texture[..., color : color + 1]
+        return replace(texture, levels=tuple(level[..., chosen] for level in texture.levels))
+    return texture[..., chosen]
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,16 +105,16 @@ def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles 
 
 def _surfaces(scene: Scene, textures: Any) -> Surfaces:
     color = scene.separates_colors or any(image.ndim == 3 for images in textures for image in images)
-    texels, mappings, count, begins = [], np.zeros((len(scene.objects), SIZE)), 0, dict[int, int]()
+    texels, mappings, count, stored = [], np.zeros((len(scene.objects), SIZE)), 0, list[tuple[Any, int]]()
     for n, (item, images) in enumerate(zip(scene.objects, textures, strict=True)):
         rows, columns = images[0].shape[:2]
-        if id(images[0]) not in begins:
-            begins[id(images[0])] = count
+        begin = next((place for image, place in stored if image is images[0]), count)
+        if begin == count:
+            stored.append((images[0], count))
             for image in images:
                 wide = image.reshape(rows * columns, -1)
                 texels.append(np.broadcast_to(wide, (rows * columns, 3 if color else 1)))
                 count += rows * columns
-        begin = begins[id(images[0])]
         mappings[n, :4] = 0, begin, rows, columns
         if lies(item):
             mappings[n] = mapping_of(item, (rows, columns), begin, scene.motion.texture_filter)

@@ -169,9 +169,6 @@ def test_prepared_gradient_of_a_ramp_is_its_slope() -> None:
     np.testing.assert_array_equal(gradient, expected)
     square = prepare_sources(j * j, np.ones((9, 11), dtype=bool))[..., 0]
     assert square[0].tolist() == [1.0, *(2 * j[0, 1:-1]).tolist(), 19.0]  # one-sided, central, one-sided
-
-
-def test_prepared_gradient_of_one_pixel_is_zero() -> None:
     assert not prepare_sources(np.full((1, 1), 3.0), np.ones((1, 1), dtype=bool)).any()
 
 

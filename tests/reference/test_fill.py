@@ -329,7 +329,7 @@ def test_what_an_edge_uncovers_is_filled_from_the_far_side(method: Method) -> No
 
 @pytest.mark.parametrize("method", ["ait", "mean_median"])
 def test_a_hole_between_two_near_things_is_filled_from_behind_them(method: Method) -> None:
-    """What lies between two cards is hidden or uncovered."""
+    """Two cards: between them the plane is hidden or uncovered."""
     values, objects, known = cards(slice(6, 14), slice(22, 32))
     known[8:20, 14:22] = False
     given, seen = np.where(known[..., None], values, 0.0), np.where(known, objects, 255).astype(np.uint8)

@@ -84,18 +84,8 @@ def without_apron(strips: tuple[Strip, ...]) -> tuple[Strip, ...]:
     return tuple(replace(one, above=one.above if one.top == 0 else 0) for one in strips)
 
 
-def alone(right: Fault, *arguments: Any) -> Any:
-    choice, groups, extents = right(*arguments)
-    return choice, groups[1:], extents
-
-
-def blind(right: Fault, *arguments: Any) -> Any:
-    choice, groups, extents = right(*arguments)
-    return choice, tuple(replace(group, occluders=0) for group in groups), extents
-
-
-def left(right: Fault, scene: Scene, time: float, eye: str = "left") -> Any:
-    return right(scene, time, "left")
+def without_occluders(groups: tuple[OcclusionGroup, ...]) -> tuple[OcclusionGroup, ...]:
+    return tuple(replace(group, occluders=0) for group in groups)
 
 
 def boxed(right: Fault, curve: Any, time: Any) -> Any:
@@ -104,6 +94,11 @@ def boxed(right: Fault, curve: Any, time: Any) -> Any:
 
 def mirrored(planes: Any) -> Any:
     return planes[:, ::-1].copy()
+
+
+def regrouped(change: Callable[[Any], Any]) -> Fault:
+    """The right occlusion with other groups."""
+    return altered(lambda parts: (parts[0], change(parts[1]), parts[2]))
 
 
 def coarser(right: Fault, images: Any, out: Any = None) -> Any:
@@ -121,7 +116,7 @@ NOT_KEPT: dict[str, Fault] = {f"{PLACED}.PlacedScene.content": always(None)}  # 
 IN_STRIPS: dict[str, Fault] = {"clsco.engine.sequence.fit_strips": changed(strip_rows=lambda _: BAND)}
 FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "no occlusion": ("still", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),
-    "no occluders": ("still", {f"{PLAN}.choose_occlusion": blind}),
+    "no occluders": ("still", {f"{PLAN}.choose_occlusion": regrouped(without_occluders)}),
     "no guard band": ("still", {"clsco.plan.predict.guard_band": always(0)}),
     "no silhouettes": ("still", {f"{PLAN}.choose_silhouettes": always(Choice(0))}),
     "one time sample": ("auto", {f"{PLAN}.choose_samples": always(Choice(1))}),
@@ -131,12 +126,12 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "radii that are clipped": (
         "still", {f"{SEEN}.resolve": changed(largest=lambda size: 0.6 * size)} | NO_SECOND_LOOK,
     ),
-    "a group that is dropped": ("still", {f"{PLAN}.choose_occlusion": alone}),
+    "a group that is dropped": ("still", {f"{PLAN}.choose_occlusion": regrouped(lambda groups: groups[1:])}),
     "strips without an apron": ("high", IN_STRIPS | {f"{SEEN}.strips_of": altered(without_apron)}),
     "a shutter without its curve": ("moving", {"clsco.optics.exposure.curve_integral": boxed}),
     "lines in the other order": ("rolling", {"clsco.optics.exposure.line_openings": altered(np.flip)}),
     "half an exposure": ("moving", {"clsco.engine.film.frame_exposure": changed(times=lambda times: 0.5 * times)}),
-    "the left eye twice": ("stereo", {f"{PLACED}.poses_at": left}),
+    "the left eye twice": ("stereo", {f"{PLACED}.poses_at": lambda right, scene, time, eye: right(scene, time)}),
     "no rims": ("rims", {f"{SEEN}.elliptic_spread": changed(rims=lambda _: ())}),
     "mipmaps that are coarser": ("laid", {"clsco.inputs.textures.mipmap": coarser} | NOT_KEPT),
     "red and blue exchanged": ("still", {f"{PLACED}.texture_planes": altered(mirrored)} | NOT_KEPT),

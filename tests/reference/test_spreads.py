@@ -164,14 +164,14 @@ def test_arrays_of_a_file_have_their_units_in_their_names() -> None:
     assert arrays["inverse_depth_per_mm"][1] == 0.0
 
 
+OUTSIDE = "psf: at: must be in the frame, columns 0 to 39 and rows 0 to 31"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"at": [(40, 0)]}, "psf: at: must be in the frame, columns 0 to 39 and rows 0 to 31; got [40.0, 0.0]"),
-        (
-            {"at": [(float("nan"), 0)]},
-            "psf: at: must be in the frame, columns 0 to 39 and rows 0 to 31; got [nan, 0.0]",
-        ),
+        ({"at": [(40, 0)]}, f"{OUTSIDE}; got [40.0, 0.0]"),
+        ({"at": [(float("nan"), 0)]}, f"{OUTSIDE}; got [nan, 0.0]"),
         ({"depths": []}, "psf: depths must be one or more distances in mm, above 0; got []"),
         ({"depths": [0.0]}, "psf: depths must be one or more distances in mm, above 0; got [0.0]"),
         ({"depths": [0.5]}, "psf: |R| must be at most 512 px; got 6653 px"),

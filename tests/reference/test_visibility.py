@@ -71,21 +71,20 @@ def test_soft_step_is_a_step() -> None:
     assert (middle**2 * slope).sum() == pytest.approx(0.25 / 5, rel=1e-5)
 
 
-@pytest.mark.parametrize(("degrees", "expected"), [(0.0, 0.3), (180.0, 0.0), (90.0, 0.3 * 0.6)])
-def test_edges_in_one_cell_hide_by_their_directions(degrees: float, expected: float) -> None:
-    """Two half planes that leave 0.3 and 0.6 of a cell: the less of it if both hide the same side, nothing if they hide
-    opposite ones and overlap, the product if their edges are perpendicular; in any order, and alone each its own."""
+@pytest.mark.parametrize(
+    ("hidden", "degrees", "expected"),
+    [((0.7, 0.4), 0.0, 0.3), ((0.7, 0.4), 180.0, 0.0), ((0.7, 0.4), 90.0, 0.3 * 0.6), ((0.3, 0.2), 180.0, 0.5)],
+)
+def test_edges_in_one_cell_hide_by_their_directions(
+    hidden: tuple[float, float], degrees: float, expected: float
+) -> None:
+    """Two half planes leave the less of a cell if both hide the same side, the gap between them if they hide opposite
+    ones, nothing if they overlap, the product if their edges are perpendicular; in any order, and alone each its own.
+    """
     turn, one = np.radians(degrees), np.ones(1)
-    first = Part(0.7 * one, 3.0 * one, 0.0 * one)
-    second = Part(0.4 * one, np.cos(turn) * one, np.sin(turn) * one)
+    first = Part(hidden[0] * one, 3.0 * one, 0.0 * one)
+    second = Part(hidden[1] * one, np.cos(turn) * one, np.sin(turn) * one)
     for a, b in ((first, second), (second, first)):
         alone = leave_free(Part(one, 0 * one, 0 * one), a)
         np.testing.assert_array_equal(alone.share, 1 - a.share)
         np.testing.assert_allclose(leave_free(alone, b).share, expected, atol=1e-12)
-
-
-def test_the_gap_between_two_edges_is_left() -> None:
-    """Two half planes that hide 0.3 and 0.2 of a cell from opposite sides leave the half between them."""
-    one, none = np.ones(1), np.zeros(1)
-    left = leave_free(Part(one, none, none), Part(0.3 * one, one, none))
-    np.testing.assert_allclose(leave_free(left, Part(0.2 * one, -one, none)).share, 0.5)

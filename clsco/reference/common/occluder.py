@@ -49,7 +49,6 @@ class Occluder:
     trails: Array | float = 1.0
 
     def select(self, chosen: NDArray[Any]) -> Occluder:
-        """Arrays of the selected points."""
         arrays = {k: v[chosen] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         limits, needed = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.needed))
         return Occluder(**arrays, limits=limits, needed=needed)
@@ -75,7 +74,6 @@ class Cut:
     covariance: Array | None = None
 
     def select(self, chosen: NDArray[Any]) -> Cut:
-        """Arrays of the selected taps."""
         return Cut(**{name: array[..., chosen] for name, array in vars(self).items() if array is not None})
 
 
@@ -125,10 +123,10 @@ class Part:
         pairs = ((self.share, other.share), (self.x, other.x), (self.y, other.y))
         return Part(*(np.where(chosen, first, second) for first, second in pairs))
 
-
-def part_slope(part: Part) -> Array:
-    """Length (N,) of the direction of a `Part`."""
-    return np.asarray(np.hypot(part.x, part.y))
+    @property
+    def slope(self) -> Array:
+        """Length (N,) of the direction."""
+        return np.asarray(np.hypot(self.x, self.y))
 
 
 def leave_free(free_part: Part, hidden: Part) -> Part:
@@ -140,16 +138,13 @@ def leave_free(free_part: Part, hidden: Part) -> Part:
     """
     remaining = 1 - hidden.share
     product = free_part.share * remaining
-    free_scale, scale = 1 / (part_slope(free_part) + TINY), 1 / (part_slope(hidden) + TINY)
+    free_scale, scale = 1 / (free_part.slope + TINY), 1 / (hidden.slope + TINY)
     cosine = (free_part.x * hidden.x + free_part.y * hidden.y) * (free_scale * scale)
     gap = np.maximum(free_part.share - hidden.share, 0.0)
     excess = np.where(cosine > 0, np.minimum(free_part.share, remaining) - product, product - gap)
     left_weight, weight = free_part.share * (1 - free_part.share) * free_scale, hidden.share * remaining * scale
-    return Part(
-        product + cosine * excess,
-        left_weight * free_part.x + weight * hidden.x,
-        left_weight * free_part.y + weight * hidden.y,
-    )
+    x, y = left_weight * free_part.x + weight * hidden.x, left_weight * free_part.y + weight * hidden.y
+    return Part(product + cosine * excess, x, y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +206,7 @@ def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple
     t = np.where(b < 0, root - b, -b - root)
     t = np.where(np.abs(t) > TINY, t, TINY)
     # Of two crossings: over the width of the edge sqrt(D) changes by at most sqrt(width |gradient of D|).
-    least = np.where(m.f0 <= 0, 0.0, 0.5 * np.sqrt(width * part_slope(outline_part(m, x, y)) / m.soft)) + TINY
+    least = np.where(m.f0 <= 0, 0.0, 0.5 * np.sqrt(width * outline_part(m, x, y).slope / m.soft)) + TINY
     least = np.where(b < 0, least, -least)
     return crossing_at(m, t / c, b, c, x, y, least), crossing_at(m, m.f0 / t, b, c, x, y, -least)
 
@@ -262,7 +257,7 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     part = near_part.where((m.f0 == 0) | (near_part.share > far_part.share), far_part)
     outline = outline_part(m, x, y)
     steep = m.soft * sharpened(m, cut, outline.x, outline.y)
-    within = soft_step(outline.share * steep / (part_slope(outline) + TINY))
+    within = soft_step(outline.share * steep / (outline.slope + TINY))
     twice = replace(part.where(part.share <= within, outline), share=part.share * within)
     # Without any remaining condition, a surface with two intersections is treated as an unbounded one.
     return part.where((m.f0 == 0) | (m.crossings == 1), twice.where(np.any(m.needed, axis=0), full))

@@ -52,10 +52,6 @@ from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all, str
 
 CLEAR, PARTLY, HIDDEN = (np.uint8(state) for state in range(3))
 RIM_MARGIN = 1.5  # least distance, in cells, from the rim of the lens to a circle that cuts no tap
-PLANES = (  # fields of `Visibility` that are arrays over sources
-    "radius", "wide", "point", "x", "y", "lean", "limb", "nearest", "bent", "ray_numbers", "ray_parts", "ray_scale",
-    "behind", "near", "part",
-)  # fmt: skip
 SHARP_EDGE = 2.0  # px, width up to which a blurred outline needs sub-pixel sources
 
 
@@ -280,7 +276,6 @@ class Circle:
     scale: Array
 
     def select(self, chosen: NDArray[Any]) -> Circle:
-        """Arrays of the selected sources."""
         return Circle(*(values[chosen] for values in vars(self).values()))
 
 
@@ -353,14 +348,15 @@ class Visibility:
     part: Array | None = None
 
     def select(self, chosen: NDArray[Any] | slice) -> Visibility:
-        """Arrays of the selected sources."""
         row = self.row[chosen]
         rows = row[row >= 0]
         occluders = tuple(
             (mask[rows], occluder.select(np.cumsum(mask)[rows[mask[rows]]] - 1)) for mask, occluder in self.occluders
         )
         circles, new = [circle.select(rows) for circle in self.circles], np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
-        planes = {name: getattr(self, name)[rows] for name in PLANES if getattr(self, name) is not None}
+        common = ("row", "cells", "mask")
+        arrays = ((name, v) for name, v in vars(self).items() if isinstance(v, np.ndarray) and name not in common)
+        planes: dict[str, Any] = {name: array[rows] for name, array in arrays}
         return replace(self, row=new, occluders=occluders, circles=tuple(circles), **planes)
 
 

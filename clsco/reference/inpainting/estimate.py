@@ -13,8 +13,7 @@ def median_of_known(near: Array, near_known: Mask) -> Array:
     """Median (N, K), over the first axis, of the known values among `near` (8, N, K); for an even number, the mean of
     the middle two. near_known: (8, N), at least one True per pixel.
     """
-    ordered = np.sort(np.where(near_known[..., None], near, np.inf), axis=0)
-    count = near_known.sum(axis=0)
+    ordered, count = np.sort(np.where(near_known[..., None], near, np.inf), axis=0), near_known.sum(axis=0)
     pixel = np.arange(count.size)
     return np.asarray(0.5 * (ordered[(count - 1) // 2, pixel] + ordered[count // 2, pixel]))
 

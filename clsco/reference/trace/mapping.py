@@ -11,15 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import (
-    MAP_CONE,
-    MAP_CUBE,
-    MAP_CYLINDER,
-    MAP_LONGITUDE,
-    MAP_TRIPLANAR,
-    WRAP_MIRROR,
-    WRAP_REPEAT,
-)
+from clsco.constants import MAP_CONE, MAP_CUBE, MAP_CYLINDER, MAP_LONGITUDE, MAP_TRIPLANAR, WRAP_MIRROR, WRAP_REPEAT
 from clsco.inputs.mipmaps import SIDES, cube_side, mipmap
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
