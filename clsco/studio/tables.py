@@ -247,7 +247,7 @@ def sparse(table: Mapping[str, Any]) -> Table:
         if key in ("object", "group"):
             models = [SHAPES[item["shape"]] if key == "object" else Group for item in value]
             items = enumerate(zip(models, value, strict=True))
-            found[key] = [dict(item) if (key, at) in swept else _sparse(model, item) for at, (model, item) in items]
+            found[key] = [dict(item) if (key, k) in swept else _sparse(model, item) for k, (model, item) in items]
         elif key in SECTIONS:
             if part := dict(value) if (key,) in swept else _sparse(SECTIONS[key], value):
                 found[key] = part
