@@ -66,7 +66,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def exchanged_programs() -> Iterator[None]:
-    """What a file of tests has compiled is not compiled again by the next files, in this worker or in another."""
+    """Exchange of compiled programs after each file of tests, so that no worker compiles them again."""
     yield
     if Path(os.environ["POCL_CACHE_DIR"]).name.startswith(kernel_cache.WORKER):
         kernel_cache.exchange_programs(Path(os.environ["POCL_CACHE_DIR"]))
