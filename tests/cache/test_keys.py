@@ -20,6 +20,7 @@ from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.blades import CurvedPolygon
 from clsco.optics.pupils.circle import Circle
+from clsco.optics.pupils.differences import Asymmetric
 from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.ellipse import Ellipse
 from clsco.optics.pupils.fourier import FourierDiffracted
@@ -79,7 +80,7 @@ def _other(value: Any) -> Any:
 def test_tables_of_weights_depend_on_each_field_of_a_point_spread(samples: int) -> None:
     known = [PointSpread(pupil) for pupil in PUPILS]
     known.append(replace(known[-1], varying=SeidelField(0.1, 0.2, 0.3, 0.4, (9, 7))))
-    bases = Outline, Diffracted
+    bases = Asymmetric, Outline, Diffracted
     kinds = {kind for base in (Pupil, *bases) for kind in base.__subclasses__()}
     assert {type(psf.pupil) for psf in known} == kinds - {*bases}
     every = [*known, *(each for psf in known for each in changed(psf))]
