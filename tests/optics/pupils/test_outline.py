@@ -178,7 +178,8 @@ def test_a_filled_grid_has_the_shares_of_its_pixels(name: str) -> None:
 def test_variances_are_those_of_cycles(blades: int, measured: tuple[float, float]) -> None:
     """Measured in Cycles with an emitter 0.92 px wide at R = 14.4 px, 2,048 samples: to 3 %."""
     x, y = grid(16)
-    found = iris(blades).weights(x, y, np.asarray(14.4))
+    iris = point_spread(Psf(), Aperture(shape="polygon", blades=blades))
+    found = iris.weights(x, y, np.asarray(14.4))
     assert [(found * x * x).sum(), (found * y * y).sum()] == pytest.approx(measured, rel=0.03)
 
 
