@@ -21,7 +21,7 @@ from clsco.optics.pupils.quadrature import unit_nodes
 
 LONGEST_ARC, NODES = pi / 4.0, 8  # along such an arc, quadrature is exact to 1e-14 for cubics in both coordinates
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
-FILLED = 16.0  # px: for larger radii and point sources, pixels inside the outline get one weight without integrals
+FILLED = 16.0  # px: with point sources and larger radii, pixels inside the outline get one weight, without integrals
 
 
 @dataclass(frozen=True)
