@@ -17,7 +17,7 @@ from clsco.optics.pupils.wavefront import Wavefront
 Array = NDArray[np.float64]
 CELLS_PER_WAVE = 8.0  # cells from the middle of the frame to its corner, per wave
 LEAST_CELLS, MOST_CELLS = 2, 16  # limits of the number of cells from the middle to the corner
-BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 error of blended weights for CELLS_PER_WAVE: by waves, by rays
+BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 error of blended weights with CELLS_PER_WAVE: for waves, for rays
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ class Lens:
 
     blur_scale: blur radius per unit of inverse depth, kappa = s0 D / (2 p), px mm (2.33). focus_power: inverse depth in
     focus on the axis, K = 1/f - 1/s, 1/mm (2.24); the two terms nearly cancel for long lenses, hence float64 on the
-    host. radius: of the aperture, D / 2, mm. detector_power: inverse distance of the detector, 1/s, 1/mm. sag: field
+    host. radius: aperture radius D / 2, mm. detector_power: inverse distance 1/s of the detector, 1/mm. sag: field
     curvature, -c s0^2 / (2 s) for a curvature c: the image of a plane lies sag t^2 s in front of the detector on rays
     of slope t. sphere: inverse radius in 1/mm of the sphere around the lens that is in focus for light of the camera's
     focal length; 0 if a plane is in focus. distortion: that of the image and of its blur, or None.

@@ -69,8 +69,8 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
 
 
 def _first_crossing(at: Callable[[int], tuple[Array, Mask]], last: int, axis: int) -> tuple[Array, Mask]:
-    """Positions and mask, as from `LinePoints._positions`, of points that may be on several lines: each on the first of
-    its lines.
+    """Positions and mask, as from `LinePoints._positions`, of points that several lines may show; the first of these
+    counts.
 
     at: function that takes the number of a line and returns the positions (points, 2) of the points at its time, and a
     mask of the points in front of the lens. last: number of the last line. axis: index of the coordinate that counts

@@ -34,7 +34,9 @@ BLOCK = 64  # intervals of a sampled Gaussian, or of waves, that are computed to
 
 
 def sampled_steps(psf: PointSpread) -> tuple[int, int]:
-    """Intervals of a sampled PSF per unit of dx^2 + dy^2 near 0, and number of such units; beyond, 1 interval each."""
+    """For a sampled PSF: number of intervals per unit of dx^2 + dy^2 near 0, and number of units with so many
+    intervals. Each unit beyond is one interval.
+    """
     return (1, 0) if psf.uniform else (FINE_STEPS, FINE_UNTIL)
 
 

@@ -265,7 +265,10 @@ def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -
 
 
 def _join_taps(parts: list[WeightBlock]) -> Floats:
-    """Coefficients by tap and window of WIDE_LANES intervals, one window per TAP_LANES; 0 beyond a block's taps."""
+    """Coefficients (taps, windows, POWERS, WIDE_LANES) by tap; windows begin at every TAP_LANES-th interval.
+
+    They are 0 beyond the taps of a block.
+    """
     most, count = max(len(block.taps) for block in parts), sum(block.taps.shape[2] for block in parts)
     if not count:
         return np.zeros(0, np.float32)

@@ -28,8 +28,9 @@ Array = NDArray[np.float64]
 class OcclusionGroup:
     """An occlusion group: objects of which only the nearest along each ray counts, and their possible occluders.
 
-    members, occluders: bit k stands for object k of the scene. own: number of the member if it may hide itself, else
-    -1. root: 1 or 2 if the group contains only the first or second root of that object (`solve_quadric`), 0 for both.
+    members, occluders: bit k stands for object k of the scene. own: number of the only member if it may hide itself,
+    else -1. root: 1 or 2 if the group contains only the first or second root of that object (`solve_quadric`), 0 for
+    both.
     """
 
     members: int

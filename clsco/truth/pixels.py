@@ -22,7 +22,7 @@ _Places = tuple[NDArray[Any], NDArray[Any], int, int]
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Pixels (n,) by row and column, with the class of each, and its object, -1 for none."""
+    """Pixels (n,) by row and column, with the class of each, and the number of its object, -1 for none."""
 
     row: NDArray[np.int64]
     column: NDArray[np.int64]
@@ -108,7 +108,7 @@ def radius_of(problem: Problem, depth: Array, moment: int) -> Array:
 
 
 def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ...]:
-    """Rows and columns (n,) of pixels beside another object, and the larger |R| of the two."""
+    """Rows and columns (n,) of pixels beside another object, and the larger |R| of both objects."""
     parts = []
     for axis in (0, 1):
         row, column = np.nonzero(np.diff(label, axis=axis))

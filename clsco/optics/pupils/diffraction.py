@@ -86,7 +86,8 @@ def round_light(radii: Array, unit: float, inner: float, path: Path, width: floa
 
 @lru_cache(maxsize=2**15)
 def pixel_rings(a: float, b: float, tent: bool, width: float) -> tuple[int, Array]:
-    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and the pixel's fractions of this and later rings.
+    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and the fractions of the light of this ring and of
+    the following rings that the pixel receives.
 
     tent: True for a square source instead of a point. Constant light within rings causes an error quadratic in their
     width; the fractions include Richardson's extrapolation from rings twice as wide.

@@ -135,7 +135,10 @@ class FourierDiffracted(Diffracted):
 
     @property
     def upright(self) -> FourierDiffracted:
-        """The pupil; if round, with its wavefront mirrored to an orientation that positions of the frame share."""
+        """The pupil with its wavefront mirrored to an orientation that several positions of the frame share.
+
+        The pupil itself unless its opening is round.
+        """
         return replace(self, wavefront=self.wavefront.upright) if is_round(self.opening) else self
 
     def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:

@@ -28,8 +28,8 @@ FILLED = 16.0  # px: with point sources and larger radii, pixels inside the outl
 class Arc:
     """Part of an outline that is monotonic in x and in y, directed with the inside always on the same side.
 
-    start, end: in aperture radii; center, radius: of its circle; radius 0 for a straight edge; angles: of the ends seen
-    from the center, from x towards y, rad; within one quadrant.
+    start, end: points, in aperture radii. center, radius: those of the arc's circle; radius 0 for a straight edge.
+    angles: directions of the ends from the center, from x towards y, rad, within one quadrant.
     """
 
     start: tuple[float, float]
