@@ -208,7 +208,7 @@ class ScriptedDistribution(_Distribution):
             content, parameters = drawn if isinstance(drawn, tuple) and len(drawn) == 2 else (drawn, {})
             sweep = _sweep_of(content, noise_seed)
             tables = [self._table(scene) for scene in sweep.scenes]
-            parameters = json.loads(json.dumps(dict(parameters), default=as_python, allow_nan=False))
+            parameters = _as_json(parameters)
         except ClscoError:
             raise
         except Exception as error:
@@ -231,6 +231,15 @@ class ScriptedDistribution(_Distribution):
         if not whole.is_relative_to(self.folder):
             raise SceneError(f"texture: files must lie in {self.folder}; got {path}")
         return whole.relative_to(self.folder).as_posix()
+
+
+def _as_json(parameters: Any) -> dict[str, Any]:
+    """The parameters that a function returns, as a manifest has them. Raises SceneError."""
+    try:
+        return json.loads(json.dumps(dict(parameters), default=as_python, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        rule = "must be a mapping of numbers, texts, lists and mappings"
+        raise SceneError(f"parameters: {rule}; got {error}") from error
 
 
 def _sweep_of(content: Any, noise_seed: int) -> Sweep:

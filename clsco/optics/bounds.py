@@ -15,7 +15,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-TOUCHING = 1e-7  # fraction of the largest bound: passing a bound by less is a touch, such as by rounding to float32
+TOUCHING = 1e-7  # fraction of the largest bound: a surface that passes a bound by less, as by rounding, touches it
 FAR = 1e3  # multiple of the largest bound, in place of an infinite one
 NULL = 1e-13  # fraction of the largest coefficient that counts as 0
 Interval = tuple[float, float]
@@ -25,7 +25,8 @@ Matrix = NDArray[np.float64]
 
 @lru_cache(maxsize=1024)
 def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> Bounds | None:
-    """Bounds that really cut a surface: infinite where the surface, cut by the others, at most touches, or None.
+    """Bounds that really cut a surface, or None if no bound does. A bound that the surface, cut by the other bounds, at
+    most touches is replaced by an infinite one.
 
     rows: matrix (M, L; L, K) of the surface, for coordinates in mm; nappe: sign required of the third coordinate, 0 for
     either; bounds: low and high limit of each axis, mm.
@@ -58,9 +59,9 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
     least = NULL * np.abs(matrix).max()
     slopes = [m[0, 1] * y + m[0, 2] * z + m[0, 3] for y, z in product(*sides)]
     if abs(m[0, 0]) <= least and min(slopes) <= least and max(slopes) >= -least:
-        yield from (-inf, inf)  # not of second degree along the axis, and somewhere not of first degree either
+        yield from (-inf, inf)  # Q has no square of this coordinate, and somewhere no linear term in it either
         return
-    # Where Q is stationary along the free axes, these are linear functions of x; other axes are at an end of the box.
+    # Where Q is stationary along the free axes, their coordinates are linear in x; other axes are at an end of the box.
     for fixed in product((0, 1, None), repeat=2):
         free = [k + 1 for k, end in enumerate(fixed) if end is None]
         line = np.zeros((4, 2))  # p = line (x, 1)
@@ -71,7 +72,7 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
         if free:
             part = m[np.ix_(free, free)]
             if abs(np.linalg.det(part)) <= (least if len(free) == 1 else least * np.abs(part).max()):
-                continue  # Q is linear along some line, whose ends are other cases
+                continue  # Q is linear along some line; its ends are other cases
             line[free] = -np.linalg.solve(part, (m @ line)[free])
         for x in _roots(line.T @ m @ line):
             at = line @ (x, 1.0)

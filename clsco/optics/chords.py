@@ -1,5 +1,6 @@
-"""PSF weights as integrals along chords: of blur ellipses in a distorted image, and of lenses that rims cut, which are
-round or have `Borders` (float64, pure).
+"""PSF weights as integrals along chords (float64, pure).
+
+Used for blur ellipses in a distorted image, and for lenses that rims cut if they are round or have `Borders`.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ Circle = tuple[Array, Array, Array]
 DISC = np.array([1.0, 0.0, 1.0])
 """Shape of a disc, see `clsco.optics.ellipses.shape_of`."""
 FLAT = 1.5
-"""Least distance in px from both ends of an opening at which a column may be flat: FLAT_CHORDS chords are enough."""
+"""Least distance in px from both ends of an opening at which FLAT_CHORDS chords may be enough for a column."""
 UPRIGHT, FAR = 1e-6, 1e6
-"""UPRIGHT: an edge whose normal has a smaller |y| ends the opening. FAR: a distance beyond all openings, px."""
+"""UPRIGHT: an edge whose unit normal has a smaller |y| counts as vertical. FAR: a distance beyond all openings, px."""
 FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
 """Numbers of chords in a column of 1 px that is flat, in one that is not, and for the area of half an opening."""
 
@@ -32,16 +33,17 @@ def chord_weights(
 ) -> Array:  # fmt: skip
     """Weight of a pixel at (dx, dy) px for light from a square pixel or a point, relative to all light of a round lens.
 
-    dx, dy: right and down, integers except for a point source. radius: |R| of the disc with the area of the blur, px,
-    above 0; with `borders`, of a lens that is not round, R with its sign. shape: quadratic form (..., 3) of the ellipse
-    by `clsco.optics.ellipses.shape_of`; all arrays broadcast. rims: circles that the light must also pass: x, y of the
-    center, right and down, and radius for a round blur, px.
+    dx, dy: offset of the pixel from the source, right and down; integers unless `point`. radius: |R| of the disc with
+    the area of the blur, px, above 0; with `borders`, R with its sign. shape: quadratic form (..., 3) of the ellipse by
+    `clsco.optics.ellipses.shape_of`; all arrays broadcast. rims: circles that the light must also pass: x, y of the
+    center, right and down from the source, and the radius that they have for a round blur, px. point: True for a point
+    source. borders: for a lens that is not round.
 
-    The light of holes is subtracted. Without them, the part of a lens inside all rims is convex, so a column has one
-    chord: from the last beginning to the first end of the chords of all borders. Along a chord, the response of both
-    pixels is integrated in closed form; across chords, it is weighted by the convolution of both pixels, a tent, or for
-    a point source by the detector's pixel. Sums over pixels differ from 1 by less than 3e-5; with rims, they differ
-    from the area of the opening by less than 5e-4.
+    The light of holes is subtracted. Without holes, the part of a lens inside all rims is convex, so a column has one
+    chord: it begins where the last of all borders' chords begins, and ends where the first of them ends. Along a chord,
+    the response of both pixels is integrated in closed form; across chords, it is weighted by the convolution of both
+    pixels, a tent, or for a point source by the detector's pixel. Sums over pixels differ from 1 by less than 3e-5;
+    with rims, they differ from the area of the opening by less than 5e-4.
     """
     total = np.zeros(np.broadcast(dx, dy, radius).shape)
     for sign, hole in _parts(borders):
@@ -50,7 +52,9 @@ def chord_weights(
 
 
 def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
-    """Convex parts of an opening, each with its sign: (1, None) for the whole, (-1, circle) for each hole in it."""
+    """Convex parts of an opening, each with its sign: (1, None) for all of it without holes, (-1, circle) for each
+    hole.
+    """
     return [(1.0, None), *((-1.0, np.array(hole)) for hole in (borders.holes if borders else ()))]
 
 
@@ -72,7 +76,7 @@ def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
 
 
 def open_share(rims: Sequence[Circle], borders: Borders | None = None) -> Array:
-    """Fraction of a round lens's light that passes the lens and all rims, to 3e-5; rims: circles in lens radii."""
+    """Fraction of a round lens's light that passes the lens and all rims, within 3e-5; rims: circles in lens radii."""
     total = np.zeros_like(rims[0][0])
     flat = np.zeros(total.shape, np.bool_)
     for sign, hole in _parts(borders):
@@ -91,7 +95,10 @@ def _stacked(values: NDArray[Any], axes: int) -> Array:
 
 
 class _Opening:
-    """Opening of a lens cut by rims, from `low` to `high` px around a source, or its part that `hole` covers."""
+    """Opening of a lens that rims cut, or with `hole` only the part of it that this circle covers.
+
+    It extends from column `low` to column `high`, px to the right of the source.
+    """
 
     def __init__(
         self, radius: Array, shape: Array, rims: Sequence[Circle], borders: Borders | None = None,
@@ -110,7 +117,7 @@ class _Opening:
             self.circles = [*within, *self.circles[1:]]
             self.edges = [(x * radius, y * radius, d * size * size) for x, y, d in borders.edges if abs(y) > UPRIGHT]
         ends: list[Any] = [(x - far, x + far) for x, _, far, _ in self.circles]
-        self.pieces: list[Any] = [(-FAR, FAR)]  # between columns with corners
+        self.pieces: list[Any] = [(-FAR, FAR)]  # between columns at which the opening has a corner
         if borders:
             corners = borders.columns
             ends.append(np.sort([radius * end for end in (corners[0], corners[-1])], axis=0))
@@ -119,7 +126,7 @@ class _Opening:
         self.low, self.high = self.low.max(axis=0), np.maximum(high.min(axis=0), self.low.max(axis=0))
 
     def _circle_chords(self, v: Array) -> Iterator[tuple[Array | float, Array | float]]:
-        """Beginning and end in px of the chord inside each circle and inside each edge, along the column at v px."""
+        """For each circle and edge: beginning and end in px of the chord inside it, along the column at v px."""
         for x, y, far, over in self.circles:
             aside = v - x
             half, middle = np.sqrt(np.maximum((far - aside) * (far + aside), 0.0)) * over, y + self.lean * aside
@@ -129,7 +136,7 @@ class _Opening:
             yield np.where(down < 0.0, at, -FAR), np.where(down < 0.0, FAR, at)
 
     def _ends(self, v: Array) -> tuple[Array, Array]:
-        """Beginnings (borders, ...) of the chords inside all borders in the column at v px, and their ends."""
+        """Beginnings (borders, ...) and ends (borders, ...) of the chords inside each border, in the column at v px."""
         beginnings, ends = zip(*self._circle_chords(v), strict=True)
         return np.stack(np.broadcast_arrays(*beginnings)), np.stack(np.broadcast_arrays(*ends))
 
@@ -143,11 +150,14 @@ class _Opening:
     def places(
         self, start: Array, end: Array, flat: NDArray[np.bool_], axes: int, count: int = STEEP_CHORDS
     ) -> Iterator[tuple[Array, Array]]:  # fmt: skip
-        """Positions (count, ...) of chords from `start` to `end`, and their quadrature weights in px.
+        """Positions (count, ...) of chords from `start` to `end`, and their quadrature weights in px; one or two
+        batches.
 
-        axes: number of axes of the weights, to which a first axis is added for chords. Chords grow with the square root
-        of the distance from an end of the opening. So where a column is not `flat`, this root, from the nearer end, is
-        the variable of the quadrature; a column across the middle of the opening is split there.
+        axes: number of axes of the results after the first axis, which is that of the chords. Chords grow with the
+        square root of the distance from an end of the opening. So where a column is not `flat`, the variable of the
+        quadrature is the square root of the distance from the nearer end. A column that crosses the middle of the
+        opening is split there: the first batch has its left half, the second batch its right half. The second batch is
+        yielded only if there are such columns, and its weights are 0 for all other columns.
         """
         middle = 0.5 * (self.low + self.high)
         straddles = ~flat & (start < middle) & (middle < end)
@@ -165,7 +175,9 @@ class _Opening:
             yield v, np.where(flat, (end - start) * even, steep) * (straddles if second else 1.0)
 
     def is_flat(self, column: Array) -> NDArray[np.bool_]:
-        """True if all chords within 1 px right of `column` begin on one border, and end on one, away from the ends."""
+        """True if all chords in the 1 px to the right of `column` begin on the same border and end on the same border,
+        and the ends of the opening are at least FLAT px away.
+        """
         flat = (column - self.low >= FLAT) & (self.high - column - 1.0 >= FLAT)
         if len(self.circles) + len(self.edges) == 1:
             return np.asarray(flat)

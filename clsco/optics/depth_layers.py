@@ -17,7 +17,11 @@ MOST_LAYERS = 8
 
 @dataclass(frozen=True)
 class LayerBounds:
-    """Depth layers of one time sample: first bin (`bins_of`) of each but the first; deep: see `depth_of_hidden`."""
+    """Depth layers of one time sample, from near to far.
+
+    bounds: number of the first bin (`bins_of`) of each layer except the nearest. deep: distance in px, see
+    `depth_of_hidden`.
+    """
 
     bounds: tuple[int, ...]
     deep: int
@@ -32,9 +36,10 @@ def bins_of(largest: float) -> tuple[float, int]:
 def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
     """First bins of the depth layers after the first, at most MOST_LAYERS - 1 of them, increasing.
 
-    latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl: by size class and by bin of the far
-    side, the first bin behind the near side, 0 without a discontinuity. From near to far, a discontinuity that no bound
-    splits yet gets a bound in the middle of its bins. If there are too many bounds, the smallest class is dropped.
+    latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl: for each size class and each bin of
+    the far side of a discontinuity, the first bin behind its near side; 0 without a discontinuity. From near to far, a
+    discontinuity that no bound splits yet gets a bound in the middle of its bins. If there are too many bounds, the
+    class of the smallest discontinuities is left out.
     """
     for smallest in range(DISCONTINUITY_CLASSES):
         bounds: list[int] = []
@@ -57,7 +62,7 @@ def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
 
 
 def level_count(deep: int) -> int:
-    """Number of levels of a pyramid above the finest one; pixels of the last level depend on all within deep + 1 px."""
+    """Number of levels of a pyramid above the finest; pixels of the last depend on all pixels within deep + 1 px."""
     return (deep + 1).bit_length()
 
 

@@ -30,7 +30,7 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
 
 
 def _difference(point: Array, valid: Mask, axis: int) -> Array:
-    """Step along an axis between a pixel's point and the neighbor whose depth differs less; 0 without a neighbor."""
+    """Step along an axis between a pixel's point and that of the neighbor whose depth differs less; 0 without one."""
     step = np.diff(point, axis=axis)
     both_valid = np.logical_and(*(np.delete(valid, end, axis=axis) for end in (0, -1)))
     step = np.where(both_valid[..., None], step, np.inf)
@@ -45,7 +45,8 @@ def _difference(point: Array, valid: Mask, axis: int) -> Array:
 def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
     """Unit normals (rows, columns, 3) of a depth map in mm, towards the lens; 0 without a surface (depth +inf).
 
-    Of two neighbors on an axis, the one whose depth differs less is used: differences cross no depth discontinuity.
+    Of two neighbors on an axis, the one whose depth differs less is used, so that differences do not cross depth
+    discontinuities.
     """
     point, valid = _points(camera, depth), np.isfinite(depth)
     right, down = (_difference(point, valid, axis) for axis in (1, 0))
@@ -81,8 +82,9 @@ class MapPoints:
 
 
 def map_flow(points: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
-    """Optical flow (rows, columns, 2) to poses `then`, relative to `camera`: px, right and down; 0 without a surface,
-    and if the point moves behind the lens.
+    """Optical flow (rows, columns, 2) in px, right and down, to the poses `then`, which are relative to `camera`.
+
+    0 without a surface, and where the point moves behind the lens.
     """
     point, step, ratio = points.points, ray_step(camera), ray_step(points.camera) / ray_step(camera)
     flow = np.zeros((*points.depth.shape, 2))
@@ -103,7 +105,7 @@ def map_stereo(
 ) -> tuple[Floats, Mask]:
     """Disparity (x in the left view minus x in the right view, px) and occlusion (by `map_occluded`) of the view `eye`.
 
-    poses: relative to the other view; opposite: its depth, mm.
+    poses: of all objects, relative to the other view; opposite: depth of the other view, mm.
     """
     flow = map_flow(points, points.camera, poses)
     occluded = map_occluded(points, points.camera, poses, opposite)

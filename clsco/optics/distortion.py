@@ -91,9 +91,10 @@ class Distortion:
         return x * q + along * x + across * squared, y * q + along * y + up * squared
 
     def undistorted(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Undistorted slopes from distorted slopes x and y, which broadcast, by Newton's method that starts there.
+        """Undistorted slopes from distorted slopes x and y, which broadcast, by Newton's method, starting at (x, y).
 
-        Accurate to 1e-14 within `image_reach`; beyond it, the result is a slope at `reach`.
+        Accurate to 1e-14 within `image_reach`; beyond it, the method does not converge, and the result is a slope
+        beyond `reach`.
         """
         target_x, target_y = np.broadcast_arrays(*(np.asarray(slope, dtype=np.float64) for slope in (x, y)))
         at_x, at_y = target_x.copy(), target_y.copy()
@@ -112,9 +113,10 @@ class Distortion:
         return self.solved(x, y, target_x - across, target_y - up)
 
     def start(self, radius: float) -> Array:
-        """Coefficients (START,) of a polynomial in r_d^2, with which Newton's method starts on devices.
+        """Coefficients (START,) of a polynomial in r_d^2, with which devices start Newton's method.
 
-        Distorted slopes up to `radius`, times the polynomial, are nearly undistorted; the tangential part is left out.
+        Distorted slopes up to `radius`, times the polynomial, are nearly the undistorted slopes without the tangential
+        part.
         """
         squared = (radius * np.sin(0.25 * np.pi * (2.0 * np.arange(NODES) + 1.0) / NODES)) ** 2
         distorted = np.sqrt(squared)
@@ -150,7 +152,7 @@ class Distortion:
         )
 
     def solved(self, x: Array, y: Array, right: Array, upwards: Array) -> tuple[Array, Array]:
-        """Change of undistorted slopes, at (x, y), for the change (right, upwards) of distorted slopes."""
+        """Change of undistorted slopes that changes distorted slopes by (right, upwards); x, y: undistorted slopes."""
         xx, xy, yy = self.jacobian(x, y)
         over = 1.0 / (xx * yy - xy * xy)
         return (yy * right - xy * upwards) * over, (xx * upwards - xy * right) * over
@@ -193,5 +195,5 @@ def with_distortion(camera: Camera, lens: Lens | None) -> Camera:
 
 
 def distortion_of(camera: Camera) -> Distortion | None:
-    """Distortion of a camera, None for none."""
+    """Distortion of a camera, or None."""
     return camera.distortion if isinstance(camera, DistortedCamera) else None

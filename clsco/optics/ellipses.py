@@ -21,7 +21,7 @@ def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:
 
 
 def across_of(shape: Array) -> Array:
-    """Roots of `shape` (..., 3): matrices, as xx, xy and yy, from offsets in ellipses to offsets in discs."""
+    """Square roots of the matrices `shape`, as xx, xy, yy (..., 3): they map offsets in ellipses to those in discs."""
     xx, xy, yy = np.moveaxis(np.asarray(shape), -1, 0)
     over = 1.0 / np.sqrt(xx + yy + 2.0)  # closed form of the root of a matrix of determinant 1
     return np.stack([(xx + 1.0) * over, xy * over, (yy + 1.0) * over], axis=-1)

@@ -1,8 +1,8 @@
 """Exposure of a frame: its time samples, and their weights in every row (float64, pure).
 
 Shutter curves, and lines (rows or columns) that are exposed one after another, affect only `frame_exposure`: rendering,
-predictions and reports take times and weights from here. A curve is sampled at the middles of equal intervals of the
-exposure, weighted by the light of each interval: from one sample per px of motion on, this is more accurate than
+predictions and reports take times and weights from it. A curve is sampled at the middles of equal intervals of the
+exposure, weighted by the light of each interval: with one or more samples per px of motion, this is more accurate than
 intervals of equal light. If keyframes make an object jump while the shutter is open, an interval ends at the jump;
 intervals between two jumps are equal.
 """
@@ -21,7 +21,7 @@ from clsco.scene.model import Scene, Sequence
 from clsco.scene.sequence import CURVES, ShutterCurve
 
 Array = NDArray[np.float64]
-PREDICTED_TIMES = 33  # largest number of times of the whole sequence
+PREDICTED_TIMES = 33  # largest number of `sequence_times`
 AT_AN_END = 1e-9  # fraction of an exposure: a jump this near to one of its ends counts as outside
 
 
@@ -29,8 +29,8 @@ AT_AN_END = 1e-9  # fraction of an exposure: a jump this near to one of its ends
 class Exposure:
     """Time samples of a frame, and the weights of their blurred images.
 
-    times: (samples,), s since the reference pose. weights: (samples,) for the whole frame, or (samples, lines), those
-    of a line with sum 1. by_columns: True if lines are columns, not rows.
+    times: (samples,), s since the reference pose. weights: (samples,) for the whole frame, or (samples, lines), whose
+    sum over the samples is 1 for each line. by_columns: True if lines are columns, not rows.
     """
 
     times: Array
@@ -88,7 +88,7 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
         weights = _differences(passed)
         return Exposure(begins + 0.5 * (ends[1:] + ends[:-1]), weights, sequence.by_columns)
     count //= len(opens)
-    shares = [(jumps - opening) / shutter for opening in np.sort(opens)]  # of the exposure of each line
+    shares = [(jumps - opening) / shutter for opening in np.sort(opens)]  # jumps as fractions of each line's exposure
     ends = np.stack([share_ends((0.0, 1.0), share[(share > 0.0) & (share < 1.0)], count) for share in shares])
     times = (np.sort(opens)[:, None] + 0.5 * shutter * (ends[:, 1:] + ends[:, :-1])).ravel()
     in_turn = np.eye(len(opens))[np.argsort(opens)]
@@ -123,7 +123,8 @@ def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, An
 def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
     """Ends (count + 1,) of the intervals of an exposure.
 
-    jumps: inside `span`, increasing, fewer than `count`; intervals between two are equal, and longer pieces have more.
+    jumps: times inside `span`, increasing, fewer than `count`. Jumps divide the span into pieces; the intervals of a
+    piece are equal, and longer pieces have more intervals. count: number of intervals.
     """
     if not jumps.size:
         return np.linspace(*span, count + 1)
@@ -188,7 +189,7 @@ def pixel_time(scene: Scene, frame: int, column: int, row: int) -> float:
 
 
 def curve_integral(curve: ShutterCurve, times: Array) -> Array:
-    """Fraction of an exposure's light, 0 to 1, that a shutter has passed up to given times.
+    """Fraction of an exposure's light, 0 to 1, that has passed a shutter up to given times.
 
     curve: name of a shutter curve, or weights at equal times, linear between them; times: from 0, when the shutter
     opens, to 1, when it closes; other times are clamped.

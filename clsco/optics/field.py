@@ -16,8 +16,8 @@ from clsco.optics.pupils.wavefront import Wavefront
 
 Array = NDArray[np.float64]
 CELLS_PER_WAVE = 8.0  # cells from the middle of the frame to its corner, per wave
-LEAST_CELLS, MOST_CELLS = 2, 16  # cells over the same distance
-BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 error of blended weights with CELLS_PER_WAVE: waves, rays
+LEAST_CELLS, MOST_CELLS = 2, 16  # limits of the number of cells from the middle to the corner
+BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 error of blended weights with CELLS_PER_WAVE: for waves, for rays
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,13 @@ class SeidelField:
     """Seidel's terms of the wavefront over the frame of a camera.
 
     h: position relative to the middle of the frame, 1 in the corner; rho: lens point, 1 at the edge of the aperture;
-    phi: angle between the two.
+    phi: angle between the directions of both.
 
-    coma: coefficient of h rho^3 cos(phi), W131: optical path in px at the aperture's edge, in the corner of the frame
-    (`clsco.optics.pupils.wavefront`). astigmatism: of h^2 rho^2 cos^2(phi), W222, px. curvature: of h^2 rho^2, W220,
-    px. waves: size of the terms in waves of green light, or in px for rays; it decides the number of cells. frame:
-    columns and rows. by_rays: True if light follows rays, whose spots have sharp edges.
+    coma: W131, coefficient of h rho^3 cos(phi) in px: the optical path (`clsco.optics.pupils.wavefront`) at the edge of
+    the aperture for the corner of the frame. astigmatism: W222, coefficient of h^2 rho^2 cos^2(phi), px. curvature:
+    W220, coefficient of h^2 rho^2, px. waves: size of the terms in waves of green light, or in px if `by_rays`; it
+    determines the number of cells. frame: number of columns and rows. by_rays: True if light follows rays, whose spots
+    have sharp edges.
     """
 
     coma: float

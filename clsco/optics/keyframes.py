@@ -66,7 +66,7 @@ def path_through(times: ArrayLike, values: ArrayLike, interpolation: Interpolati
         pieces[1:-1, 1] = np.diff(v, axis=0) / steps - steps * (2.0 * bends[:-1] + bends[1:]) / 6.0
         pieces[1:-1, 2], pieces[1:-1, 3] = 0.5 * bends[:-1], np.diff(bends, axis=0) / (6.0 * steps)
     else:
-        # Control points beyond the ends extend lines: the path begins at a key, with the mean velocity to the next one.
+        # Control points beyond the ends extend lines: paths begin at the first key, with the mean velocity to the next.
         a, b, c, d = (np.concatenate([[2 * v[0] - v[1]], v, [2 * v[-1] - v[-2]]])[k : k + len(steps)] for k in range(4))
         pieces[1:-1, 0], pieces[1:-1, 1] = (a + 4.0 * b + c) / 6.0, (c - a) / (2.0 * steps)
         pieces[1:-1, 2] = (a - 2.0 * b + c) / (2.0 * steps**2)
@@ -110,7 +110,7 @@ class Orientations:
         return _matrix(self._quaternion_at(time))
 
     def angles_at(self, time: float, rotation: str) -> Vector:
-        """Rotation at a time in s as a keyframe has it, in deg; a rotation vector is at most half a turn."""
+        """Rotation at a time in s in the form of `Keyframe.rotation`, deg; a rotation vector is at most half a turn."""
         return _angles(self._quaternion_at(time), rotation)
 
     def _quaternion_at(self, time: float) -> Quaternion:
@@ -147,7 +147,10 @@ def _quaternion(angles: Vector, rotation: str) -> Quaternion:
 
 
 def _angles(q: Quaternion, rotation: str) -> Vector:
-    """Angles in deg of an orientation, the inverse of `_quaternion`; about x 0 at a quarter turn about y."""
+    """Angles in deg of an orientation, the inverse of `_quaternion`.
+
+    If the Euler angle about y is a quarter turn, the angle about x is set to 0, as x and z are then not unique.
+    """
     if rotation == "axis":
         x, y, z = _logarithm(q)
         return degrees(x), degrees(y), -degrees(z)

@@ -23,10 +23,10 @@ class Lens:
 
     blur_scale: blur radius per unit of inverse depth, kappa = s0 D / (2 p), px mm (2.33). focus_power: inverse depth in
     focus on the axis, K = 1/f - 1/s, 1/mm (2.24); the two terms nearly cancel for long lenses, hence float64 on the
-    host. radius: of the aperture, D / 2, mm. detector_power: inverse distance of the detector, 1/s, 1/mm. sag: field
+    host. radius: aperture radius D / 2, mm. detector_power: inverse distance 1/s of the detector, 1/mm. sag: field
     curvature, -c s0^2 / (2 s) for a curvature c: the image of a plane lies sag t^2 s in front of the detector on rays
-    of slope t. sphere: inverse radius, K in 1/mm, of the sphere around the lens that is in focus for light of the
-    camera's focal length; 0 if a plane is in focus. distortion: of the image, and of its blur.
+    of slope t. sphere: inverse radius in 1/mm of the sphere around the lens that is in focus for light of the camera's
+    focal length; 0 if a plane is in focus. distortion: that of the image and of its blur, or None.
     """
 
     blur_scale: float
@@ -74,7 +74,7 @@ class Lens:
 
     def image_radius(self, inverse_depth: Array | float, x: Array | float, y: Array | float) -> Array:
         """Signed blur radius in px for inverse depths in 1/mm on rays of slopes x and y, which broadcast; with
-        distortion, the radius of the disc of the same area.
+        distortion, the radius of the disc with the area of the blur.
         """
         squared = np.asarray(x) ** 2 + np.asarray(y) ** 2 if self.is_curved else 0.0
         return self.along(x, y).blur_radius(inverse_depth, squared)
@@ -100,7 +100,7 @@ class Lens:
 
 
 def blur_radius(camera: Camera, inverse_depth: Array | float) -> Array:
-    """Signed blur radius in px of inverse depths in 1/mm by a thin lens, as by `Lens.blur_radius`."""
+    """Signed blur radius in px of inverse depths in 1/mm for a thin lens, see `Lens.blur_radius`."""
     return Lens.of(camera).blur_radius(inverse_depth)
 
 

@@ -28,11 +28,12 @@ def reference_camera(scene: Scene) -> Camera:
 
 
 def camera_at(scene: Scene, time: float) -> Camera:
-    """The camera with its lens at a time in s; the scene's camera if its lens does not change.
+    """The camera with its lens at a time in s; `reference_camera` if the lens does not change.
 
-    With a zoom, the image scale s0 is proportional to the focal length; but if the scene does not give s0, it is the
-    sensor distance, which focusing changes as well. Focus distance and f-number without keyframes stay constant: a zoom
-    changes sensor distance and aperture. Raises SceneError if a path between keyframes has values of no lens.
+    With a zoom, the image scale s0 is proportional to the focal length; but if the scene does not give s0, it is equal
+    to the sensor distance, which focusing changes as well. Focus distance and f-number without keyframes stay constant:
+    a zoom changes sensor distance and aperture. Raises SceneError if a path between keyframes has values that no lens
+    can have.
     """
     if scene.lens is None or not scene.lens.moves:
         return reference_camera(scene)

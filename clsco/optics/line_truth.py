@@ -3,8 +3,8 @@
 A surface point p(t), visible in a pixel at its line's time, appears in another frame or view on the line u that is
 exposed as the point crosses it: line(p(t_u)) = u. Newton's method finds u; if the point moves by more than STEEP
 between two lines, a search through all lines does. p is interpolated linearly between the times of neighboring lines,
-and lines beyond the frame count as its first or last line. Where the image moves by a line or more from line to line,
-there is no flow.
+and lines beyond the frame count as its first or last line. Where the image moves by a line or more from the time of one
+line to that of the next, there is no flow.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 STEPS, CLOSE = 24, 1e-9  # largest number of Newton's steps, and change in lines at which they end
-STEEP = 0.5  # lines from line to line: a point that moves by more may be on several lines
+STEEP = 0.5  # lines: a point that moves by more between two lines' times may be on several lines
 SAMPLED = 64  # number of points of an object, and of lines, that are tested for STEEP
 NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor belongs to another point
 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Times (lines,) in s of the rows or columns of a frame, with the camera and the poses of all objects at each."""
+    """Times (lines,) in s of the rows or columns of a frame; for each time, the camera and the poses of all objects."""
 
     by_columns: bool
     times: Array
@@ -50,7 +50,7 @@ class Lines:
         return np.array([ray_step(camera) for camera in self.cameras])
 
     def slopes(self, line: Pixels, right: Array, up: Array) -> tuple[Array, Array]:
-        """Slopes of rays at their line's time, through points in px right of and above the middle of the image."""
+        """Slopes of rays through image points at their lines' times; right, up: px from the middle of the image."""
         x, y, distortion = right * self.steps[line], up * self.steps[line], distortion_of(self.cameras[0])
         return (x, y) if distortion is None else distortion.undistorted(x, y)
 
@@ -69,10 +69,12 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
 
 
 def _first_crossing(at: Callable[[int], tuple[Array, Mask]], last: int, axis: int) -> tuple[Array, Mask]:
-    """Positions and mask as by `LinePoints._positions`, for points that several lines may show, on the first of these.
+    """Positions and mask, as from `LinePoints._positions`, of points that several lines may show; the first of these
+    counts.
 
-    at: returns the positions of the points at a line's time, and a mask of points in front of the lens; last: number of
-    the last line; axis: index of the coordinate across the lines.
+    at: function that takes the number of a line and returns the positions (points, 2) of the points at its time, and a
+    mask of the points in front of the lens. last: number of the last line. axis: index of the coordinate that counts
+    lines: 0 for columns, 1 for rows.
     """
     before, visible_before = at(0)
     start, end, visible = before, before, visible_before
@@ -100,7 +102,7 @@ class LinePoints:
     ) -> None:
         self.items, self.shape = items, depth.shape
         self.number = np.where(np.isfinite(depth), object_id, -1)
-        self.bodies = np.zeros((*depth.shape, 3))  # from their centers, in the axes of the reference pose, mm
+        self.bodies = np.zeros((*depth.shape, 3))  # mm from the objects' centers, in the axes of the reference pose
         rows, columns = depth.shape
         for k, item in enumerate(items):
             row, column = np.nonzero(self.number == k)
@@ -115,8 +117,8 @@ class LinePoints:
     def flow(self, then: Lines) -> Array:
         """Flow (rows, columns, 2) in px, right and down, to the lines of another frame or view that show the points.
 
-        0 without a surface, inf if no single line shows the point: where the image moves by a line or more from line to
-        line, and where the point moves behind the lens.
+        0 without a surface, inf if no single line shows the point: where the image moves by a line or more between two
+        lines' times, and where the point moves behind the lens.
         """
         flow = np.zeros((*self.shape, 2))
         for k in range(len(self.items)):
@@ -126,7 +128,7 @@ class LinePoints:
         return flow
 
     def _positions(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, Mask]:
-        """Positions (points, 2), column and row, at which the lines `then` show points of object k, and a mask of
+        """Positions (points, 2), column and row, at which the lines `then` show points of object k, and a mask of the
         points that they show; pixels: rows and columns of the points.
         """
         axis, last, (rotations, shifts) = int(not then.by_columns), len(then.times) - 1, then.object_poses(k)

@@ -73,10 +73,11 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     """Pose of a motion at a time in s, by constant accelerations or between keyframes.
 
     Poses are always computed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
-    to one turn before conversion to radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
-    vector instead of its components. With accelerations each Euler angle, or component of the rotation vector, is w t +
-    a t^2 / 2 in deg; the vector's axis is constant if the acceleration is along the angular velocity. Between keyframes
-    about a single axis, the angle is interpolated, including whole turns; otherwise, the orientation is.
+    to one turn before conversion to radians, as sin(1e7 deg) would lose four digits; for "axis", the length of the
+    vector is reduced instead of its components. With accelerations each Euler angle, or component of the rotation
+    vector, is w t + a t^2 / 2 in deg; the vector's axis is constant if the acceleration is along the angular velocity.
+    If all keyframes rotate about one coordinate axis, the angle is interpolated, including whole turns; otherwise, the
+    orientation is interpolated.
     """
     if not motion.model_fields_set:
         return AT_REST
@@ -89,7 +90,7 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
 
 
 def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
-    """Keyframe with the pose of a motion at a time in s, to 1e-9 mm and deg; angles about one axis keep whole turns."""
+    """Keyframe with the pose at a time in s, rounded to 1e-9 mm and deg; angles about one axis keep whole turns."""
     if motion.keyframe is None:
         angles = _displacement(motion.angular_velocity, motion.angular_acceleration, time).tolist()
         shift = _displacement(motion.velocity, motion.acceleration, time)
@@ -169,14 +170,15 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
     """Displacement of a shaking camera at a time in s, in the frame of the camera without shake.
 
     Each component of the rotation vector (right, up, backwards) and of the shift (right, up, forwards) is a sum of
-    SHAKE_SINES sines of equal amplitude, one in each of as many equal parts of the frequency band. The frequency's
-    place in its part, and the phase in turns, are 2^-53 (n >> 11), with n from `numpy.random.Philox(key=seed)` (Salmon
-    et al., 2011), component by component and sine by sine. The path's bits depend only on seed and time.
+    SHAKE_SINES sines of equal amplitude. The frequency band is divided into as many equal parts, with one sine in each.
+    Place of the frequency in its part, and phase in turns, are 2^-53 (n >> 11), with numbers n from
+    `numpy.random.Philox(key=seed)` (Salmon et al., 2011), component by component and sine by sine. The path's bits
+    depend only on seed and time.
     """
     amplitudes = [radians(shake.rotation_rms)] * 3 + [shake.translation_rms] * 3
     waves = _shake_waves(shake.seed, shake.band)
     sums = [fsum(sin(2.0 * pi * ((f * time + phase) % 1.0)) for f, phase in sines) for sines in waves]
-    scale = sqrt(2.0 / (3 * SHAKE_SINES))  # of a sine: three components together have an rms of 1
+    scale = sqrt(2.0 / (3 * SHAKE_SINES))  # of each sine, so that three components together have an rms of 1
     components = np.array([scale * size * total for size, total in zip(amplitudes, sums, strict=True)])
     return Pose(TOWARDS_CAMERA @ rotation_matrix(components[:3], "axis") @ TOWARDS_CAMERA, components[3:])
 

@@ -32,7 +32,7 @@ MINIMUM_BLUR = 0.5  # px; sampled PSFs do not blur with smaller radii (thesis, 2
 GREEN = 1  # color of gray images
 POINT = 1e-9  # px; smaller radii are 0
 MOST_MARGIN = 256.0  # px outside of the blur's rim that light may reach
-LEAST_UNIT, MOST_UNIT = 0.02, 8.0  # px, Q: diffraction is not visible below, and no image is left above
+LEAST_UNIT, MOST_UNIT = 0.02, 8.0  # px, limits of Q: below, diffraction is not visible; above, no image is left
 UNIT_RULE = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2: variance per axis that `edge` adds
 
@@ -42,7 +42,7 @@ Layout = Literal["disc", "separable", "symmetric", "general"]
 
 @dataclass(frozen=True)
 class Rim:
-    """Circle that light must pass through; distance from the aperture, positive towards the scene, and radius in mm."""
+    """Circle that light must pass through; distance: from the aperture, positive towards the scene, mm; radius: mm."""
 
     distance: float
     radius: float
@@ -52,13 +52,14 @@ class Rim:
 class PointSpread:
     """Point spread function (PSF) of a lens: the pupil, and the evaluation on pixels. Made by `point_spread`.
 
-    Equal instances have equal weights apart from rims, so they are the keys of cached tables. edge: "integrated" over
-    source and detector pixel, over the detector's "area" only, or "sampled" at pixel centers. alignment: if not 0,
-    weights have corners where the blur ends at multiples of 1 / alignment px, so that intervals of tables must begin
-    there. rims: circles that cut off light from some directions. varying: change of the wavefront over the frame;
-    `pupil` then has the wavefront on the axis. stretched: in a distorted image, the fraction of R by which ellipses
-    reach beyond discs; 0 for discs only. most: largest |R| in px of negative radii, and of the other radii, for which a
-    wave or aberration PSF is needed; -1 for none.
+    Instances are the keys of cached tables: equal ones have equal weights, which do not include the effect of rims.
+    edge: "integrated": weights are integrals over the source's and the detector's pixel; "area": over the detector's
+    pixel only; "sampled": values at pixel centers. alignment: if not 0, weights have corners where the blur ends at
+    multiples of 1 / alignment px, so that intervals of tables must begin there. rims: circles that cut off light from
+    some directions. varying: change of the wavefront over the frame; `pupil` then has the wavefront on the axis.
+    stretched: in a distorted image, the fraction of R by which ellipses reach beyond discs; 0 for discs only. most: for
+    a wave or aberration PSF, the largest |R| in px for which tables are needed: of negative radii, and of other radii;
+    -1 if there are none.
     """
 
     pupil: Pupil
@@ -73,8 +74,9 @@ class PointSpread:
     def layout(self) -> Layout:
         """Layout of the tables.
 
-        "disc": all covered pixels have one weight (the sampled pillbox). "separable": a weight is the product of two,
-        one per axis. "symmetric": the eight octants are equal. "general": whole rows, for both signs of the radius.
+        "disc": all covered pixels have one weight (the sampled pillbox). "separable": a weight is the product of two
+        weights, one per axis. "symmetric": the eight octants are equal. "general": tables hold whole rows, for both
+        signs of the radius.
         """
         if self.sampled and self.pupil.uniform:
             return "disc"
@@ -83,7 +85,10 @@ class PointSpread:
         return "general" if self.signed else "symmetric"
 
     def between(self, lowest: float, highest: float) -> PointSpread:
-        """The PSF for signed radii from `lowest` to `highest` px, rounded to powers of 2 for fewer tables."""
+        """The PSF with `most` for signed radii from `lowest` to `highest` px, rounded up to powers of 2.
+
+        Rounding makes tables fewer. Unchanged unless the PSF is `diffracted` with the layout "general".
+        """
         if not (self.diffracted and self.layout == "general"):
             return self
         sizes = -lowest if lowest < 0.0 else -1.0, highest if highest >= 0.0 else -1.0
@@ -92,7 +97,9 @@ class PointSpread:
 
     @cached_property
     def places(self) -> tuple[PointSpread, ...]:
-        """PSFs at the positions `SeidelField.nodes`, which have tables; only this PSF if it does not vary."""
+        """PSFs that have tables: at the positions `SeidelField.nodes`, or only this PSF if it does not vary over the
+        frame.
+        """
         return (self,) if self.varying is None else tuple(self.at(*node) for node in self.varying.nodes)
 
     @property
@@ -137,8 +144,11 @@ class PointSpread:
 
     @property
     def cut_by_chords(self) -> bool:
-        """True if weights are integrals over the opening that the rims leave (`clsco.optics.chords`), False if each
-        tap's weight is multiplied by the fraction of the lens that it sees.
+        """True if rims cut the lens, and weights are integrals over the opening that they leave
+        (`clsco.optics.chords`).
+
+        If it is False and there are rims, each tap's weight is multiplied by the fraction of the lens that the tap
+        sees.
         """
         round_lens = type(self.pupil) is Circle
         return bool(self.rims) and self.varying is None and (round_lens or self.pupil.borders is not None)
@@ -156,7 +166,7 @@ class PointSpread:
     @property
     def extent(self) -> float:
         """Largest distance from the lens center at which light passes, in lens radii: for R = 1 px, the extent of the
-        blur in px. Waves spread beyond it, see `reach`.
+        blur in px. Waves spread light beyond it, see `reach`.
         """
         return self.pupil.extent
 
@@ -192,9 +202,9 @@ class PointSpread:
     def weights(self, dx: Array, dy: Array, radius: Array) -> Array:
         """Fraction of a source's light at integer offsets (dx, dy) px for a blur radius in px; the arrays broadcast.
 
-        Sums to 1 within 1e-12, or to `Wavefront.grown` in a field. The sign of the radius matters if the PSF is
-        `signed`. Equations are (2.26) for a pillbox, (2.27) for a Gaussian. At radius 0, all light stays, unless
-        `diffracted`.
+        Weights sum to 1 within 1e-12, or in a field to the mean of `Wavefront.grown` over the lens. The sign of the
+        radius matters if the PSF is `signed`. Equations are (2.26) for a pillbox, (2.27) for a Gaussian. At radius 0,
+        all light stays in the source's pixel unless the PSF is `diffracted`.
         """
         tent = self.edge == "integrated"
         if self.signed or self.diffracted:
@@ -217,7 +227,7 @@ class PointSpread:
         return self.pupil.share(dx, dy, np.maximum(r, POINT), tent=False)
 
     def axis_weights(self, offset: Array, radius: Array) -> Array:
-        """Weights along one axis, whose products are `weights`; only for "separable"."""
+        """Weights along one axis, only for the layout "separable": `weights` are products of one for x, one for y."""
         from clsco.optics.pupils.gaussian import Gaussian
 
         assert isinstance(self.pupil, Gaussian)
@@ -226,7 +236,7 @@ class PointSpread:
         return np.where(point, offset == 0.0, share)
 
     def rows(self, radii: Array, dx: Array, dy: Array, subpixel: bool) -> Array:
-        """Weights (radii, dy, dx) for dx, dy in steps of 1 px; radii: above 0 unless `diffracted`. Only "general"."""
+        """Weights (radii, dy, dx) for steps of 1 px in dx and dy; only for "general", radii > 0 unless `diffracted`."""
         return self.pupil.rows(radii, dx, dy, self.edge == "integrated" and not subpixel)
 
     def lens_cells(self) -> Array:
@@ -238,7 +248,7 @@ class PointSpread:
 
     @property
     def key(self) -> float:
-        """Squared `extent`: sampled PSFs cover pixel centers with dx^2 + dy^2 <= key R^2, the index of their tables."""
+        """Squared `extent`; a sampled PSF covers pixel centers with dx^2 + dy^2 <= key R^2, the index of its tables."""
         return self.extent**2
 
     def _sampled_weights(self, dx: Array, dy: Array, r: Array) -> Array:
@@ -265,10 +275,11 @@ class PointSpread:
 def point_spread(
     psf: Psf, aperture: Aperture | None = None, image: Pupil | None = None, camera: Camera | None = None
 ) -> PointSpread:
-    """The PSF that sections of a scene define; for waves, that of a gray image.
+    """The PSF that sections of a scene define; for waves, the PSF of a gray image.
 
-    aperture: by default a circle; image: pupil of aperture.shape = "image"; camera: for psf.model = "wave" and for
-    aberrations. Raises SceneError for these without a camera, or if they are far finer or far coarser than its pixels.
+    aperture: by default a circle; image: pupil of aperture.shape = "image"; camera: needed for psf.model = "wave" and
+    for aberrations. Raises SceneError if it is needed and None, if diffraction is far finer or far coarser than pixels,
+    or if light would spread too far.
     """
     aperture = aperture or Aperture()
     rims = tuple(Rim(rim.distance, 0.5 * rim.diameter) for rim in aperture.rim)
@@ -291,7 +302,7 @@ def point_spread(
 
 
 def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> tuple[PointSpread, ...]:
-    """PSFs of red, green and blue, from that of a gray image by `point_spread`; equal ones, except for waves."""
+    """PSFs of red, green and blue; equal except for waves. spread: PSF of a gray image, from `point_spread`."""
     if psf.model != "wave" or camera is None:
         return spread, spread, spread
     from clsco.optics.pupils.diffracted import Diffracted

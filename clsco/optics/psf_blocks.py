@@ -1,4 +1,4 @@
-"""Blocks of PSF tables, always of the same intervals, so that a weight has the same bits in all (float64, pure)."""
+"""Blocks of PSF tables, of the same intervals in all tables, so that a weight has equal bits in all (float64, pure)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 OUTLINE, OUTLINE_RUN = 2, 4  # lengths of the last axis of outlines, without and with a run of equal weights
-SAME = 1e-9  # relative difference of weights that count as equal: those of wide blurs are exact to 1e-10
+SAME = 1e-9  # weights that differ by a smaller fraction count as equal; those of wide blurs are exact to 1e-10
 RUN = 16  # largest number of intervals of one half-width whose weights are computed at once
 
 
@@ -24,10 +24,11 @@ RUN = 16  # largest number of intervals of one half-width whose weights are comp
 class WeightBlock:
     """Weights of `block_intervals` intervals of a table, see `clsco.optics.psf_tables.PsfTable`.
 
-    widths: half-widths (count,) of the intervals, px. coefficients: of all intervals, concatenated; negative: the same
-    for negative radii of a signed shape, else empty. taps: coefficients by tap (taps, POWERS, count), for a main table
-    (sources at pixel centers). outlines: (count, half-width + 1, 2) for a main table, see `_outline`; for a ring (..,
-    4), see `_ring_outline`, and for a general shape (count, 2 half-width + 1, 4), see `_column_outline`.
+    widths: half-widths (count,) of the intervals, px. coefficients: those of all intervals, concatenated; negative:
+    coefficients for negative radii of a signed shape, else empty. taps: coefficients by tap (taps, POWERS, count), for
+    a main table (sources at pixel centers). outlines: for a main table, (count, half-width + 1, 2), see `_outline`; for
+    that of a ring, (count, half-width + 1, 4), see `_ring_outline`; for that of a general shape, (count, 2 half-width +
+    1, 4), see `_column_outline`.
     """
 
     widths: NDArray[np.int32]
@@ -43,7 +44,8 @@ class WeightBlock:
 
 
 def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock:
-    """The block that begins at interval `first`, a multiple of `block_intervals`; subpixel: sources per axis, or 0.
+    """The block that begins at interval `first`, a multiple of `block_intervals`; subpixel: sub-pixel sources per axis,
+    or 0.
 
     Weights at the radii of NODES determine a cubic in the position within an interval. A sampled disc has no blocks.
     """
@@ -83,7 +85,7 @@ def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
 
 def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     """Block of a general shape: whole rows, for positive and for negative radii as far as `PointSpread.most` includes
-    them; unless diffracted, the blur of -R is that of R mirrored in its center.
+    them; unless the PSF is diffracted, the blur of -R is that of R mirrored in its center.
     """
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
@@ -134,7 +136,7 @@ def _none() -> Floats:
 
 
 def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, Array, int]]:
-    """Runs of at most RUN intervals with the same half-width: number of the first, radii at NODES, half-width in px."""
+    """Runs of at most RUN intervals with the same half-width: index of the first, radii at NODES, half-width, px."""
     first = 0
     for half_width, members in groupby(half_widths(psf, span, subpixel).tolist()):
         end = first + len(list(members))
@@ -179,8 +181,8 @@ def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]
 def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Outline of an interval's weights for a general shape: int32 (columns, 4).
 
-    values (radii, dy, dx); is_open (dy, dx). For each column the first and the last dy with a positive weight, and the
-    first and the end of its longest run of open taps.
+    values: weights (radii, dy, dx); is_open: mask (dy, dx) from `_is_open`. For each column: the first and the last dy
+    with a positive weight; the first dy of its longest run of open taps, and the dy after its last one.
     """
     lit, count = np.asarray((values > 0.0).any(axis=0)), len(is_open)
     place, half_width = np.arange(count)[:, None], count // 2
@@ -196,7 +198,7 @@ def _ring_outline(block: Floats, is_open: NDArray[np.bool_]) -> NDArray[np.int32
     """Outline of an interval's weights for a ring: int32 (half-width + 1, 4).
 
     block: coefficients (|dy|, powers, |dx|); is_open (|dy|, |dx|). For the column |dx| = n: the first and the last |dy|
-    with a positive weight, and the first and the end of the taps fully inside the ring.
+    with a positive weight; the first |dy| of the taps fully inside the ring, and the |dy| after the last one.
     """
     lit, start = (block != 0).any(axis=1), np.where(is_open.any(axis=0), is_open.argmax(axis=0), len(block))
     return np.stack([lit.argmax(axis=0), _last(lit), start, _last(is_open) + 1], axis=1).astype(np.int32)

@@ -17,8 +17,9 @@ Widths = TypeVar("Widths", int, NDArray[np.int64])
 
 # Tables have TABLE_STEPS or more intervals per octave of the radius plus an offset (`octaves_from`), so that intervals
 # grow with the radius. The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge,
-# first at R = 1/8 px; that of a Gaussian has a corner where its cut-off does. With edge "area", all weights have these.
-# Interpolation errors: tests/optics/test_point_spread.py bounds those of PSFs, tests/kernels/test_blur.py of frames.
+# first at R = 1/8 px; with edge "area", all weights have such kinks. The weight of a Gaussian has a corner where the
+# cut-off touches one. tests/optics/test_point_spread.py bounds interpolation errors of PSFs, tests/kernels/test_blur.py
+# those of frames.
 OFFSET, AREA_STEPS = 0.125, 128  # twice as many steps for general shapes, whose edges lie at any angle
 GAUSSIAN_STEPS = 64  # a power of 2, so that intervals begin at the corners, up to an extent of 2 TABLE_STEPS offsets
 # Discs of sub-pixel sources have kinks where they touch pixel edges, at multiples of 1/8 px for 2 or 4 samples: up to
@@ -33,7 +34,9 @@ BLOCK = 64  # intervals of a sampled Gaussian, or of waves, that are computed to
 
 
 def sampled_steps(psf: PointSpread) -> tuple[int, int]:
-    """Intervals of a sampled PSF per unit of dx^2 + dy^2 near 0, and the number of such units; beyond, 1 per unit."""
+    """For a sampled PSF: number of intervals per unit of dx^2 + dy^2 near 0, and number of units with so many
+    intervals. Each unit beyond is one interval.
+    """
     return (1, 0) if psf.uniform else (FINE_STEPS, FINE_UNTIL)
 
 
@@ -138,5 +141,5 @@ def octant_taps(reach: int) -> int:
 
 
 def row_lanes(half_width: Widths) -> Widths:
-    """Floats of a row of weights, rounded up to whole vectors."""
+    """Number of floats of a row of weights, rounded up to whole vectors."""
     return -(-(2 * half_width + 1) // TAP_LANES) * TAP_LANES

@@ -28,7 +28,7 @@ from clsco.optics.ray_means import has_ray_means, ray_floats
 
 Floats = NDArray[np.float32]
 LARGEST_TABLES = 2**30  # bytes
-SHARED_BYTES = 2**26  # up to which a table is rounded to whole blocks, so that other ranges share it
+SHARED_BYTES = 2**26  # largest table that is rounded to whole blocks, so that other ranges share it
 Blocks = Callable[[PointSpread, int, int], WeightBlock]
 """Function like `weight_block`: takes a PSF, the first interval and sub-pixel sources per axis; returns the block."""
 Join = Callable[[list[Floats]], Floats]
@@ -46,7 +46,7 @@ class PsfTable:
     first, count: number of the first interval, and number of intervals. low, end: intervals of the radii that the table
     was made for, to which other radii are clamped. reach: largest half-width among these intervals.
     intervals: int32 (count, 2): start in `coefficients`, half-width in px. A signed shape has `count` more entries, for
-    negative radii. Weights of either sign are stored as far as `PointSpread.most`.
+    negative radii. Weights of either sign are stored up to `PointSpread.most`.
     coefficients: float32, rows of (POWERS, lanes) for each interval. A main table has rows |dy| = 0..half-width, or one
     row if separable. A table of sub-pixel sources has rows -half-width..half-width for S/2 x S of their offsets. For a
     general shape, either has rows -half-width..half-width, for all S x S offsets.
@@ -62,7 +62,7 @@ class PsfTable:
     number of dy. Sampled discs: coefficients and taps hold the one weight of each interval, and outlines the square
     roots of 0, 1, ... up to the last interval's number, rounded down.
     stride: coefficients per position of a field (`PointSpread.places`), whose coefficients are concatenated.
-    place: cache key; a table for more radii replaces an earlier one under it.
+    place: cache key; a table for more radii replaces an earlier table with the same key.
     """
 
     first: int
@@ -170,7 +170,7 @@ def psf_table(
 
 
 def narrow_table(table: PsfTable, psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> PsfTable:
-    """A table for fewer radii that shares the arrays of `table`."""
+    """Table for fewer radii that shares the arrays of `table`."""
     span = span_of(psf, smallest, largest, subpixel)
     return replace(table, low=span.start, end=span.stop, reach=half_width(psf, span[-1], subpixel))
 
@@ -178,7 +178,7 @@ def narrow_table(table: PsfTable, psf: PointSpread, smallest: float, largest: fl
 def table_of(
     psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = weight_block, join: Join = np.concatenate
 ) -> PsfTable:  # fmt: skip
-    """The table of a range of intervals, in whole TAP_LANES, see `psf_table`; join: concatenates coefficients."""
+    """Table of a range of intervals, a multiple of TAP_LANES, see `psf_table`; join: concatenates coefficients."""
     if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
@@ -265,7 +265,10 @@ def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -
 
 
 def _join_taps(parts: list[WeightBlock]) -> Floats:
-    """Coefficients by tap, in windows of WIDE_LANES intervals every TAP_LANES, on axis 1; 0 beyond a block's taps."""
+    """Coefficients (taps, windows, POWERS, WIDE_LANES) by tap; windows begin at every TAP_LANES-th interval.
+
+    They are 0 beyond the taps of a block.
+    """
     most, count = max(len(block.taps) for block in parts), sum(block.taps.shape[2] for block in parts)
     if not count:
         return np.zeros(0, np.float32)

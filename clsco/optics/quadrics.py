@@ -56,15 +56,16 @@ EVERYWHERE = Extent((-inf, inf), (-inf, inf), (0.0, inf))
 
 @dataclass(frozen=True)
 class PlacedSurface:
-    """A surface at one time in the camera's frame; the point at depth Z on ray d has canonical X = offset + Z turn d.
+    """A surface at one time in the camera's frame; the point at depth Z on ray d has the canonical coordinates X =
+    offset + Z turn d.
 
-    offset: position of the lens in the canonical frame, mm. body_turn, body_offset: from the camera's frame to a frame
-    at the object's center, with the axes of the reference pose: they move points back to that pose. own_turn,
-    own_offset: to the object's own frame, for bounds: the static rotation is undone as well. rest: center in the
-    reference pose, mm. constant: the quadric's value at the lens center. ball: center x, y, z and radius of a ball
-    around the part of the surface in front of the camera, mm; infinite radius without one. width: approximate width of
-    the image across its longest direction, as a difference of slopes; infinite for unbounded surfaces, negative for
-    cylinders and cones, whose width varies (`outline_lines`).
+    offset: position of the lens in the canonical frame, mm. body_turn, body_offset: transformation from the camera's
+    frame to a frame at the object's center with the axes of the reference pose; it moves points back to this pose.
+    own_turn, own_offset: transformation to the object's own frame, for bounds; it also undoes the static rotation.
+    rest: the object's center in the reference pose, mm. constant: the quadric's value at the lens center. ball: center
+    x, y, z and radius of a ball around the part of the surface in front of the camera, mm; infinite radius without one.
+    width: approximate width of the image across its longest direction, as a difference of slopes; infinite for
+    unbounded surfaces, negative for cylinders and cones, whose width varies (`outline_lines`).
     """
 
     canonical: Canonical
@@ -196,10 +197,11 @@ def outline_form(surface: PlacedSurface) -> Array:
 
 
 def outline_lines(surface: PlacedSurface, x: Array, y: Array) -> tuple[Array, Array]:
-    """Approximate distances, as slopes, of rays from the midline of the two lines that outline a cylinder or a cone,
-    and half of the distance between these lines.
+    """For the two lines that outline a cylinder or a cone: distances of rays from their midline, and half of their
+    distance.
 
-    x, y: slopes of the rays, of one shape. Both results are infinite if the image is wide.
+    Both results are approximate, differences of slopes, and infinite if the image is wide. x, y: slopes of the rays, of
+    one shape.
     """
     form = outline_form(surface)
     bend = -float(form[0, 0] + form[1, 1])
@@ -211,7 +213,7 @@ def outline_lines(surface: PlacedSurface, x: Array, y: Array) -> tuple[Array, Ar
 
 
 def _width(item: Object, surface: PlacedSurface) -> float:
-    """Value of `PlacedSurface.width`. For a flat shape, it is the area of the image over the length of the ball's
+    """Value of `PlacedSurface.width`. For a flat shape, it is the area of the image divided by the length of the ball's
     image; an area A at depth Z, in a plane at `distance` mm from the lens, has an image of area A distance / Z^3.
     """
     depth, radius = surface.ball[2:].tolist()
@@ -269,8 +271,9 @@ def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
 
 
 def predict_inverse_depth(item: Object, surface: PlacedSurface, x: Array, y: Array) -> Array:
-    """Inverse depth in 1/mm along rays (x, y, 1), 0 if a ray misses, for predictions and ground truth, not for
-    rendering: the textbook formula in float64; renders use `solve_quadric`.
+    """Inverse depth in 1/mm along rays (x, y, 1), 0 if a ray misses, by the textbook formula in float64.
+
+    Used for predictions and ground truth; renderings use `solve_quadric`.
     """
     rays, shape, bounds = np.stack([x, y, np.ones_like(x)]), surface.canonical, cutting_bounds(item)
     d = np.tensordot(surface.turn, rays, axes=1)

@@ -32,7 +32,7 @@ ROUNDING = 1e-3  # px: rounding errors of positions of sources in their pixels
 SPREADINGS = 2  # px by which means are continued beyond the blur
 IN_FOCUS = 0.577  # px per lens radius: least scale of a blur
 TENT = 6.0  # 1 / variance of the convolution of two pixels, a tent, in px^-2
-SPLIT = 3.0  # sum of the variances along both axes, over a tent's, above which there are two sheets; 2 for a plain lens
+SPLIT = 3.0  # variances along x plus y, in variances of a tent, above which there are two sheets; 2 for a plain lens
 LOPSIDED = (0.3, 0.1)  # asymmetry that decides which of two sheets counts as farther if both are equally far
 
 
@@ -40,14 +40,14 @@ LOPSIDED = (0.3, 0.1)  # asymmetry that decides which of two sheets counts as fa
 class RayMeans:
     """Mean lens points by position of the field, blur radius and pixel.
 
-    first: number, by `step_of`, of the first radius; negative radii come first. half_width: farthest pixel from the
+    first: index, by `step_of`, of the first radius; negative radii come first. half_width: farthest pixel from the
     source along an axis, px. scales: (places, radii), px per lens radius of the blur, from its second moments,
     unsigned. means: (places, radii, planes, rows, pitch), rows and columns relative to the source, rows padded with 0.
 
     Planes: mean x and y of the lens point l (`Wavefront.crossings`), in lens radii; xx, xy and yy of I - s^2 cov(l, l)
     / v, with s the scale and v the variance of a tent. With bent rays, the first plane is the fraction of the light on
-    the second sheet; then for each sheet, times its fraction of the light: the same five planes; mean x and y of o,
-    twice the origin in the source, px; xx, xy and yy of s (cov(o, l) + cov(l, o)) / v.
+    the second sheet. Ten planes for each sheet follow, multiplied by the sheet's fraction of the light: the five planes
+    above; mean x and y of o, twice the ray's origin in the source, px; xx, xy and yy of s (cov(o, l) + cov(l, o)) / v.
     """
 
     first: int
@@ -67,10 +67,10 @@ class RayMeans:
         return np.concatenate([head, records.ravel(), np.zeros(2 * TAP_LANES)]).astype(np.float32)
 
     def around(self, radius: Array, places: NDArray[np.int64], shares: Array) -> tuple[NDArray[np.int64], Array, Array]:
-        """Means between which those of n sources are interpolated.
+        """Indices, factors and scales for interpolating the means of n sources.
 
-        Returns indices (n, 2 k) into a list of all means, their fractions, and signed scales (n,). radius: signed,
-        (n,); places: positions (k, n) of the field, with blending factors `shares`.
+        Returns indices (n, 2 k) into a list of all means, their factors (n, 2 k), and signed scales (n,). radius:
+        signed, px, (n,); places: indices (k, n) of positions of the field, with the blending factors `shares`.
         """
         at = np.clip(step_of(radius) - self.first, 0.0, self.means.shape[1] - 1.0)
         number = np.minimum(at.astype(np.int64), self.means.shape[1] - 2)

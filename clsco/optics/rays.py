@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array, Array]:
-    """Slopes X / Z right and Y / Z up of rays through pixels (3.1, 3.2), also fractional ones and beyond the frame."""
+    """Slopes X / Z right and Y / Z up of rays through pixels (3.1, 3.2), which may be fractional or off the frame."""
     columns, rows = camera.frame_size
     return slopes_at(camera, np.asarray(column) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.asarray(row))
 
@@ -32,7 +32,7 @@ def places_of(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]
 
 
 def image_slopes(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Distorted slopes of rays whose slopes in the scene are x and y; the same slopes without distortion."""
+    """Distorted slopes of rays whose slopes in the scene are x and y; without distortion, x and y."""
     distortion = distortion_of(camera)
     return (np.asarray(x), np.asarray(y)) if distortion is None else distortion.image(x, y)
 

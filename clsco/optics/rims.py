@@ -14,7 +14,7 @@ from clsco.optics.vignetting import throughput
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
-LEAST_SPREAD = 1e-6  # of the lens radius: least spread in a rim of the rays from a point through the lens
+LEAST_SPREAD = 1e-6  # least width in a rim, relative to the lens, of the rays from a point through the lens
 CELLS = 24  # cells per lens radius over which light is summed
 POINTS = 1024  # number of points at a time, so that their data stays in the caches
 NODES = 257  # positions along each side of a frame between which `frame_throughput` is linear
@@ -38,9 +38,9 @@ def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> 
 def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
     """Irradiance (rows, columns) of each pixel relative to the middle of the frame, by vignetting and rims; time in s.
 
-    A pixel sees the same part of the lens through the rims at any depth: that of its own point in focus. In frames of
-    more than 257 pixels along a side it is evaluated at 257 positions and interpolated linearly: within 1e-3, from
-    where rims begin to cut to where they block all light.
+    A pixel sees the same part of the lens through the rims at any depth of the scene: the part that its own point in
+    focus sees. In frames of more than 257 pixels along a side, it is computed at 257 positions and interpolated
+    linearly, with errors of up to 1e-3 between positions where rims begin to cut and where they block all light.
     """
     camera = camera_at(scene, time)
     image = throughput(camera, "none" if scene.lens is None else scene.lens.vignetting)

@@ -31,8 +31,8 @@ class SensorModel:
 
     scale: electrons for irradiance 1 in red, green, blue; white: electrons that correspond to 1 in the developed image;
     dark: mean dark electrons; leak: largest mean of a hot pixel's additional electrons; gain: DN/e-; largest: largest
-    code, DN; channels: of the light; filters: for each plane of codes, the colors that pixels (0, 0), (0, 1), (1, 0),
-    (1, 1) measure; a mosaic has one plane; sensor: the scene's section, for the other parameters.
+    code, DN; channels: number of channels of the light; filters: for each plane of codes, the colors that pixels (0,
+    0), (0, 1), (1, 0), (1, 1) measure; a mosaic has one plane; sensor: the scene's section, for the other parameters.
     """
 
     scale: tuple[float, float, float]
@@ -125,9 +125,10 @@ def reciprocals_of_counts() -> NDArray[np.float32]:
 
 
 def noise_variance(model: SensorModel, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Variance in e-^2 of a pixel's reading over exposures and sensors, without clipping, for a mean of photoelectrons.
+    """Variance in e-^2 of a pixel's reading over exposures and sensors, without clipping; photoelectrons: mean number.
 
-    The sum of shot noise of light and dark current, PRNU, DSNU, read noise, and 1/12 DN^2 of rounding; no hot pixels.
+    The sum of shot noise of light and dark current, PRNU, DSNU, read noise, and 1/12 DN^2 of rounding, without hot
+    pixels.
     """
     sensor = model.sensor
     still = model.dark + sensor.dsnu**2 + sensor.read_noise**2 + 1.0 / (12.0 * model.gain**2)

@@ -71,7 +71,7 @@ def is_by_axes(psf: PointSpread) -> bool:
 
 
 def stencil_sizes(psf: PointSpread, far: int) -> dict[str, int]:
-    """Upper bounds in bytes of the arrays of `stencils` for PSFs that reach at most `far` px, by name and number.
+    """Upper bounds in bytes of the arrays of `stencils` for PSFs that reach at most `far` px, by name and stencil.
 
     A column of a disc has at most two pieces, above and below the rectangles, and each is cut into runs.
     """
@@ -105,7 +105,7 @@ def _rectangles(same: NDArray[np.bool_], half: NDArray[np.bool_]) -> tuple[Recta
     """Rectangles for a quadrant of a disc with a constant weight in its middle, chosen to minimize time.
 
     same: mask of pixels with that weight; half: mask of pixels with at least half of it. Rectangles may cover `half`,
-    because runs that subtract the excess are needed anyway. The optimum is a shortest path over rows of their ends.
+    because runs that subtract the excess are needed anyway. The optimum is a shortest path over rows where they end.
     """
     filled, allowed = same.sum(axis=1), half.sum(axis=1)
     count = int((allowed > 0).sum())

@@ -88,8 +88,9 @@ def texture_spread(psf: PointSpread) -> float:
 
 
 def detail_least(psf: PointSpread) -> float:
-    """Lower bound of `texture_spread` times |R| in px above which pixels may need several sources; negative for waves
-    and aberrations, whose points in focus are spots.
+    """Value of `texture_spread` times |R| in px above which pixels may need several sources.
+
+    Negative for waves and aberrations with edge "integrated", as their points in focus are spots.
     """
     return -1.0 if psf.diffracted and psf.edge == "integrated" else DETAILED_LEAST
 
@@ -111,7 +112,7 @@ def cut_parts(
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
-    """Map of a texture, or of each side of a cube map, of `columns` x `rows` texels; not for "projected"."""
+    """Map of a texture, or of each side of a cube map, of `columns` x `rows` texels; not for mapping "projected"."""
     kind = KINDS[item.mapped]
     per_unit, middle = _texels(item, kind, columns, rows)
     angle = radians(item.texture_angle or 0.0)
@@ -135,7 +136,7 @@ def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, M
     aspect, middle = rows / columns, np.array([0.5 * columns, 0.5 * rows])
     across, *up = item.texture_repeats or (1.0,)
     if kind == MAP_LONGITUDE:
-        # By default once around and from pole to pole; a number alone keeps the proportions at the equator.
+        # By default, once around and from pole to pole; a single number keeps the texels' proportions at the equator.
         copies = up[0] if up else 0.5 * across / aspect if item.texture_repeats else 1.0
         return np.array([columns * across / (2 * pi), -(rows * copies) / pi]), middle
     if kind == MAP_CUBE:
@@ -155,9 +156,9 @@ def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, M
 def _frame(item: Object, kind: int) -> Matrix:
     """Value of `TextureMap.frame`, whose rows are the axes of q in the object's own frame.
 
-    Maps by longitude and cube maps: right, up, towards the camera, over the semi-axes of an ellipsoid. Cylinder: the
-    second is the cylinder's axis; the third points towards the camera, or up if the axis does. Cone: right, the cone's
-    axis, up. Plane: right, up, the normal away from the camera. All others: the object's own axes.
+    Maps by longitude and cube maps: right, up, towards the camera, divided by the semi-axes of an ellipsoid. Cylinder:
+    the second row is the cylinder's axis; the third points towards the camera, or up if the axis points there. Cone:
+    right, the cone's axis, up. Plane: right, up, the normal away from the camera. All others: the object's own axes.
     """
     if kind in (MAP_LONGITUDE, MAP_CUBE):
         axes = item.semi_axes if isinstance(item, Ellipsoid) else (1.0, 1.0, 1.0)

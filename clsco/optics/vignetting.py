@@ -17,9 +17,10 @@ Array = NDArray[np.float64]
 def throughput(camera: Camera, vignetting: Vignetting) -> Array:
     """Irradiance (rows, columns) of pixels relative to the middle of the frame, for a value of lens.vignetting.
 
-    "natural": cos^4 of the angle between ray and axis, (1 + t^2)^-2 for slope t. Coefficients a1, a2, a3: 1 + a1 r^2 +
-    a2 r^4 + a3 r^6, with r the distance from the middle of the frame, relative to that of its corner. For a thin lens,
-    cos^4 holds for a small aperture: the mean over one of f/2 is 0.6 % higher in the corner of the thesis' frame.
+    "natural": cos^4 of the angle between ray and axis, (1 + t^2)^-2 for a ray of slope t. Coefficients a1, a2, a3: 1 +
+    a1 r^2 + a2 r^4 + a3 r^6, with r the distance from the middle of the frame, relative to that of its corner. For a
+    thin lens, cos^4 is exact only for a small aperture: in the corner of the thesis' frame, the mean over an aperture
+    of f/2 is 0.6 % higher.
     """
     columns, rows = camera.frame_size
     x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)

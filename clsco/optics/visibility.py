@@ -28,8 +28,9 @@ Array = NDArray[np.float64]
 class OcclusionGroup:
     """An occlusion group: objects of which only the nearest along each ray counts, and their possible occluders.
 
-    members, occluders: bit k stands for object k of the scene. own: number of the member if it may hide itself, else
-    -1. root: 1 or 2 if the group contains only the first or second root of that object (`solve_quadric`), 0 for both.
+    members, occluders: bit k stands for object k of the scene. own: number of the only member if it may hide itself,
+    else -1. root: 1 or 2 if the group contains only the first or second root of that object (`solve_quadric`), 0 for
+    both.
     """
 
     members: int
@@ -46,9 +47,10 @@ def lens_floats(psf: PointSpread) -> Array:
     """Read-only lens data for kernels, concatenated.
 
     First the cells (`PointSpread.lens_cells`). For a `signed` lens, mirrored cells and straight edges follow. For
-    another lens, a factor for each cell follows: the cell's middle times the factor is the mean of its part inside the
-    round edge, as an edge at distance s from the middle moves the mean by (s - 1/2) / 2. If rims cut a lens with
-    `Borders` by chords: squeeze, light, the sizes of the four lists of borders, and these lists.
+    another lens, a factor for each cell follows: the position of the cell's middle times this factor is the mean
+    position of the part of the cell inside the round edge. An edge at distance s behind the middle moves the mean by (s
+    - 1/2) / 2. If the PSF is `cut_by_chords` and the lens has `Borders`, these are last: squeeze, light, the sizes of
+    the four lists of borders, and the lists.
     """
     cells = psf.lens_cells()
     if psf.signed:
@@ -69,7 +71,8 @@ def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.
     """Bounds of an object's image and depth over all `poses`.
 
     depths: inverse depths of the object along rays over the frame, 1/mm, 0 where a ray misses; slack: each bound that
-    is finite in all poses is moved outwards by this fraction of its range over them; inverse depths stay at least 0.
+    is finite in all poses is moved outwards by this fraction of the range that it has over the poses; inverse depths
+    stay at least 0.
     """
     hit = depths[depths > 0]
     depth_range = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
@@ -78,7 +81,7 @@ def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.
     extents = []
     for pose in poses:
         bounds = place(item, pose).extent
-        # An unbounded object, or one around the lens, is as deep as the rays that hit it; without a hit, at any depth.
+        # An unbounded object, or one around the lens, has the depths of rays that hit it; without a hit, all depths.
         extents.append(bounds if bounds.w[1] < inf else replace(bounds, w=depth_range))
 
     def hull(axis: str) -> tuple[float, float]:
@@ -91,7 +94,7 @@ def extent(item: Object, poses: Sequence[Pose], depths: Array, slack: float = 0.
 
 
 def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
-    """True if a point in `near` can be between one in `far` and the lens; reach: extent of the lens in lens radii."""
+    """True if a point in `near` can be between a point in `far` and the lens; reach: lens extent in lens radii."""
     depth = near.w[1] - far.w[0]
     if depth <= 0.0:
         return False

@@ -12,12 +12,12 @@ from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.traced import Traced
 
-MOST_WAVES = 512.0  # of defocus at the rim: with more, the transform of each radius would take seconds
+MOST_WAVES = 512.0  # of defocus at the lens's edge: beyond, the transform of each radius would take seconds
 ADEQUATE, PER_DECADE = 29.3, 20.5  # dB: PSNR of a disc instead of waves is about ADEQUATE - PER_DECADE log10(Q)
 
 
 def disc_psnr(unit: float) -> float:
-    """PSNR in dB, within 1.5 dB, of the blur of black and white squares by a disc instead of waves; unit: Q in px."""
+    """PSNR in dB, within 1.5 dB, of black and white squares blurred by a disc instead of by waves; unit: Q in px."""
     return ADEQUATE - PER_DECADE * log10(unit)
 
 
@@ -38,7 +38,7 @@ def check_waves(psf: PointSpread, largest: float) -> None:
 @lru_cache(maxsize=64)
 def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
     """Largest fraction of light that waves cut off for |blur radii| from smallest to largest px; 0 for other PSFs."""
-    pupils = [place.pupil for place in (*psf.places[:1], psf)]  # of a field in a corner, and on the axis
+    pupils = [place.pupil for place in (*psf.places[:1], psf)]  # for a field: in a corner, and on the axis
     fractions = (
         pupil.left_out(r) for pupil in pupils if isinstance(pupil, Diffracted) for r in {smallest, largest, -largest}
     )

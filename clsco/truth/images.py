@@ -24,7 +24,7 @@ SIZE = NUMBERS + 10
 
 
 def lies(item: Any) -> bool:
-    """True if the texture of an object is on its surface, not projected."""
+    """True if the texture of an object is mapped onto its surface, not projected."""
     return getattr(item, "texture_mapping", "projected") != "projected"
 
 
@@ -100,7 +100,7 @@ def _texel(index, count, wrap):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _weight(t, kind):  # type: ignore[no-untyped-def]
-    """The weight of a texel at a distance t; kind: number of the filter in FILTERS."""
+    """Weight of a texel at a distance of t texels; kind: number of the filter in FILTERS."""
     if kind == 0:
         return 1.0 if -0.5 < t <= 0.5 else 0.0
     t = abs(t)
@@ -113,9 +113,9 @@ def _weight(t, kind):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _add_image(total, share, s, t, m, images, side=0):  # type: ignore[no-untyped-def]
-    """Add the image's values at s right and t up from its middle, times `share`, to `total`.
+    """Add `share` times the image's values at a point, s right of and t above the image's middle, to `total`.
 
-    m: numbers of the mapping; side: number of the image.
+    m: numbers of the mapping; side: number of a cube map's image.
     """
     first, rows, columns, wrap = int(m[1]), int(m[2]), int(m[3]), int(m[4])
     turned_s, turned_t = m[7] * s + m[8] * t, m[7] * t - m[8] * s

@@ -29,7 +29,7 @@ FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first; largest number 
 CELL_RAYS = 16  # number of rays of a cell whose light is spread by waves
 RECORD_RAYS = 2**12  # number of rays of a pixel, for the record of a frame
 ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # a deviation exceeds both 0.01 of white and 5 standard errors
-COUNTED_ERRORS = 4.0  # pixels are counted beyond ALLOWED and so many standard errors
+COUNTED_ERRORS = 4.0  # `Row.beyond` counts pixels off by more than ALLOWED and so many standard errors
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,9 @@ class Row:
     """Deviations of a class of pixels, or of the pixels of an object; 1 = white.
 
     rms, noise: RMS of the differences between frame and rays, and of the rays' noise; mean: signed mean difference;
-    beyond: number of pixels off by more than 0.01 and 4 standard errors. Of the pixel with the largest difference:
-    column, row; right: expected value; got: value in the frame; errors: difference in standard errors.
+    beyond: number of pixels off by more than 0.01 and 4 standard errors. Of the pixel with the largest difference, if
+    possible among those in `beyond`: column, row; right: value by rays, the expected one; got: value in the frame;
+    errors: difference in standard errors.
     """
 
     name: str
@@ -59,7 +60,7 @@ class Row:
 
 
 def decibels_of(square: float, noise: float) -> float:
-    """PSNR in dB of a mean square difference, after subtraction of the rays' `noise`, which may be all of it."""
+    """PSNR in dB of a mean square difference, minus the mean square `noise` of the rays, which may be as large."""
     return -10 * math.log10(max(square - noise, 1e-2 * noise, 1e-12))
 
 
@@ -67,7 +68,8 @@ def decibels_of(square: float, noise: float) -> float:
 class Light:
     """Total light around a small object, in px of white.
 
-    right, error: by rays, and its standard error; got: in the frame; own: contribution of the object alone.
+    right: total light computed by rays, the expected value; error: its standard error; got: total light in the frame;
+    own: the part of `right` that comes from the object, negative for an object darker than what it hides.
     """
 
     name: str
@@ -81,7 +83,8 @@ class Light:
 class Judgement:
     """Comparison of a view with rays: a `Row` per class and per object, light of small objects, and tested pixels.
 
-    right, error (n, channels): values by rays, and standard errors; got: values in the frame; rays: number of rays.
+    right (n, channels): values of the pixels by rays, the expected ones; got (n, channels): values in the frame; error
+    (n, channels): standard errors of `right`; rays: number of rays that were cast; seconds: time that it took.
     """
 
     classes: tuple[Row, ...]
@@ -102,7 +105,7 @@ class Judgement:
 
     @property
     def dim(self) -> tuple[Light, ...]:
-        """Small objects whose light is off by more than each of: 2 % of `own`, 0.01 px of white, 5 standard errors."""
+        """Small objects whose |got - right| exceeds 2 % of |own|, 0.01 px of white, and 5 standard errors."""
         return tuple(
             light for light in self.lights
             if abs(light.got - light.right) > max(0.02 * abs(light.own), ALLOWED, ALLOWED_ERRORS * light.error)
@@ -110,7 +113,7 @@ class Judgement:
 
     @property
     def agrees(self) -> bool:
-        """True if there are no deviating pixels or small objects."""
+        """True if no pixel and no small object deviates."""
         return not (self.deviations.any() or self.dim)
 
     @property
@@ -127,8 +130,8 @@ class Judgement:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Summary: PSNR in dB without the noise of rays, and PSNR of that noise; mean deviation, 1 = white; counts of
-        pixels, deviations, small objects, and small objects with wrong light.
+        """Summary: PSNR in dB after subtraction of the rays' noise, and PSNR of this noise; mean deviation, 1 = white;
+        counts of pixels, deviations, small objects, and small objects with wrong light.
         """
         if not len(self.right):  # wave optics, if everything is hidden or tilted
             return {"pixels": 0, "deviations": 0}
@@ -174,8 +177,8 @@ def judge(
 ) -> Judgement:  # fmt: skip
     """Compare a frame with rays.
 
-    image: (rows, columns[, channels]), linear radiance; rays: most per pixel; seconds: as for `trace`; seed: of pixels
-    and rays. Equal seeds give equal bits, unless the time runs out.
+    image: (rows, columns[, channels]), linear radiance; rays: largest number per pixel; seconds: limit, see `trace`;
+    seed: for the choice of pixels and rays. Equal seeds give equal bits, unless the time runs out.
     """
     began, pixels = time.perf_counter(), choose_pixels(problem, seed)
     frame = np.asarray(image, float).reshape(*problem.size, -1)
@@ -225,7 +228,7 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
     row, column = np.indices(problem.size).reshape(2, -1)
     places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
 
-    def go_on(error: Array) -> NDArray[np.bool_]:  # pixels near others with an error may have missed a surface
+    def go_on(error: Array) -> NDArray[np.bool_]:  # a pixel near others with an error may have missed a surface
         near = maximum_filter(error.reshape(problem.size), 5).ravel()
         return np.asarray((near > noise / 4) & (math.sqrt(np.mean(error**2)) > noise))
 
@@ -236,7 +239,7 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
 
 
 def trace_waves(problem: Problem, seed: int = 0) -> tuple[Array, Array, Array, int]:
-    """A frame by wave optics, as from `spread_light`, and the number of rays."""
+    """Results of `spread_light` for a frame by wave optics, and the number of rays."""
     cells = cells_of(problem)
     if cells.hidden[cells.shines].all():
         nothing = np.zeros((*problem.size, problem.surfaces.images.shape[1]))
@@ -252,8 +255,9 @@ def trace(
 ) -> tuple[Array, Array, int]:  # fmt: skip
     """Radiance (jobs, channels) by rays, its standard error, and the number of rays; arguments as for `accumulate`.
 
-    rays: most per job; seconds: limit after which no more rays are started, without compilation; go_on: returns a mask
-    of jobs that need more rays, given errors; repeats: number of estimates per job, whose differences give the errors.
+    rays: largest number per job; seconds: time, without compilation, after which no more rays are started; go_on:
+    function that takes the jobs' errors and returns a mask of jobs that need more rays; repeats: number of estimates
+    per job, whose differences give the errors.
     """
     from scipy.stats import qmc  # takes seconds to import
 
@@ -286,12 +290,12 @@ def trace(
 def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[float, ...]]]:
     """Numbers of objects that are narrow and entirely in the frame, each with two places for `accumulate`.
 
-    The first: left, top, width and height of the pixels that receive all of its light. The second: half width and half
-    height in mm, and middle, of a rectangle at which rays are aimed.
+    The first place: left, top, width and height of the pixels that receive all light of the object. The second: half
+    width and half height in mm, and middle, of a rectangle at which rays are aimed.
     """
     moments = sorted({0, len(problem.moments.poses) // 2, len(problem.moments.poses) - 1})
     if problem.moments.clock[1] > 0.0 and len(problem.moments.poses) > 1:
-        return  # with a rolling shutter, light is not that of one time
+        return  # with a rolling shutter, pixels of a box have different times
     widest, bent = _reach(problem)
     for n in range(len(problem.scene.objects)):
         extent = extent_of(problem, n)

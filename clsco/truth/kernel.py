@@ -45,7 +45,7 @@ def mirror(index, count):  # type: ignore[no-untyped-def]
     # The half keeps the product off whole numbers, where rounding would decide.
     index = index - 2 * count * np.floor((index + 0.5) * (0.5 / count))
     index = index if index < count else 2 * count - 1 - index
-    # Infinite, or so large that whole numbers have gaps: any texel.
+    # An index that is infinite, or so large that float64 skips integers, may give any texel.
     index = index if index > 0.0 else 0.0
     return index if index < count else count - 1
 
@@ -95,8 +95,8 @@ def normal_at(normal, x, y, z, k):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def lambert(light, normal, m, lens_x, lens_y, x, y, z):  # type: ignore[no-untyped-def]
     """Fraction of the texture's radiance visible from a lens point at a point of the object's frame: the cosine between
-    the light and the normal on the ray's side. `light` (5): position or direction in the camera's frame, 1 for a
-    position, and the ambient fraction; `m`: as for `meet`.
+    the direction to the light and the normal on the ray's side, mixed with the ambient fraction. `light` (5): position
+    or direction in the camera's frame, 1 for a position, and the ambient fraction; `m`: as for `meet`.
     """
     if light[3] > 0.0:
         to_x, to_y, to_z = rotated(m, light[0] - m[9], light[1] - m[10], light[2] - m[11])
@@ -138,7 +138,7 @@ def undistorted(x, y, n):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _keep_nearer(hits, rays, count, number, m, k, box):  # type: ignore[no-untyped-def]
-    """Replace hits of rays by those with one surface where these are nearer; `m`: its poses (12 x BLOCK)."""
+    """Replace each ray's hit by its hit with one surface if this is nearer; `m`: the surface's poses (12 x BLOCK)."""
     # Scalars, since the compiler must assume that stores may change elements of arrays.
     k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9]
     x0, x1, y0, y1, z0, z1, across = box[0], box[1], box[2], box[3], box[4], box[5], box[6]
@@ -186,7 +186,9 @@ def _pose(posed, poses, moment, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _texel(x, y, z, n, mapping):  # type: ignore[no-untyped-def]
-    """The texel, a square of constant radiance, that the camera sees in the reference pose at a point in its frame."""
+    """Index of the texel, a square of constant radiance, that the camera of the reference pose sees at a point (x, y,
+    z).
+    """
     first, rows, columns = mapping[1], mapping[2], mapping[3]
     x, y, _, _, _ = distorted(x / z, y / z, n)
     j = mirror(np.floor(x / n[2] + 0.5 * columns), columns)
@@ -215,7 +217,7 @@ def _passes(rims, depth, rays, s, radius, detector):  # type: ignore[no-untyped-
 @njit(cache=True, error_model="numpy")
 def _add_light(sums, sign, hits, rays, moment, count, posed, left_out, channel, scratch, surfaces, moments, optics):  # type: ignore[no-untyped-def]
     """Add the radiance that rays meet, times `sign` and their weights, to `sums` (channels,); channel: the only one to
-    add, or -1.
+    add, or -1 for all.
     """
     shapes, mappings, images, background, light = surfaces
     cameras, lenses, n, rims = moments.cameras, moments.lenses, optics.numbers, optics.rims
@@ -259,7 +261,7 @@ def _add_light(sums, sign, hits, rays, moment, count, posed, left_out, channel, 
 def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments, optics):  # type: ignore[no-untyped-def]
     """Set rays from their lens points to arrive at the detector's slopes, and cast them.
 
-    If the lens varies over the frame, its values are those at the point that the ray comes from.
+    If the lens varies over the frame, its values at the point from which the ray comes are used.
     """
     n, lenses, (across, up, field) = optics.numbers, moments.lenses, optics.wavefront
     for k in range(int(n[17])):
@@ -290,7 +292,9 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
 
 @njit(cache=True)
 def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type: ignore[no-untyped-def]
-    """Set rays from their lens points to points in a box around a point of an object's frame, and set their weights."""
+    """Set rays from their lens points to points in a rectangle around a point of an object's frame, and set their
+    weights.
+    """
     p0, p1, p2, p3, p4 = place
     for s in range(count):
         lens, m = moments.lenses[moment[s]], posed[s:]
@@ -350,10 +354,10 @@ def _draw(rays, moment, points, span, shifts, place, aimed, moments, optics):  #
 def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moments, optics):  # type: ignore[no-untyped-def]
     """Add samples span[0] to span[1] - 1 of some jobs to `sums` (jobs, repeats, channels).
 
-    numbers: the jobs to continue; `jobs` (jobs, 2): an object to leave out, and an object to aim rays at, -1 for none;
-    `places` (jobs, 5): left, top, width and height of the pixels in px; or to aim at an object, half width and half
-    height in mm of a rectangle around a point (3,) of the object's frame; `points` (n, 5): a Sobol set over pixel, lens
-    and time.
+    numbers: indices of the jobs to continue; `jobs` (jobs, 2): object to leave out, and object to aim rays at, -1 for
+    none; `places` (jobs, 5): left, top, width and height of the job's pixels in px; if rays are aimed at an object,
+    half width and half height in mm of a rectangle, and the point (3,) of the object's frame in its middle; `points`
+    (n, 5): a Sobol set over pixel, lens and time.
     """
     n, bands, shapes, poses = optics.numbers, optics.bands, surfaces.shapes, moments.poses
     rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.zeros(BLOCK, np.int64)
@@ -409,7 +413,7 @@ def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moment
 
 @njit(cache=True, nogil=True)
 def pinhole(depth, label, t, surfaces, moments, numbers):  # type: ignore[no-untyped-def]
-    """Write depth and object at pixels' middles to `depth` and `label`, inf and -1 for none; t: the moment."""
+    """Write depth and object at the middle of each pixel to `depth` and `label`, inf and -1 for none; t: the moment."""
     rows, columns = depth.shape
     rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.full(BLOCK, t)
     posed, step = np.empty((moments.poses.shape[1], 12 * BLOCK)), moments.lenses[t, 0]

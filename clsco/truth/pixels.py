@@ -15,14 +15,14 @@ CLASSES = ("outline", "focus", "random", "small")
 OUTLINE, FOCUS, RANDOM, SMALL = range(4)
 COUNTS = {OUTLINE: 250, FOCUS: 100, RANDOM: 100, SMALL: 50}
 OF_EACH = 10  # number of pixels tested for each object, however small
-SMALL_PX, FOCUS_PX, AROUND_PX = 3.0, 0.3, 2.0  # width of small images; |R| in focus; beyond the blur of outlines
+SMALL_PX, FOCUS_PX, AROUND_PX = 3.0, 0.3, 2.0  # px: small images are narrower; |R| in focus; beyond outlines' blur
 LINE = np.linspace(-1.0, 1.0, 65)
 _Places = tuple[NDArray[Any], NDArray[Any], int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Pixels (n,) by row and column, with the class of each, and its object, -1 for none."""
+    """Pixels (n,) by row and column, with the class of each, and the number of its object, -1 for none."""
 
     row: NDArray[np.int64]
     column: NDArray[np.int64]
@@ -37,7 +37,8 @@ class Pixels:
 class Extent:
     """Image of an object.
 
-    places: points (n, 3) along it in its own frame; half: half its size (3) there; width: px across, at mid-exposure.
+    places: points (n, 3) along the object in its own frame, mm; half: half of its size (3) in this frame, mm; width:
+    width of the image at mid-exposure, px.
     """
 
     places: Array
@@ -107,7 +108,7 @@ def radius_of(problem: Problem, depth: Array, moment: int) -> Array:
 
 
 def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ...]:
-    """Rows and columns (n,) of pixels beside another object, and the larger |R| of the two."""
+    """Rows and columns (n,) of pixels beside another object, and the larger |R| of both objects."""
     parts = []
     for axis in (0, 1):
         row, column = np.nonzero(np.diff(label, axis=axis))
@@ -117,7 +118,7 @@ def _outlines(label: NDArray[np.int64], radius: Array) -> tuple[NDArray[Any], ..
 
 
 def extent_of(problem: Problem, number: int) -> Extent | None:
-    """Image of an object at mid-exposure; None for planes, quadrics, cones and backgrounds, and behind the lens."""
+    """Image of an object at mid-exposure; None for a plane, quadric, cone, background, or object behind the lens."""
     item: Any = problem.scene.objects[number]
     shape, box = item.shape, problem.surfaces.shapes[1, number, :6].reshape(3, 2)
     if shape in ("plane", "quadric", "background", "cone"):

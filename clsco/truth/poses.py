@@ -17,7 +17,7 @@ SINES = 32  # number of sines in each component of a shake
 
 
 def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
-    """M in P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
+    """Matrices M (..., 3, 3) in P(t) = C + v t + M (P0 - C), in camera axes, for `angles` omega t (..., 3) in rad.
 
     The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` it is replaced
     by a rotation about the vector `angles`, in the sense that the matrix has for a single axis (clockwise seen from the

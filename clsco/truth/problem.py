@@ -24,8 +24,9 @@ class Surfaces(NamedTuple):
     """Surfaces and their images.
 
     `shapes` (3, objects, 12): coefficients (10), bounds (7), and rotation and center in the reference pose; `mappings`
-    (objects, SIZE); `images` (texels, channels); `background`: its number or -1; `light` (5,): its position or
-    direction, 1 for a position, and the ambient fraction, or empty.
+    (objects, SIZE): numbers of texture mappings; `images` (texels, channels); `background`: number of the background,
+    or -1; `light` (5,): position of the light or direction to it, 1 for a position, else 0, and the ambient fraction;
+    empty without a light.
     """
 
     shapes: Array
@@ -39,8 +40,9 @@ class Moments(NamedTuple):
     """Time-dependent values at the middles of equal intervals.
 
     `poses` (times, objects, 12); `cameras` (times, 12): rotation, and position of the light or direction to it in the
-    camera's frame; `lenses` (times, 4); `quantiles` of the light through the shutter, with duration 1; `clock`: shutter
-    and readout as fractions of the whole time, 1 if columns are exposed in turn, 1 to begin with the last line.
+    camera's frame; `lenses` (times, 4); `quantiles` of the light through the shutter, whose duration is 1; `clock`:
+    shutter and readout as fractions of the whole time; 1 if columns are exposed in turn, else 0; 1 if the last line is
+    exposed first, else 0.
     """
 
     poses: Array
@@ -53,11 +55,11 @@ class Moments(NamedTuple):
 class Optics(NamedTuple):
     """The lens, as numbers for rays.
 
-    `pupil` (3); `wavefront` (3); `rims` (n, 2): distance and radius in mm; `bands` (1 or 3, 2): magnification and
-    addition to K; `numbers`: columns, rows, pitch / s0 in the reference pose, pitch, field curvature, 1 if a sphere is
-    in focus, k1, k2, k3, p1, p2 (y up), vignetting (0 none, 1 natural, 2 by the next three), a1, a2, a3, exposure, 1/f
-    - 1/s of the camera, number of times that each ray is cast (3 if the lens varies over the frame, else 1), and 1 if
-    the wavefront has errors.
+    `pupil`: numbers, rows and columns of `Pupil`; `wavefront`: see `Wavefront`; `rims` (n, 2): distance and radius in
+    mm; `bands` (1 or 3, 2): magnification and addition to K; `numbers`: columns, rows, pitch / s0 in the reference
+    pose, pitch, field curvature, 1 if a sphere is in focus, k1, k2, k3, p1, p2 (y up), vignetting (0 none, 1 natural, 2
+    by the next three), a1, a2, a3, exposure, 1/f - 1/s of the camera, number of times that each ray is cast (3 if the
+    lens varies over the frame, else 1), and 1 if the wavefront has errors.
     """
 
     pupil: tuple[Array, Array, Array]
@@ -133,7 +135,7 @@ def _surfaces(scene: Scene, textures: Any) -> Surfaces:
 
 
 def poses_of(scene: Scene, eye: str, times: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Poses of all objects in the frame of a camera, as from `poses_at`, and those of the camera."""
+    """Poses of all objects in the frame of a camera, as from `poses_at`, and poses of the camera."""
     centers = np.array([surface_of(item)[1] for item in scene.objects], float)
     rotations = np.array([static_rotation(item.rotation) for item in scene.objects])
     camera = camera_at(scene, eye, times)

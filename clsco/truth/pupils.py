@@ -24,7 +24,11 @@ MOST_CELLS, ORDER = 512, 6  # largest side of an aperture image, cells; highest 
 
 
 class Pupil(NamedTuple):
-    """The aperture of a lens: kind, and numbers and sums over cells for `lens_point`; light: relative to a circle."""
+    """The aperture of a lens, as numbers for `lens_point`.
+
+    numbers: kind, squeeze, and data of this kind; rows, columns: running sums over the cells of an image; light: light
+    that passes, relative to an open circle.
+    """
 
     numbers: Array
     rows: Array
@@ -84,7 +88,7 @@ def _rim(angle, p):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
-    """Lens point for two uniform numbers, in radii, right and up in a distant light's image; and its weight, mean 1."""
+    """Lens point (right, up) in radii, as in the image of a far light, for two uniform numbers; its weight, mean 1."""
     weight, kind, angle = 1.0, int(p[0]), 2.0 * math.pi * v
     if kind == CELLS:
         count, target = len(columns), u * rows[-1]
@@ -109,7 +113,7 @@ def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def is_open(x, y, p, columns):  # type: ignore[no-untyped-def]
-    """Transmission at a lens point, not for Gaussians; arguments as for `lens_point`."""
+    """Transmission at the lens point (x, y), not for Gaussians; p, columns: as for `lens_point`."""
     x, kind = p[1] * x, int(p[0])
     away, angle = math.hypot(x, y), math.atan2(y, x)
     if kind == CELLS:
@@ -156,8 +160,8 @@ def path_of(psf: Any) -> Array:
 
 
 def wavefront_of(scene: Any) -> Wavefront:
-    """Wavefront errors of a lens. Rays through l arrive 2 Q grad W px off, Q = wavelength s0 / (D p): slopes change by
-    wavelength / (D / 2) grad W, W in waves of green light.
+    """Wavefront errors of a lens. Rays through l are displaced by 2 Q grad W px, Q = wavelength s0 / (D p): slopes
+    change by wavelength / (D / 2) grad W, W in waves of green light.
     """
     total, seidel = path_of(scene.psf), scene.psf.seidel
     powers, scale = np.arange(1.0, ORDER + 1), scene.psf.wavelengths[1] * 1e-6
@@ -175,9 +179,10 @@ def _add(total: Array, size: float, polynomial: Array, square: Array, times: int
 
 @njit(cache=True)
 def bend(x, y, right, up, across_of, up_of, field):  # type: ignore[no-untyped-def]
-    """Change of slope, right and up, of a ray through (x, y), in lens radii, times the lens radius in mm.
+    """Change (right, up) of the slope of a ray through the lens point (x, y), multiplied by the lens radius in mm.
 
-    (right, up): position in the frame, at the distance 1 in the corner; other arguments: `Wavefront`.
+    x, y: in lens radii; right, up: position in the frame relative to its middle, as a fraction of the distance to a
+    corner; other arguments: fields of `Wavefront`.
     """
     bent_x, bent_y, power = 0.0, 0.0, 1.0
     for i in range(len(across_of)):

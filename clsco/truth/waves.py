@@ -1,8 +1,8 @@
 """Light of pixels by wave optics without occlusion and tilt: sums over the pinhole image (float64).
 
 Surfaces are divided into cells smaller than a pixel; the light of a cell of blur radius R spreads by |U|^2, U the
-transform of the aperture with the phases of R and of the wavefront errors. Between two radii with known spreads it is
-interpolated. Light that leaves the window is spread evenly over it.
+transform of the aperture with the phases of R and of the wavefront errors. Spreads are computed for some radii and
+interpolated between these. Light that leaves the window is spread evenly over it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from clsco.truth.pupils import is_open, path_of
 
 FINE = 4  # number of sampled points along a side of a cell of the aperture
 RADII_PER_UNIT = 4  # number of computed spreads per Q px of blur radius
-FAR, FAR_UNITS, RIM = 30.0, 20.0, 1.2  # least reach of the window: FAR px and FAR_UNITS Q, beyond RIM R
-TILTED = 0.02  # change of R per px from which on a surface counts as tilted
+FAR, FAR_UNITS, RIM = 30.0, 20.0, 1.2  # the window reaches at least FAR px + FAR_UNITS Q beyond RIM R
+TILTED = 0.02  # a surface counts as tilted if R changes by more per px
 HIDDEN = 2e-3  # largest share of a pixel's light from tilted surfaces, or from places where surfaces may be hidden
 
 
@@ -82,7 +82,8 @@ def cells_of(problem: Problem) -> Cells:
 
 def spread_light(problem: Problem, cells: Cells, light: Array, error: Array) -> tuple[Array, Array, Array]:
     """Radiance (rows, columns, channels) of a frame, its standard error, and the fraction (rows, columns) of each
-    pixel's light from hidden or tilted surfaces; light, error (n, channels): of the cells with light.
+    pixel's light from hidden or tilted surfaces; light, error (n, channels): radiance of the cells with light, and its
+    standard error.
     """
     psf, parts, channels = problem.scene.psf, cells.parts, light.shape[1]
     radii, count = cells.radius[cells.shines], [next_fast_len(size) for size in cells.radius.shape]
@@ -110,14 +111,14 @@ def spread_light(problem: Problem, cells: Cells, light: Array, error: Array) -> 
 
 
 def _signed(count: int) -> NDArray[np.int64]:
-    """Indices 0, 1, .., -2, -1."""
+    """Indices 0, 1, .., -2, -1 of `count` elements."""
     return np.rint(np.fft.fftfreq(count, 1.0 / count)).astype(np.int64)
 
 
 def _spread(problem: Problem, cells: Cells, wavelength: float, radius: float) -> Array:
     """Fraction of a cell's light that a pixel receives, by the cell's position relative to the pixel's middle.
 
-    The indices are numbers of cells up and to the left; negative ones wrap.
+    The indices count cells up and to the left; negative indices wrap around.
     """
     unit, psf, pupil = unit_of(problem, wavelength), problem.scene.psf, problem.optics.pupil
     extent = max(1.0 / problem.scene.aperture.squeeze, 1.0)

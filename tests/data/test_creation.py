@@ -55,10 +55,11 @@ def draw_stack(rng: np.random.Generator, sample: int) -> tuple[Any, dict[str, An
     return content, {"radius": radius}
 
 
-def draw_badly(rng: np.random.Generator, sample: int) -> dict[str, Any]:
-    """A scene of every other sample; the others end in an error of Python, or leave the folder."""
-    texture = "bricks" if sample % 2 else "../dots.png"
-    return {"camera": {"resolution": [24, 16]}, "object": [{"shape": "plane", "texture": [texture][sample // 3]}]}
+def draw_badly(rng: np.random.Generator, sample: int) -> Any:
+    """The scene of sample 1; others leave the folder, have parameters that JSON cannot hold, end in a Python error."""
+    texture = "bricks" if sample else "../dots.png"
+    scene = {"camera": {"resolution": [24, 16]}, "object": [{"shape": "plane", "texture": [texture][sample // 3]}]}
+    return (scene, {"generator": rng}) if sample == 2 else scene
 
 
 def test_a_function_gives_variants_and_parameters(place: Path) -> None:
@@ -167,6 +168,8 @@ def test_samples_of_a_function_may_fail(place: Path) -> None:
     assert e.value.status.failed == 3
     rows = [json.loads(line)["error"] for line in Path("bad/failed.jsonl").read_text().splitlines()]
     assert rows[0].startswith("draw_badly: texture: files must lie in ")
+    rule = "parameters: must be a mapping of numbers, texts, lists and mappings; got Object of type Generator is not"
+    assert rows[1].startswith(f"draw_badly: {rule} ")
     assert rows[2] == "draw_badly: must give a scene; got IndexError('list index out of range') (sample 3, seed 0)"
     assert clsco.data.make(draw_badly, "bad", resume=True, allow_failures=3, **SMALL).failed == 3
 

@@ -15,7 +15,8 @@ from clsco.optics.pupils.pupil import Borders
 class CurvedPolygon(Outline):
     """Aperture of curved blades, with corners on the unit circle; blades, rotation, squeeze: as for `Polygon`.
 
-    curvature: height of an arc over its chord, relative to that of the unit circle: 1 the circle, negative concave.
+    curvature: height of an arc over its chord, relative to the height of the unit circle: 1 for the circle, negative
+    for concave blades.
     """
 
     blades: int

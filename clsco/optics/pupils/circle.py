@@ -42,7 +42,8 @@ class Circle(Pupil):
 def _ramp_pieces(b: Array, level: Array, sign: float, tent: bool) -> tuple[Array, Array, Array]:
     """Coefficients of 1, h, h^2 in the integral of the pixel's response up to u = sign h - b.
 
-    b: position of the pixel along the chord; level: a value of u in the piece between knots for which they are valid.
+    b: position of the pixel along the chord; level: any u in the piece between two knots for which the coefficients are
+    valid.
     """
     one, zero = np.ones_like(b), np.zeros_like(b)
     if not tent:

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsco.optics.pupils.pupil import Array, Pupil
 
-# px: weights of smaller radii follow from those of this one, where differences are exact to 1e-14.
+# px: weights of smaller radii follow from those of this radius, where differences are exact to 1e-14.
 SMALL = 0.25
 ROUNDING = 1e-14  # of an integral over a whole pupil: smaller shares are rounding errors, and count as 0
 SMALL_POINT = 1e-2  # px: smaller radii of point sources are replaced by this; pixel edges are 1 / 32 px or more away
@@ -75,7 +75,7 @@ def corner_share(
 ) -> Array:  # fmt: skip
     """Fractions of the light in pixels at any (dx, dy) px, from the integral of `grid_share` at each pixel's corners.
 
-    extent: extent of the blur for R = 1 px; weights beyond it are set to 0, as they are only rounding. A negative
+    extent: extent of the blur for R = 1 px; weights beyond it are set to 0, as they are rounding errors. A negative
     radius mirrors the pupil in its center.
     """
     shape = np.broadcast_shapes(np.shape(dx), np.shape(dy), np.shape(radius))
@@ -127,8 +127,8 @@ def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y:
 
     across, down: sums of `share` over each column and over each row; center_x, center_y: 1 where dx or dy is 0, else 0.
 
-    Within |u| < 1 px, the tents at -1, 0 and 1 are linear for either sign of u. So along each axis, scaling the blur by
-    s gives the weights (1 - s) p + s w, where p are the weights of a point and w those of the unscaled blur.
+    Within |u| < 1 px, the tents at -1, 0 and 1 are linear in u on either side of 0. So along each axis, scaling the
+    blur by s gives the weights (1 - s) p + s w, where p are the weights of a point and w those of the unscaled blur.
     """
     remainder = 1.0 - part
     inner = remainder * (center_x * down + center_y * across) + part * share

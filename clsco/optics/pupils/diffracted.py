@@ -62,7 +62,7 @@ class Diffracted(Pupil):
 
     @property
     def second_moment(self) -> float:
-        """Second moment of the opening; diffraction adds to that of the blur, independently of R."""
+        """Second moment of the opening; diffraction adds to the blur's second moment, independently of R."""
         return self.opening.second_moment
 
     @property
@@ -87,9 +87,10 @@ class Diffracted(Pupil):
 
     @property
     def margin(self) -> float:
-        """Distance in px from the geometric blur's edge at which light is cut off, at most the fraction `tail`.
+        """Distance in px from the geometric blur's edge at which light is cut off: at most the fraction `tail` of it.
 
-        By the law of straight edges, the light beyond it is proportional to the length of the aperture's edge.
+        By the law of straight edges, the light beyond this distance is proportional to the length of the aperture's
+        edge.
         """
         return max(LAW * 2.0 * self.widest * self.rim / (pi**2 * self.tail), LEAST_MARGIN) + 0.5
 
@@ -129,8 +130,8 @@ def panels_of(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:  # fmt: skip
     """Interpolation in R of weights at signed radii, by polynomials with `count` nodes on panels of `panel` px.
 
-    Numbers of the panels, increasing: panel n begins at n `panel`, with nodes by `panel_nodes`; index (radii,) of each
-    radius' panel; weights (radii, count) of the values at the nodes of that panel.
+    Returns the numbers of the panels, increasing; for each radius, the index of its panel among these (radii,), and the
+    weights of the values at the panel's nodes (radii, count). Panel n begins at n `panel`, with nodes by `panel_nodes`.
     """
     angles = (np.arange(count) + 0.5) * pi / count
     barycentric = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin(angles)

@@ -58,9 +58,9 @@ def round_intensity(r: Array, radii: Array, unit: float, inner: float, path: Pat
     """Light per px^2 around a defocused point, (r, radii), for a total of 1.
 
     r: distances from the point, px, increasing; radii: signed blur radii, px; unit: Q, px; inner: radius of the central
-    obstruction, in radii of the opening, 0 for none; path: of aberrations. The amplitude is a Hankel transform, U(v) =
-    integral of exp(2 pi i W(t)) J0(v sqrt(t)) over t = inner^2 .. 1, with v = pi r / Q, by Gauss-Legendre: its
-    integrand is an entire function of t.
+    obstruction, in radii of the opening, 0 for none; path: optical path of aberrations. The amplitude is a Hankel
+    transform, U(v) = integral of exp(2 pi i W(t)) J0(v sqrt(t)) over t = inner^2 .. 1, with v = pi r / Q, by
+    Gauss-Legendre: its integrand is an entire function of t.
     """
     waves = float(np.abs(radii).max(initial=0.0)) / (4.0 * unit)
     bend = float(np.abs(np.gradient(path(np.linspace(0.0, 1.0, 257)), 1.0 / 256)).max()) / unit
@@ -86,8 +86,8 @@ def round_light(radii: Array, unit: float, inner: float, path: Path, width: floa
 
 @lru_cache(maxsize=2**15)
 def pixel_rings(a: float, b: float, tent: bool, width: float) -> tuple[int, Array]:
-    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and fractions of it and the following ones in the
-    pixel.
+    """First ring that overlaps a pixel at (a, b) px, a >= b >= 0, and the fractions of the light of this ring and of
+    the following rings that the pixel receives.
 
     tent: True for a square source instead of a point. Constant light within rings causes an error quadratic in their
     width; the fractions include Richardson's extrapolation from rings twice as wide.

@@ -18,7 +18,7 @@ from clsco.optics.pupils.transform import fast_length, image_parts, pixel_weight
 from clsco.optics.pupils.wavefront import Wavefront
 
 RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius for the measured length of the rim, and their blur in cells
-SHORTEST_PANEL, LONGEST_PANEL, PANEL_PER_UNIT = 0.25, 1.0, 6.0  # px of R, and R / Q, that a polynomial covers
+SHORTEST_PANEL, LONGEST_PANEL, PANEL_PER_UNIT = 0.25, 1.0, 6.0  # px of R for a polynomial: limits, and factor of Q
 OF_FIELD = 0.5  # fraction of samples of the pupil that a field needs, as blending has larger errors
 PLACES = 2**16  # number of distinct positions of sources along an axis of a pixel
 SECONDS, PLACE = 2e-9, 16.0  # CPU time of a step of a transform; steps for each position of a source in its pixel
@@ -30,11 +30,11 @@ spot_cache, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 class FourierDiffracted(Diffracted):
     """Aperture of any shape with an optional wavefront error, see `Diffracted`.
 
-    steepest: largest slope over the frame, px per radius, which buffers allow for; 0 if the wavefront is constant.
+    steepest: largest slope of the path over the frame, px per radius, that buffers must allow for; 0 if it is constant.
     """
 
     STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))
-    NODES: ClassVar[int] = PANEL_NODES  # of each panel
+    NODES: ClassVar[int] = PANEL_NODES  # number of nodes of each panel
 
     wavefront: Wavefront = field(default_factory=Wavefront)
     steepest: float = 0.0
@@ -100,7 +100,7 @@ class FourierDiffracted(Diffracted):
 
     @property
     def panel(self) -> float:
-        """Length in px of R of the panels that one polynomial covers: whole intervals of tables."""
+        """Length in px of R of a panel, the range of one polynomial: a whole number of table intervals."""
         return min(max(2.0 ** floor(log2(PANEL_PER_UNIT * self.narrowest)), SHORTEST_PANEL), LONGEST_PANEL)
 
     def samples(self, radius: float) -> float:
@@ -110,7 +110,7 @@ class FourierDiffracted(Diffracted):
 
     def _squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
         """Weights (nodes, y, x) at the nodes of a panel, for a source at `place` in its pixel."""
-        if number < 0 and self.wavefront.is_flat:  # as for -R, mirrored in the source
+        if number < 0 and self.wavefront.is_flat:  # the blur of R, mirrored in the source
             mirrored = self._squares(-1 - number, (-place[0], -place[1]), tent)
             return np.roll(mirrored[::-1, ::-1, ::-1], 1, axis=(1, 2))
         if self.upright != self:
@@ -135,7 +135,10 @@ class FourierDiffracted(Diffracted):
 
     @property
     def upright(self) -> FourierDiffracted:
-        """The pupil with its wavefront mirrored to an orientation that several positions of the frame share."""
+        """The pupil with its wavefront mirrored to an orientation that several positions of the frame share.
+
+        The pupil itself unless its opening is round.
+        """
         return replace(self, wavefront=self.wavefront.upright) if is_round(self.opening) else self
 
     def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:

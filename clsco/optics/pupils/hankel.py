@@ -15,7 +15,7 @@ from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.ring import Ring
 
 DIRECT = 64  # largest number of radii whose weights are not interpolated
-PANEL = 0.25  # px of R that one polynomial covers, at most; but no more than half a period of oscillations, 4 Q
+PANEL = 0.25  # px of R that one polynomial covers; less if half a period of the oscillations, 2 Q, is shorter
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ KEPT = 4  # number of pupils whose running sums are cached
 class Image(Asymmetric):
     """Transmission that is constant in each cell of a square around the lens; create it with `image_pupil`.
 
-    count: cells per side; digest: of the cells, identifies pupils in reports and files; data: float32, row after row,
-    row 0 on top; squeeze: height over width of the blur.
+    count: cells per side; digest: hash of the cells, which identifies pupils in reports and files; data: float32, row
+    after row, row 0 on top; squeeze: height over width of the blur.
     """
 
     count: int
@@ -122,7 +122,7 @@ def _powers(t: Array, order: int) -> Sequence[Array | float]:
 
 @lru_cache(maxsize=KEPT)
 def _running_sums(pupil: Image) -> list[list[Array]]:
-    """Running integrals (n + 1, n + 1) at the upper left corner of each cell; [i][j]: i times down and j times across.
+    """Running integrals (n + 1, n + 1) at the upper left corner of each cell; [i][j]: i times down, j times across.
 
     i and j are 0, 1 or 2; 0 is the value of the cell itself. An empty row and column of cells follow the last ones.
     """

@@ -21,15 +21,15 @@ from clsco.optics.pupils.quadrature import unit_nodes
 
 LONGEST_ARC, NODES = pi / 4.0, 8  # along such an arc, quadrature is exact to 1e-14 for cubics in both coordinates
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
-FILLED = 16.0  # px: for larger radii and point sources, pixels inside the outline get one weight without integrals
+FILLED = 16.0  # px: with point sources and larger radii, pixels inside the outline get one weight, without integrals
 
 
 @dataclass(frozen=True)
 class Arc:
     """Part of an outline that is monotonic in x and in y, directed with the inside always on the same side.
 
-    start, end: in aperture radii; center, radius: of its circle; radius 0 for a straight edge; angles: of the ends seen
-    from the center, from x towards y, rad; within one quadrant.
+    start, end: points, in aperture radii. center, radius: those of the arc's circle; radius 0 for a straight edge.
+    angles: directions of the ends from the center, from x towards y, rad, within one quadrant.
     """
 
     start: tuple[float, float]

@@ -16,11 +16,12 @@ Edges = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Borders:
-    """Edges and circles around an opening of constant transmission, which is convex except for holes.
+    """Edges and circles that bound an opening of constant transmission; without its holes, the opening is convex.
 
-    columns: x of the opening's ends and corners from left to right, in aperture radii. edges: straight ones, as
-    `Pupil.edges`. circles: (x, y, radius) inside which light passes; holes: circles that cover parts of the opening,
-    which do not overlap; x of both is before the squeeze, `squeeze` times that of `columns`.
+    columns: x of the opening's ends and corners from left to right, in aperture radii. edges: straight edges, as in
+    `Pupil.edges`. circles: (x, y, radius); light passes only inside all of them. holes: circles that cover parts of the
+    opening; within the opening, they do not overlap. squeeze: circles and holes are given before the squeeze: in the
+    opening, their x is divided by this factor.
     """
 
     columns: tuple[float, ...] = (-1.0, 1.0)
@@ -50,7 +51,7 @@ class Pupil(ABC):
 
     @property
     def signed(self) -> bool:
-        """True if R and -R give different blur; otherwise, it is symmetric in x, in y and in the diagonals."""
+        """True if R and -R give different blur; otherwise, the blur is symmetric in x, in y and in the diagonals."""
         return False
 
     @property
@@ -75,7 +76,7 @@ class Pupil(ABC):
 
     @property
     def edges(self) -> Edges:
-        """Straight edges (x, y, distance), inside where x l_x + y l_y <= distance; empty for a round edge."""
+        """Straight edges (x, y, distance): inside is where x l_x + y l_y <= distance; empty for a round edge."""
         return ()
 
     @property

@@ -21,7 +21,7 @@ from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.quadrature import pixel_integral
 from clsco.optics.pupils.wavefront import Wavefront
 
-MOST_PARTS, LEAST_PARTS = 16, 2  # cells per px of a spot: at most SPOT over its reach, if possible
+MOST_PARTS, LEAST_PARTS = 16, 2  # limits of cells per px of a spot, which reaches at most SPOT cells if possible
 SPOT = 256
 # Sharpening of a response: undoes the variance that cells of light and means over them add, 1/6 of a squared cell.
 SHARPER = 1.0 / 12.0
@@ -126,7 +126,7 @@ class Traced(FourierDiffracted):
         def columns() -> Array:
             return pixels(self._cached_spots(number), response(parts, place[0], tent), parts).swapaxes(1, 2)
 
-        # Sub-pixel sources of a column share these.
+        # Sub-pixel sources in the same column of a pixel share these sums.
         lit = spot_cache.get((self, number, place[0], tent), columns, lambda cells: cells.nbytes)
         return np.maximum(pixels(lit, response(parts, place[1], tent), parts).swapaxes(1, 2), 0.0)
 
@@ -134,7 +134,7 @@ class Traced(FourierDiffracted):
 def ends(at: Array, width: Array) -> tuple[Array, Array]:
     """First of the two cells along an axis that a ray lights, and the fraction of its light in the second cell.
 
-    at, width: of the ray, in cells; it is as wide as its distance from its neighbors, up to a cell.
+    at, width: position and width of the ray, in cells; a ray is as wide as the distance to its neighbors, up to a cell.
     """
     wide = np.clip(width, 1e-6, 1.0)
     after = at + 0.5 * wide

@@ -62,7 +62,8 @@ def spot_light(
 
     unit: Q, px; radius: signed blur radius, px; samples: least number of samples of the pupil over its diameter; parts:
     cells per px, see `image_parts`; width: side of the returned light in px, even. The amplitude of a cell at the edge
-    of the pupil is its area in the pupil; light that its square lacks is outside the window.
+    of the pupil is its area in the pupil; the square of this amplitude is less than the cell's light, and the missing
+    light is outside the window.
     """
     window = fast_length(max(samples * unit, width))
     amplitude, at = _pupil(opening, wavefront, window / unit, unit)

@@ -14,8 +14,8 @@ import numpy as np
 
 from clsco.optics.pupils.pupil import Array
 
-ON_RADIUS, ON_CIRCLE = 65, 128  # positions where the steepest slope is searched; of most terms it is at the rim
-LEAST_AREA = 1e-3  # of the image of a small part, relative to its size without aberrations
+ON_RADIUS, ON_CIRCLE = 65, 128  # positions where the steepest slope is searched; for most terms, it is at the rim
+LEAST_AREA = 1e-3  # least area of the image of a small patch, relative to its area without aberrations
 STEP, BESIDE = 1e-4, 1e-3  # steps of finite differences, for slopes of polynomials and for changes of slopes
 
 
@@ -23,11 +23,11 @@ STEP, BESIDE = 1e-4, 1e-3  # steps of finite differences, for slopes of polynomi
 class Wavefront:
     """Optical path through a lens, minus that of a sphere around the image of a point.
 
-    zernike: n, m and the rms over the lens in px of each polynomial. spherical: Seidel's W040 in px: path at the lens's
-    edge of the term in the fourth power of the distance from its center. coma: Seidel's W131 in px, right and down:
-    path (x^2 + y^2) (coma . (x, y)). bend: xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and
-    field curvature at a position in the frame. change: derivatives over the frame, px per px: of the coma, away from
-    the middle; half of that of astigmatism, right and down; half of that of field curvature, right and down.
+    zernike: n, m and the rms over the lens in px of each polynomial. spherical: Seidel's W040 in px, coefficient of the
+    fourth power of the distance from the lens's center. coma: Seidel's W131 in px, right and down: path (x^2 + y^2)
+    (coma . (x, y)). bend: xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature
+    at a position in the frame. change: derivatives over the frame, px per px: of coma, in the direction away from the
+    middle; half of the derivative of astigmatism, right and down; half of that of field curvature, right and down.
     """
 
     zernike: tuple[tuple[int, int, float], ...] = ()
@@ -48,7 +48,7 @@ class Wavefront:
 
     @property
     def upright(self) -> Wavefront:
-        """The wavefront in an orientation that all its mirror images share; itself with Zernike polynomials."""
+        """The wavefront in an orientation that all its mirror images share; itself if it has Zernike polynomials."""
         if self.zernike:
             return self
         (right, down), (xx, xy, yy), (coma, *others) = self.coma, self.bend, self.change
@@ -58,7 +58,7 @@ class Wavefront:
 
     @property
     def mirrored(self) -> tuple[bool, bool]:
-        """Two flags: True if `upright` is mirrored horizontally; True if vertically."""
+        """Two flags: True if `upright` is this wavefront mirrored horizontally; True if vertically."""
         _, *ways = self.change
         right, down = next((way for way in (self.coma, ways[:2], ways[2:]) if any(way)), (0.0, 0.0))
         return right < 0.0 or (right == down == 0.0 and self.bend[1] < 0.0), down < 0.0
@@ -70,7 +70,7 @@ class Wavefront:
         return np.asarray(total + self._polynomials(x, y) if self.zernike else total)
 
     def gradient(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Derivatives of the path in px per radius at lens points, to the right and down."""
+        """Derivatives of the path to the right and down at lens points, px per lens radius."""
         square, (right, down), (xx, xy, yy) = x * x + y * y, self.coma, self.bend
         along = 4.0 * self.spherical * square + 2.0 * (right * x + down * y)
         across = along * x + right * square + 2.0 * (xx * x + xy * y)
@@ -89,7 +89,8 @@ class Wavefront:
         return np.maximum(xx * yy - xy * yx, 0.0)
 
     def crossings(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Positions where rays through lens points pass an occluder, relative to their source, over (R - occluder's R).
+        """For rays through lens points: the displacement from their source to where they pass an occluder, divided by
+        (R - R of the occluder).
 
         The occluder's image is displaced by the wavefront at its own position in the frame.
         """
@@ -110,7 +111,7 @@ class Wavefront:
         )
 
     def curvature(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Second derivatives of the path in px per squared radius at lens points: xx, xy and yy, x right and y down."""
+        """Second derivatives xx, xy, yy of the path at lens points, x right and y down, px per squared lens radius."""
         right, down = self.gradient(x, y)
         (beside, lower), (_, below) = self.gradient(x + BESIDE, y), self.gradient(x, y + BESIDE)
         return (beside - right) / BESIDE, (lower - down) / BESIDE, (below - down) / BESIDE
