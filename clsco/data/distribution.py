@@ -234,12 +234,18 @@ class ScriptedDistribution(_Distribution):
 
 
 def _as_json(parameters: Any) -> dict[str, Any]:
-    """The parameters that a function returns, as a manifest has them. Raises SceneError."""
+    """The parameters that a function returns, in types that JSON has. Raises SceneError."""
+
+    def plain(value: Any) -> Any:
+        converted = as_python(value)
+        if converted is value:
+            raise TypeError(f"a value of type {type(value).__name__}")
+        return converted
+
     try:
-        return json.loads(json.dumps(dict(parameters), default=as_python, allow_nan=False))
+        return dict(json.loads(json.dumps(dict(parameters), default=plain, allow_nan=False)))
     except (TypeError, ValueError) as error:
-        rule = "must be a mapping of numbers, texts, lists and mappings"
-        raise SceneError(f"parameters: {rule}; got {error}") from error
+        raise SceneError(f"parameters: must be a mapping of numbers, texts, lists and mappings; got {error}") from error
 
 
 def _sweep_of(content: Any, noise_seed: int) -> Sweep:

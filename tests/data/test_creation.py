@@ -168,8 +168,8 @@ def test_samples_of_a_function_may_fail(place: Path) -> None:
     assert e.value.status.failed == 3
     rows = [json.loads(line)["error"] for line in Path("bad/failed.jsonl").read_text().splitlines()]
     assert rows[0].startswith("draw_badly: texture: files must lie in ")
-    rule = "parameters: must be a mapping of numbers, texts, lists and mappings; got Object of type Generator is not"
-    assert rows[1].startswith(f"draw_badly: {rule} ")
+    rule = "must be a mapping of numbers, texts, lists and mappings; got a value of type Generator"
+    assert rows[1] == f"draw_badly: parameters: {rule} (sample 2, seed 0)"
     assert rows[2] == "draw_badly: must give a scene; got IndexError('list index out of range') (sample 3, seed 0)"
     assert clsco.data.make(draw_badly, "bad", resume=True, allow_failures=3, **SMALL).failed == 3
 
