@@ -122,7 +122,9 @@ def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (..., 3) of a cube's side at coordinates x (right) and y (up) from -1 to 1; beyond, of its plane."""
+    """Points (..., 3) on a cube's side at coordinates x (right) and y (up), -1 to 1; beyond, points in the side's
+    plane.
+    """
     (out, sign), (right, right_sign), (up, up_sign) = SIDES[side]
     points = np.empty((*np.shape(x), 3))
     points[..., out], points[..., right], points[..., up] = sign, right_sign * x, up_sign * y
@@ -130,7 +132,7 @@ def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
 
 
 def cube_side(q: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-    """Sides of a cube that directions (..., 3) meet, and the coordinates on these sides; ties go to the first axis."""
+    """Sides of a cube that directions (..., 3) point to, and coordinates on these sides; ties go to the first axis."""
     axis = np.argmax(np.abs(q), axis=-1)
     size = np.take_along_axis(q, axis[..., None], -1)[..., 0]
     # Right, top and front are the positive ends of the axes.

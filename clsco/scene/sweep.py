@@ -102,7 +102,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tuple[Path, Sweep | SceneError]]:
-    """Read the sweeps of several files, as `load_sweep`; an invalid file gives its error instead."""
+    """Read the sweeps of several files, as `load_sweep` does; an invalid file gives its error in place of a sweep."""
     loaded: list[tuple[Path, Sweep | SceneError]] = []
     for path in paths:
         try:
@@ -253,7 +253,7 @@ def _faults(
 
 
 def _at_value(message: str, axes: Sequence[_Axis], choice: tuple[int, ...]) -> str:
-    """The message; if it begins with a swept key, with the index of its value, like "camera.f_number[2]: ..."."""
+    """The message; if it begins with a swept key, the index of the key's value is added: "camera.f_number[2]: ..."."""
     for axis, index in zip(axes, choice, strict=True):
         if message.startswith(axis.name) and message[len(axis.name)] in ":[":
             return f"{axis.name}[{index}]{message[len(axis.name) :]}"
