@@ -139,8 +139,7 @@ def group_size(session: Session) -> int:
 
 
 class Layout:
-    """Numbering of M missing pixels and their neighbors: B known pixels, and pixels of a border of 1 px around the
-    image.
+    """Numbering of M missing pixels and their neighbors: B known pixels, and a border of 1 px around the image.
 
     missing: (rows, columns). pixels, border: flat indices in the image of the missing (M,) and the known pixels (B,);
     slots: count of numbers, which are assigned row by row; at: (M,) number of each missing pixel; beside: (M, 2)

@@ -23,9 +23,7 @@ SOLVERS: dict[str, Callable[..., NDArray[np.float32]]] = {"biharmonic": fill_bih
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """Numbers (N,) and values (N, K) of the filled pixels, the method used, and for mean-median the results of its
-    stages.
-    """
+    """Numbers (N,) and values (N, K) of the filled pixels, the method used, and results of mean-median's stages."""
 
     pixels: NDArray[np.int64]
     values: NDArray[np.float32]

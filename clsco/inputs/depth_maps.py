@@ -49,7 +49,7 @@ class DepthValues:
 
     def report(self) -> str:
         """One line with the numbers of pixels without depth (by reason), infinitely far, and at soft edges; "" if all
-        are 0.
+        0.
         """
         why = _listed(self.missing)
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
@@ -295,8 +295,7 @@ def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: 
 
 
 def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> str:
-    """Hint for the error about too large blur radii: the unit that the numbers probably have, or what else may be
-    wrong.
+    """Hint for the error about too large blur radii: the probable unit of the numbers, or what else may be wrong.
 
     A unit is likely if it makes no radius too large, and if its range of radii is at least a tenth of the largest range
     among such units.

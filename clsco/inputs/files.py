@@ -172,9 +172,7 @@ class InputFiles:
         return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Input) -> Hashable | None:
-        """Key of an array, or of a file with its extension and layer; None for an input that must not be cached, as a
-        pipe.
-        """
+        """Key of an array, or of a file with its extension and layer; None for what must not be cached, as a pipe."""
         if isinstance(source, ArrayInput):
             return "array", source.sha256
         path, layer = str(source), source.layer if isinstance(source, LayerInput) else None
@@ -200,7 +198,7 @@ def shared_files() -> InputFiles:
 
 
 def _stamp(path: str) -> tuple[int, ...]:
-    """Numbers that change when a file does: device, inode, size in bytes, and last changes of content and metadata in
+    """Numbers that change when a file does: device, inode, size in bytes, and times of changes of content and status,
     ns.
     """
     state = Path(path).stat()

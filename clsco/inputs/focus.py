@@ -91,8 +91,7 @@ def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
 def find_visible(
     scene: Scene, maps: Sequence[Array | None], i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Inverse depth in 1/mm and object number (len(i), len(j)) of the surfaces visible in rows i and columns j at t =
-    0.
+    """Inverse depth in 1/mm and object number (len(i), len(j)) of what is visible in rows i and columns j at t = 0.
 
     maps: as returned by `InputFiles.maps`. For a pixel without a surface, the inverse depth is 0, and the number is
     that of the background, or -1 if there is none. With a depth map, i and j must be in the frame.

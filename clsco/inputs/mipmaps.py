@@ -122,9 +122,7 @@ def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (..., 3) on a cube's side at coordinates x (right) and y (up), -1 to 1; beyond, points in the side's
-    plane.
-    """
+    """Points (..., 3) in the plane of a cube's side at coordinates x (right) and y (up), -1 to 1 on the side."""
     (out, sign), (right, right_sign), (up, up_sign) = SIDES[side]
     points = np.empty((*np.shape(x), 3))
     points[..., out], points[..., right], points[..., up] = sign, right_sign * x, up_sign * y

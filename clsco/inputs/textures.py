@@ -57,9 +57,7 @@ class Texture:
 
     @cached_property
     def brightest(self) -> float:
-        """Upper bound of |radiance|: the range of all values and 0. If no value is negative, it is the largest
-        radiance.
-        """
+        """Upper bound of |radiance|: the range of all values and 0, which is the maximum if no value is negative."""
         return max(radiance_span(image) for image in self.images)
 
     @property

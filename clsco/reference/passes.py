@@ -86,9 +86,7 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
 
 
 def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> dict[str, Any]:
-    """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers; with the outputs that `run`
-    lists.
-    """
+    """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers; outputs as from `run`."""
     guard, needed = 0, plan.claimed[1]
     outputs: dict[str, Any] = {}
     while guard < needed or not outputs:

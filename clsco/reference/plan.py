@@ -107,7 +107,7 @@ class ReferencePlan:
 
     @property
     def occlusion(self) -> Occlusion:
-        """Method: "none" if set or nothing can be hidden, else "layered" for depth maps and moved pixels, else the
+        """The method: "none" if set or nothing can be hidden, "layered" for depth maps and moved pixels, else the
         scene's.
         """
         scene = self.scene
@@ -166,8 +166,9 @@ def band_of(plan: ReferencePlan, view: View) -> int:
 
 
 def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Mask (H, W) of pixels that get sub-pixel sources: near a change of the labels (H, W), or near an object that is
-    missed by the rays through all pixel centers within SILHOUETTE_RANGE px.
+    """Mask (H, W) of pixels that get sub-pixel sources: near a change of the labels (H, W), or near a missed object.
+
+    An object is missed if none of the rays through pixel centers within SILHOUETTE_RANGE px hits it.
     """
     (row, column), center, missed = padded_grid(view.camera, guard), label & 127, np.zeros(label.shape, dtype=bool)
     members = [item for k, item in enumerate(view.scene.objects) if group.members >> k & 1]

@@ -104,9 +104,7 @@ def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
 
 
 def variant_tables(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Content of a separate scene file for each [[variant]]; [] if there are none or too many, or if one is not a
-    table.
-    """
+    """Content of a separate scene file for each [[variant]]; [] if they are missing, too many, or not all tables."""
     tables, shared = data.get(VARIANT), {key: value for key, value in data.items() if key != VARIANT}
     if not isinstance(tables, list) or len(tables) > MAX_VARIANTS or not all(isinstance(t, Mapping) for t in tables):
         return []

@@ -26,8 +26,9 @@ DEEPEST = 8  # deepest nesting of tables and lists, more than a range of an obje
 
 @dataclass(frozen=True)
 class Sweep:
-    """Scenes of one file, each with a label of the swept keys and their values, which is a valid folder name; "" for
-    the only scene of a file.
+    """Scenes of one file, each with a label of the swept keys and their values.
+
+    A label is a valid folder name; it is "" if the file has only one scene.
     """
 
     labels: tuple[str, ...]

@@ -91,9 +91,7 @@ def place_weights(
 
 
 def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); if `alone`, only with
-    itself.
-    """
+    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); itself if `alone`."""
     if alone:
         span = range(-offset_limit, offset_limit + 1)
         yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
@@ -114,9 +112,7 @@ def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Vi
 
 
 def _blocks(numbers: NDArray[np.int64], radius: Array, size: int) -> list[NDArray[np.int64]]:
-    """Numbers (n,) of sources with signed radii (n,), in blocks of similar |R|, whose sources have nearly the same
-    taps.
-    """
+    """Numbers (n,) of sources with signed radii (n,), in blocks of similar |R|, which have nearly the same taps."""
     numbers = numbers[np.argsort(np.abs(radius), kind="stable")]
     return [numbers[start : start + size] for start in range(0, numbers.size, size)]
 
@@ -124,8 +120,7 @@ def _blocks(numbers: NDArray[np.int64], radius: Array, size: int) -> list[NDArra
 def _tap_shares(
     spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For every offset: numbers of sources, numbers of the frame pixels that they reach, and fractions of their
-    radiance.
+    """For every offset: numbers of sources and of the frame pixels that they reach, and fractions of their radiance.
 
     there: mask (H, W) of the sources to use. Pixels outside of the frame are left out.
     """

@@ -71,7 +71,7 @@ class Division:
 
 
 def division_of(radius: Array, extent: float, width: Array | float, gradient: Array) -> Division:
-    """Lens cells for sources with blur radii (N,) px."""
+    """Division of the lens for sources with blur radii (N,) px."""
     blur = np.abs(radius) * extent
     wide = blur >= WIDE_LENS
     cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
@@ -81,8 +81,9 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
 def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
     """Division of the lens for the blur, where more sources than in `division` are tested once per tap.
 
-    These are points with a blur of at least TAP_LENS px, and all whole pixels, because a tap's view of the lens depends
-    on where in the source pixel its light comes from. by_cells (N,): True for sources that keep their lens cells.
+    Sources tested once per tap are points with a blur of at least TAP_LENS px, and all whole pixels, because a tap's
+    view of the lens depends on where in the source pixel its light comes from. by_cells (N,): True for sources that
+    keep their lens cells.
     """
     wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~by_cells
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))

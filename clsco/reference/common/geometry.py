@@ -257,8 +257,7 @@ def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Position (..., 3) of surface points in the reference pose, in the camera frame, multiplied by w and so without
-    unit.
+    """Position (..., 3) of surface points in the reference pose, in the camera frame, multiplied by w (without unit).
 
     The third component is positive if the point was in front of the lens.
     """
@@ -266,8 +265,7 @@ def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def rest_pixel(surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Row and column (...) in px of surface points projected in the reference pose, and a mask (...) of points that
-    have one.
+    """Row and column (...) in px of surface points projected in the reference pose, and a mask (...) of valid ones.
 
     Without a surface, and for points that were behind the lens, the mask is False and row = column = 0.
     """
@@ -306,8 +304,7 @@ def _taps(position: Array, texture_filter: Filter) -> tuple[NDArray[np.int64], A
 
 
 def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Filter) -> Array:
-    """Texture (rows, columns[, channels]) interpolated at positions (...) in px, mirrored outside; shape (...[,
-    channels]).
+    """Values (...[, channels]) of a texture (rows, columns[, channels]) at positions (...) in px, mirrored outside.
 
     texture_filter: "nearest" (halves are rounded up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may overshoot,
     is not clamped).

@@ -115,7 +115,10 @@ def two_boxes(t: Array, part: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Hidden fraction (N,) of taps' lens cells, and the direction x, y (N,), of any length, in which more is hidden."""
+    """Fraction (N,) of taps' lens cells, hidden or free.
+
+    x, y (N,): direction, of any length, in which more is hidden.
+    """
 
     share: Array
     x: Array

@@ -438,8 +438,9 @@ def _meet_occluders(
 
 
 def _by_rays(psf: PointSpread, points: Points, division: Division) -> tuple[Division, dict[str, Any]]:
-    """`division` with cells of wide lenses (with bent rays, of all) at the scale of `RayMeans`, and the ray fields of
-    `Visibility`.
+    """`division` with the cells of wide lenses at the scale of `RayMeans`; with bent rays, of all lenses.
+
+    Also returns the fields of `Visibility` that concern rays.
     """
     rays, count = ray_means(psf, ceil(float(np.abs(points.radius).max()))), len(points.w)
     places, shares = np.zeros((1, count), dtype=np.int64), np.ones((1, count))

@@ -81,9 +81,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
-    """Fraction (M,) of the lens that occluders and rims leave free; x, y: taps moved to the middle of their visible
-    part.
-    """
+    """Fraction (M,) of the lens left free by occluders and rims; x, y: taps, at the middle of their visible part."""
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         free = Part(share[mask], across[mask], down[mask])
@@ -94,12 +92,13 @@ def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
 
 
 def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
-    """Displacement (M,) in px from a tap inwards to the mean of the visible part of its response, and the reduction
-    (M,) of the variance of this part.
+    """Displacement (M,) in px of the mean of a response inwards, if its outer part is cut off, and reduction of its
+    variance.
 
-    The aperture's edge cuts the response off, s (M,) px farther out than the tap. The response to a pixel's source is a
-    tent, whose visible part has the mean -(1 - s)^2 / 3 and the variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) / 3
-    and (1 + s)^2 / 18. The response to a point is a box: -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
+    The aperture's edge cuts off the response of a tap s (M,) px farther out than the tap. The reduction (M,) is 0 for
+    none to 1. The response to a pixel's source is a tent, whose visible part has the mean -(1 - s)^2 / 3 and the
+    variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) / 3 and (1 + s)^2 / 18. The response to a point is a box: -(1/2 -
+    s) / 2 and (1/2 + s)^2 / 12.
     """
     t, b = np.clip(s, -1.0, 1.0), np.clip(s, -0.5, 0.5)
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
@@ -202,7 +201,7 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
-    """Taps of wide lenses moved to the mean of the part that each edge of the lens mask leaves; then xx, xy, yy of a
+    """Taps of wide lenses moved to the mean of the part that each edge of the lens mask leaves, and xx, xy, yy of a
     `Cut`.
     """
     right, down, xx, xy, yy = np.zeros((5, *x.shape))
@@ -216,9 +215,7 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
 
 
 def cell_visibility(visibility: Visibility) -> Array:
-    """Visible fraction (N, L, L) of each cell of the lens, for the N sources with a narrow lens, times the tilt from
-    `lean`.
-    """
+    """Visible fraction (N, L, L) of each lens cell for the N sources with a narrow lens, times the tilt by `lean`."""
     narrow, side = np.flatnonzero(~visibility.wide), len(CELL_MIDDLES)
     share = np.ones((narrow.size, side, side))
     if narrow.size:

@@ -129,15 +129,14 @@ def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, 
 
 
 def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -> tuple[Array, Mask, Pixels]:
-    """One sweep of AIT: values (H, W, K) with newly filled pixels, a mask (H, W) of the newly filled, and source
-    pixels.
+    """One sweep of AIT: values (H, W, K) with newly filled pixels, a mask (H, W) of these, and source pixels (H, W).
 
     values: with the inverse depth last; known: before the sweep; bounds: on the inverse depth of neighbors. Inside the
     image, a pixel is the mean of the first opposite pair of known neighbors (horizontal, vertical, the two diagonals),
     or else a copy of the first known neighbor. On the outermost rows and columns, it is interpolated linearly between
     the nearest known pixels of the row, or else of the column; with bounds, the deeper of the two is copied if their
-    depths differ by a factor above 1.02. Source pixels (H, W): for a filled pixel, the number of the first neighbor
-    used; for others, their own number.
+    depths differ by a factor above 1.02. Source pixels: for a filled pixel, the number of the first neighbor used; for
+    others, their own number.
     """
     inside = missing.copy()
     inside[[0, -1], :] = inside[:, [0, -1]] = False

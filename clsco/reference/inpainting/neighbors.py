@@ -25,8 +25,7 @@ def count_neighbors(mask: Mask) -> NDArray[np.uint8]:
 def known_neighbors(
     values: Array, known: Mask, row: Pixels, column: Pixels, bounds: Bounds = None
 ) -> tuple[Array, Mask]:
-    """Values (8, N, K) of the neighbors of N pixels, and a mask (8, N) of the known ones within the bounds and the
-    array.
+    """Values (8, N, K) of the neighbors of N pixels, and a mask (8, N) of known ones within the array and the bounds.
 
     values: (H, W, K), with the inverse depth last; bounds: on the neighbors' inverse depth.
     """

@@ -35,13 +35,12 @@ def _bin(coc: Array, low: float, bins: int) -> Integers:
 
 
 def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
-    """Find discontinuities of the radius: steps between two valid pixels of a row or column with no valid pixel between
-    them.
+    """Find discontinuities of the radius: steps between two valid pixels of a line without a valid pixel between them.
 
-    coc: (H, W) px; valid: (H, W); low (px), bins: from `bins_of`; far: largest distance of the two pixels, px. Returns
-    an array (DISCONTINUITY_CLASSES, bins), and the largest sum of the two |radii| at a discontinuity in px, rounded up.
-    Entry (k, b) of the array is 1 + the largest bin of the near side, over the discontinuities larger than
-    DISCONTINUITY 2^k px (class k) whose far side is in bin b; 0 if there is none.
+    Lines are rows and columns. coc: (H, W) px; valid: (H, W); low (px), bins: from `bins_of`; far: largest distance of
+    the two pixels, px. Returns an array (DISCONTINUITY_CLASSES, bins), and the largest sum of the two |radii| at a
+    discontinuity in px, rounded up. Entry (k, b) of the array is 1 + the largest bin of the near side, over the
+    discontinuities larger than DISCONTINUITY 2^k px (class k) whose far side is in bin b; 0 if there is none.
     """
     latest, largest_sum = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64), 0
     for radius, there in ((coc, valid), (coc.T, valid.T)):
@@ -164,8 +163,7 @@ def pull(fine: Array, coarse: Array) -> Array:
 def take_depth_layer(
     radiance: Array, coc: Array, layer: Labels, hidden: Labels, coarse: Array, which: int
 ) -> tuple[Array, Array, Mask]:
-    """One depth layer for the blur: radiance with coverage (H, W, C + 1), radius (H, W), and a mask (H, W) of its
-    pixels.
+    """One depth layer for the blur: radiance with coverage (H, W, C + 1), radius (H, W), and mask of its pixels (H, W).
 
     coarse: the second level of the layer's pyramid, already filled, from which the hidden part is interpolated.
     """
@@ -227,8 +225,10 @@ def layered(
 
 
 def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> tuple[Labels, int]:
-    """Depth layers (H, W) of an image, from its radii, and the distance in px behind an edge up to which surfaces may
-    be visible; see `layered` for the arguments.
+    """Depth layers (H, W) of an image, from its radii, and the width in px of the strip behind an edge that may be
+    visible.
+
+    See `layered` for the arguments.
     """
     low, bins = bins_of(spec.largest)
     latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(spec.largest) + 1)

@@ -1,5 +1,7 @@
-"""Random numbers of a sensor's pixels in NumPy float32, with the bits of kernels/sensor/noise.clh: the same operations
-in the same order, each rounded by IEEE 754. Random words are uint32; results are float32 or int64.
+"""Random numbers of a sensor's pixels in NumPy float32, with the bits of kernels/sensor/noise.clh.
+
+The operations and their order are the same, and each is rounded by IEEE 754. Random words are uint32; results are
+float32 or int64.
 """
 
 from __future__ import annotations

@@ -112,8 +112,7 @@ def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps,
 
 
 def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
-    """Number of cells (n,) into which an axis of a pixel's footprint is cut; if bent, it is even, or 1 for a small
-    footprint.
+    """Number of cells (n,) into which an axis of a pixel's footprint is cut; even if bent, but 1 for a small footprint.
 
     square (n,): squared length of the axis in texels; shear (n,): product of the columns and rows that the axis spans.
     """
@@ -126,9 +125,7 @@ def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
 
 
 def _places(cells: int, bent: bool) -> Array:
-    """Middles (cells,) of an axis' cells relative to the middle of a part, in parts; if bent, Gauss nodes of cell
-    pairs.
-    """
+    """Middles (cells,) of an axis' cells relative to the middle of a part, in parts; if bent, Gauss nodes of pairs."""
     at = np.arange(cells)
     aside = (2.0 * GAUSS_PLACE - 0.5) * np.where(at % 2, 1.0, -1.0) * (bent and cells > 1)
     return np.asarray((at + 0.5 + aside) / cells - 0.5)
@@ -232,8 +229,10 @@ def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int)
 def surface_texture(
     texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, sources: int
 ) -> tuple[Array, Array]:
-    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and squared
-    numbers (n,) of texels along the longer axes of the footprints; sources: number per axis of a pixel.
+    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,).
+
+    Also returns the squared number (n,) of texels along the longer axis of each footprint. sources: number per axis of
+    a pixel.
     """
     mean, texels = np.zeros((len(w), texture.levels[0].shape[3])), np.zeros(len(w))
     for mask, share, footprint, mean_of in blended_images(texture, surface, camera, rays, w, sources, 1):

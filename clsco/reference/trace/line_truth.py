@@ -19,7 +19,7 @@ NEARER = 1.0 + 1e-5  # ratio of depths above which the nearer depth is that of a
 
 
 def line_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:
-    """Ground truth (rows, columns[, ...]) of a frame, as from `ground_truth`, with each line at the middle of its
+    """Ground truth (rows, columns[, ...]) of a frame, as `ground_truth`, but each line is at the middle of its
     exposure.
 
     Flow ends on the line of the other frame that shows the point; it is inf if no single line shows the point.
@@ -39,8 +39,7 @@ class LinePoints(Points):
     """Surface points in pixels (m, n), each at the time of its line."""
 
     def follow(self, frame: int, eye: Eye) -> tuple[Array, NDArray[np.bool_]]:
-        """`Follow` to the lines of a frame, by a search through all lines; the shift is inf if no single line shows a
-        point.
+        """`Follow` to the lines of a frame, by a search through all lines; inf if no single line shows a point.
 
         A point lies between the first line that, when exposed, is at or beyond the point, and the previous line.
         """

@@ -70,8 +70,9 @@ def is_curved(view: View, label: int) -> bool:
 
 
 def is_at_limb(view: View, label: int, rays: Array, samples: int) -> Array:
-    """True (n,) for rays (n, 3) that hit the front of a curved surface less than half a cell from its limb, judged by
-    the discriminant and its slopes; samples: cells per pixel along each axis.
+    """True (n,) for rays (n, 3) that hit the front of a curved surface less than half a cell from its limb.
+
+    The distance is estimated from the discriminant and its slopes. samples: cells per pixel along each axis.
     """
     surface = view.surfaces[(label - 1) // 2]
     if not is_curved(view, label) or (label % 2 == 1) != (surface.constant > 0.0):
@@ -83,8 +84,8 @@ def is_at_limb(view: View, label: int, rays: Array, samples: int) -> Array:
 
 
 def end_of_root(view: View, label: int, start: Array, stop: Array) -> Array:
-    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends; 1 if
-    never.
+    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends; 1 for
+    none.
     """
     at_start, at_stop = (root_margins(view, label, rays)[1] for rays in (start, stop))
     inside, fails = np.maximum(at_start, 0.0), at_stop < 0.0
@@ -150,8 +151,10 @@ def mean_above(first: Array, last: Array) -> Array:
 
 
 def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-    """Area (n,) of the part of a unit square's quarter (in row and column 0 or 1, (n,)) that is left of the straight
-    line from x = top (n,) on the upper side to x = bottom (n,) on the lower side.
+    """Area (n,) of the part of a unit square's quarter that is left of a straight line.
+
+    row, column: 0 or 1 (n,), the quarter. The line goes from x = top (n,) on the upper side to x = bottom (n,) on the
+    lower.
     """
     step = 0.5 * (bottom - top)
     first = top + row * step - 0.5 * column
@@ -159,8 +162,7 @@ def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDA
 
 
 def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, surface_label: Labels) -> None:
-    """Assign the area that a surface covers in squares (n,) to the surface's cells in the same pixel, or to empty
-    cells.
+    """Assign the area that a surface covers in squares (n,) to its cells in the same pixel, or to empty cells.
 
     label: (n, S + 2, S + 2); i, j: the upper left cell of the square; place: (4, n), where an outline crosses the top,
     bottom, left and right sides; surface_label: (n,), label of the surface, 0 to skip a square.
@@ -213,8 +215,7 @@ def cut_label(view: View, corners: Labels, rays: Array) -> Labels:
 def share_square(
     coverage: Coverage, curved: NDArray[np.bool_], i: int, j: int, place: Array, cut: NDArray[np.bool_]
 ) -> None:
-    """Add the area that a surface covers in squares (n,) between four cells, minus the quarters of its cells, to its
-    cells.
+    """Add to a surface's cells the area that it covers in squares (n,) between four cells, minus the cells' quarters.
 
     curved: (n, S + 2, S + 2), True if a cell's surface is curved; place: as for `cut_square`, -1 for a side that no
     outline crosses (an outline crosses two sides); cut: (n,), squares that `cut_square` handles.

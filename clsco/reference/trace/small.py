@@ -87,8 +87,9 @@ def is_small(view: View, k: int, row: Index, column: Index, reach: float = 0.5) 
 
 
 def small_members(view: View, group: OcclusionGroup, row: Index, column: Index) -> Mask:
-    """Mask (objects, ...) of the members of an occlusion group whose images are small at pixels; rows and columns
-    broadcast.
+    """Mask (objects, ...) of the members of an occlusion group that have small images at pixels.
+
+    Rows and columns of the pixels broadcast.
     """
     mask = np.zeros((len(view.surfaces), *np.broadcast(row, column).shape), dtype=bool)
     for k in range(len(mask)):
@@ -98,8 +99,10 @@ def small_members(view: View, group: OcclusionGroup, row: Index, column: Index) 
 
 
 def hidden_by_small(view: View, group: OcclusionGroup, row: Index, column: Index, inverse_depth: Array) -> Mask:
-    """Mask (...) of pixels with a small occluder of their sources, either inside the pixel or so near that whole pixels
-    would show its edge; inverse_depth (...): of the sources, 1/mm, 0 for no source.
+    """Mask (...) of pixels that have a small occluder of their sources inside, or so near that whole pixels would show
+    its edge.
+
+    inverse_depth (...): of the sources, 1/mm, 0 for no source.
     """
     rays, mask = pixel_ray(view.camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):

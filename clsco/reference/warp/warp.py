@@ -215,11 +215,11 @@ def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[ND
 def fill_entered(
     values: Array, objects: NDArray[np.uint8], valid: NDArray[np.bool_], entered: NDArray[np.bool_], guard: int
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:
-    """Fill pixels that have entered the frame from the mirrored image: values (H, W, K), objects (H, W), validity (H,
-    W).
+    """Fill pixels that have entered the frame from the mirrored image; returns values, objects and validity.
 
-    entered: (H, W), from `mark_entered`. Each pixel is copied from its mirror image about the outermost valid pixel of
-    its row in the frame, or else of its column. If there is none, it stays unchanged.
+    values: (H, W, K); objects, valid: (H, W); entered: (H, W), from `mark_entered`. Each pixel is copied from its
+    mirror image about the outermost valid pixel of its row in the frame, or else of its column. If there is none, it
+    stays unchanged.
     """
     values, objects, valid = values.copy(), objects.copy(), valid.copy()
     rows, columns = (n - 2 * guard for n in valid.shape)
