@@ -48,8 +48,8 @@ class DepthValues:
         return sum(self.missing.values())
 
     def report(self) -> str:
-        """One line with the numbers of pixels without depth (by reason), infinitely far, and at soft edges; "" if all
-        0.
+        """One line: the numbers of pixels without depth (by reason), infinitely far, and at soft edges; "" if there are
+        none.
         """
         why = _listed(self.missing)
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
@@ -149,8 +149,8 @@ def fill_depth(w: Array) -> Array:
 def _across(w: Array) -> tuple[Array, Array]:
     """w of every pixel, interpolated between the nearest known pixels in its row, and the distance of these two in px.
 
-    A pixel with known pixels on one side only gets w of the nearest one, and twice its distance from this one. Pixels
-    in rows without known pixels get 0 and inf.
+    A pixel with known pixels on one side only gets w of the nearest one, and twice the distance to it. Pixels in rows
+    without known pixels get 0 and inf.
     """
     column = np.broadcast_to(np.arange(w.shape[1]), w.shape)
     left = np.maximum.accumulate(np.where(w > 0, column, -1), axis=1)

@@ -42,9 +42,9 @@ def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
     """All levels of one image (rows, columns, channels), or of the six images of a cube map in the order of `SIDES`.
 
     out: array of `mipmap_floats` floats to which the levels are written in order. Returns the levels, each (sides,
-    rows, columns, channels). A level is the previous one, low-pass filtered by a cubic two texels wide without second
-    moment, so that interpolation between texels does not widen the image. Sides of a cube have borders of CUBE_BORDER
-    neighbor texels.
+    rows, columns, channels). Each level is the previous one after a low-pass filter, a cubic two texels wide. Its
+    second moment is 0, so that interpolation between texels does not widen the image. Sides of a cube have borders of
+    CUBE_BORDER texels from their neighbors.
     """
     rows, columns, channels = images[0].shape
     if out is None:

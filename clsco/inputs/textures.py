@@ -98,11 +98,11 @@ def load_texture(
     """Load a built-in pattern, an image file or an array as linear radiance.
 
     source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
-    or "linear", the curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; the curve of a color
-    profile replaces "srgb"; floats are linear. size: (rows, columns) of the result: an image of another size is
-    resampled (`resample`), a pattern is drawn in it, by default in 512 x 512. to_srgb: True to convert an image to the
-    primaries of sRGB (`Color.to_srgb`). read: `picture_of`, or a replacement. Raises FileError if the pattern or file
-    does not exist or cannot be read.
+    or "linear", the curve of 8- and 16-bit images, and of patterns and colors, which have 8 bits. If an image has a
+    color profile, its curve replaces "srgb"; floats are linear. size: (rows, columns) of the result. An image of
+    another size is resampled (`resample`); a pattern is drawn in this size, by default in 512 x 512. to_srgb: True to
+    convert an image to the primaries of sRGB (`Color.to_srgb`). read: `picture_of`, or a replacement. Raises FileError
+    if the pattern or file does not exist or cannot be read.
     """
     if is_drawn(source):
         return Texture(radiance_of(str(source), transfer, size), 8, str(source))

@@ -39,8 +39,9 @@ class PsfStack:
     Attributes
     ----------
     weights : ndarray of float32, (channels, places, depths, rows, columns)
-        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns). All sum
-        to 1, or with aberrations that vary over the frame to the factor by which these enlarge the image.
+        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns). The
+        weights of a source sum to 1 or, with aberrations that vary over the frame, to the factor by which these enlarge
+        the image.
     depth : ndarray of float64, (depths,)
         Depth Z of the source, mm, from near to far.
     radius : ndarray of float64, (channels, places, depths)
@@ -80,13 +81,20 @@ def psf(
 ) -> PsfStack:  # fmt: skip
     """Point spread functions of a scene's lens: the weights that its frames are made with.
 
-    Parameters ---------- scene : Scene, mapping or path As for `clsco.render_frame`. at : sequence of (column, row),
-    optional Positions of sources in the frame, px. By default the middle; if the blur depends on the position, four
-    positions from the middle to the corner. depths : sequence of float, optional Depths Z of sources, mm; may be
-    infinite. By default nine about the focus, from near to far at equal steps of 1/Z, up to the largest |R| of the
-    scene. index : int Number of the frame; its lens at the middle of the shutter is used. wavelengths : sequence of
-    float, optional Wavelengths of light, nm, instead of colors; only with psf.model = "wave" and without `axial` or
-    `lateral`.
+    Parameters
+    ----------
+    scene : Scene, mapping or path
+        As for `clsco.render_frame`.
+    at : sequence of (column, row), optional
+        Positions of sources in the frame, px. By default the middle; if the blur depends on the position, four
+        positions from the middle to the corner.
+    depths : sequence of float, optional
+        Depths Z of sources, mm; may be infinite. By default nine about the focus, from near to far at equal steps of
+        1/Z, up to the largest |R| of the scene.
+    index : int
+        Number of the frame; its lens at the middle of the shutter is used.
+    wavelengths : sequence of float, optional
+        Wavelengths of light, nm, instead of colors; only with psf.model = "wave" and without `axial` or `lateral`.
 
     Returns
     -------
@@ -101,7 +109,7 @@ def psf(
     Notes
     -----
     The weights are read from the same tables as on the device: for one source, all of it visible, on a surface that
-    faces the camera, in linear light. `clsco.response` has occlusion, motion, tilt and the border.
+    faces the camera, in linear light. `clsco.response` includes occlusion, motion, tilt and the border.
     Validated: equal to the response of a source on such a plane.
 
     Examples

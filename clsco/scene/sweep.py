@@ -53,7 +53,7 @@ class _Axis:
         return short if len(set(short)) == len(short) else [_word(value, exact=True) for value in self.values]
 
     def label(self) -> str:
-        """The key in labels: short, and different for every key that can be swept."""
+        """The key as part of a label: short, and different for every key that can be swept."""
         section, *inner, key = (str(part) for part in self.location)
         return "_".join([section, *inner[:-1], key] if inner else [key])  # without "motion"
 

@@ -22,7 +22,7 @@ def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: 
     """Stage 1: sweeps until no pixel is missing; values (H, W, K), and the number of sweeps that filled pixels.
 
     Arguments as for `fill_mean_median`; every missing pixel must be connected to a known one. If a sweep fills nothing,
-    the minimum is reduced by one until a sweep fills pixels; after `most_sweeps` it is one.
+    the minimum is reduced by one until a sweep fills pixels; after `most_sweeps` sweeps, the minimum is one.
     """
     sweeps, least, limit = 0, minimum, most_sweeps(*missing.shape)
     while missing.any():

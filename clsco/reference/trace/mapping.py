@@ -84,7 +84,7 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
 
 
 def on_side(q: Array, side: Indices) -> Array:
-    """Vectors (n, 3) in the axes of sides (n,) of a cube: right, up and out."""
+    """Vectors (n, 3) in the axes right, up and out of the cube sides `side` (n,)."""
     axes, signs = np.moveaxis(np.array(SIDES)[:, [1, 2, 0]], -1, 0)  # SIDES: out, right, up
     return np.asarray(np.take_along_axis(q, axes[side], -1) * signs[side])
 

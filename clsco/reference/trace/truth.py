@@ -54,7 +54,8 @@ class Truth:
 
 
 Follow = Callable[[int, Eye], tuple[Array, NDArray[np.bool_]]]
-"""Shift (m, n, 2) in px, right and down, of points to their positions in a frame, and a mask of points hidden there."""
+"""Function of a frame and an eye: returns the shift (m, n, 2) in px, right and down, of points to their positions in
+that view, and a mask of points that are hidden in it."""
 
 
 @dataclass(frozen=True, eq=False)

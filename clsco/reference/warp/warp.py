@@ -117,7 +117,7 @@ def reproject_winner(
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels with a winner, except those visible only through a gap of a surface that has grown.
 
-    depth: (H, W), of each winner; columns: number of columns of the frame.
+    depth: (H, W), inverse depth of each winner, 1/mm; columns: number of columns of the frame.
     """
     (height, width), bound = winner.shape, SAME_DEPTH * depth
 
