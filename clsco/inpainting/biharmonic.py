@@ -33,10 +33,10 @@ CHECK_EVERY = 10  # number of steps between two tests of the residual, as a test
 def fill_biharmonic(
     session: Session, image: NDArray[Any], missing: NDArray[np.bool_], progress: Progress = no_progress
 ) -> NDArray[np.float32]:
-    """`clsco.inpainting.fse.fill_texture` by the biharmonic equation.
+    """Values of missing pixels by the biharmonic equation; see `clsco.inpainting.fse.fill_texture` for the arguments.
 
-    Memory besides the image: a byte per pixel, and 8 bytes and the result per missing pixel; in the tile that is
-    filled, 12 channels + 6 bytes more per pixel and 43 channels + 5 per missing one.
+    Memory besides the image: a byte per pixel, and 8 bytes and the result per missing pixel. The tile that is being
+    filled takes another 12 channels + 6 bytes per pixel, and 43 channels + 5 bytes per missing pixel.
     """
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2]}
@@ -48,7 +48,7 @@ def fill_biharmonic(
 class _Level:
     """Unknowns at one resolution: pixels in the holes of a reduced image (rows, columns), and their values `vector`.
 
-    list: pixel number of each of the `count` unknowns; index: unknown of each pixel, -1 for none.
+    list: pixel number of each of the `count` unknowns; index: number of the unknown at each pixel, -1 for none.
     """
 
     rows: np.int32

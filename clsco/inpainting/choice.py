@@ -14,7 +14,7 @@ from clsco.opencl.session import Session
 WINDOW = 96  # px, side of the parts of the image that are examined
 MOST_WINDOWS = 4
 SHIFT = (24, 24)  # px, displacement of the copied holes from the true holes
-RIM = 8  # px, border of a window without copied holes: beyond it lies another window, not the image around it
+RIM = 8  # px, border of a window that gets no copied holes, because another window follows it, not the image around it
 # Ratio of the errors of "texture" and "biharmonic" above which "biharmonic" is chosen: on photographs, errors in so few
 # windows are uncertain by about 1 dB, and "texture" is the safer method; on smooth images the ratio is far larger.
 MARGIN = 1.25
@@ -26,9 +26,9 @@ def choose_method(
     """The method with the smaller square error at known pixels that are treated as missing, see MARGIN.
 
     image: (rows, columns, channels), of any type; missing: (rows, columns). At most MOST_WINDOWS windows are examined,
-    evenly chosen among those with holes. In each, a copy of the holes is shifted cyclically by SHIFT, and either method
-    fills the copied and the true holes together; windows are stacked in one image, so that few launches suffice. If no
-    window is usable, the method is "texture". The cost does not grow with the image.
+    evenly chosen among those with holes. In each window, a copy of the holes is shifted cyclically by SHIFT, and each
+    method fills the copied and the true holes together; windows are stacked in one image, so that few launches suffice.
+    If no window is usable, the method is "texture". The cost does not grow with the image.
     """
     windows = _windows(missing)
     if not windows:

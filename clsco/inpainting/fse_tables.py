@@ -34,8 +34,8 @@ def tables() -> Tables:
 
     window (FSE_SIDE, FSE_SIDE): DECAY to the power of the distance in px from the block's center. preference (FSE_SIDE,
     FSE_SIDE / 2): (1 - |frequency| / highest frequency)^2 (Genser et al. 2018); 0 for negative frequencies in the first
-    column, which mirror the positive ones there. cosines, sines (FSE_SIDE, FSE_SIDE / 2): of 2 pi a v / FSE_SIDE for
-    row a and column v.
+    column, which mirror the positive ones there. cosines, sines (FSE_SIDE, FSE_SIDE / 2): cosine and sine of 2 pi a v /
+    FSE_SIDE for row a and column v.
     """
     place = np.arange(FSE_SIDE)
     distance = place + 0.5 - FSE_SIDE / 2

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-# Settings of the biharmonic solver. Gains: weight of splines relative to that of splines of half the size, since they
-# have 1/4 of the energy. FIRST_GAIN is relative to single pixels, and larger, since these are no splines; the number of
-# steps hardly changes if it is 2 to 4 times FINER_GAIN.
+# Settings of the biharmonic solver. FINER_GAIN is the weight of splines relative to splines of half the size, as they
+# have 1/4 of the energy. FIRST_GAIN is the weight of the smallest splines relative to single pixels. It is larger, as
+# pixels are no splines; the number of steps hardly changes if it is 2 to 4 times FINER_GAIN.
 FIRST_GAIN, FINER_GAIN = 12.0, 4.0
 TOLERANCE = 1e-4  # ratio of final to first residual, in the preconditioner's norm: errors are then about -60 dB
 MOST_STEPS = 500  # limit of the number of steps; holes from single pixels to 300 px need 12 to 90
@@ -56,9 +56,9 @@ def halved(image: Array, missing: Mask) -> tuple[Array, Mask]:
 
 
 def doubled(coarse: Array, missing: Mask) -> Array:
-    """Values (N, K) of a half-size image (ceil(H / 2), ceil(W / 2), K) at the N pixels of `missing` (H, W).
+    """Values (N, K) of a half-size image (ceil(H / 2), ceil(W / 2), K) at the N pixels of `missing` (H, W), row by row.
 
-    They are interpolated linearly between the centers of coarse pixels, and constant beyond the outermost; row by row.
+    They are interpolated linearly between the centers of coarse pixels, and are constant beyond the outermost centers.
     """
     row, column = np.nonzero(missing)
     result: Array = np.zeros((row.size, coarse.shape[2]), coarse.dtype)
@@ -73,11 +73,10 @@ def doubled(coarse: Array, missing: Mask) -> Array:
 
 
 def spline_holes(missing: Mask) -> Mask:
-    """Mask (ceil(H / 2), ceil(W / 2)) of the coarse pixels, twice as wide, whose quadratic B-splines lie entirely in
-    the holes (H, W).
+    """Mask (ceil(H / 2), ceil(W / 2)) of coarse pixels whose quadratic B-splines lie entirely in the holes (H, W).
 
-    The spline of coarse pixel k is a sum of the splines of the fine pixels 2 k - 1 to 2 k + 2 along each axis; pixels
-    beyond the border are ignored.
+    A coarse pixel is twice as wide as a fine one. Along each axis, the spline of coarse pixel k is a sum of the splines
+    of the fine pixels 2 k - 1 to 2 k + 2; pixels beyond the border are ignored.
     """
     for _ in range(2):
         half = (len(missing) + 1) // 2

@@ -139,7 +139,7 @@ def group_size(session: Session) -> int:
 
 
 class Layout:
-    """Numbering of M missing pixels and their neighbors: B known pixels, and pixels of a border around the image.
+    """Numbering of M missing pixels and their neighbors: B known pixels, and a border of 1 px around the image.
 
     missing: (rows, columns). pixels, border: flat indices in the image of the missing (M,) and the known pixels (B,);
     slots: count of numbers, which are assigned row by row; at: (M,) number of each missing pixel; beside: (M, 2)
@@ -163,7 +163,7 @@ class Layout:
         return self._number.take(self._framed(self.border)).astype(np.int64)
 
     def near(self) -> NDArray[np.int32]:
-        """Number of known neighbors of missing pixels (M,)."""
+        """Number of known neighbors (M,) of each missing pixel."""
         known = np.zeros(self.shape, np.uint8)
         known.ravel()[self._framed(self.border)] = 1
         for axis in (0, 1):
@@ -192,8 +192,9 @@ def dilated(missing: Mask) -> Mask:
 class Band:
     """Rows of an image from `top` to `bottom` - 1, and the rows directly above and below them.
 
-    above: number of the first row held; value: flat array of (count, columns, K) values, finite at missing pixels, and
-    of CODE_LANES more pixels; it is overwritten by the next band. missing: (count, columns).
+    above: number of the first row in the band, which is `top` or the row above it; value: flat array of (count,
+    columns, K) values, finite at missing pixels, and of CODE_LANES more pixels. The next band overwrites it. missing:
+    (count, columns).
     """
 
     top: int
@@ -208,7 +209,7 @@ class Band:
 
 
 def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) -> Iterator[Band]:
-    """Bands of an image (rows, columns, K) with any row that is True in `wanted` (rows,), converted to `dtype`."""
+    """Bands of an image (rows, columns, K) that have any row with `wanted` (rows,) True, converted to `dtype`."""
     rows, columns, channels = image.shape
     step, most = max(1, BAND_VALUES // (columns * channels)), CODE_LANES * channels
     room = np.zeros(channels * columns * min(step + 2, rows) + most + ALIGNED, dtype)
@@ -261,8 +262,8 @@ class Holes:
     def fill(self, wins: np.int32, minimum: int, limit: int, progress: Progress) -> int:
         """Stage 1: fill all missing pixels; returns the number of sweeps.
 
-        wins: bit k is set to use the median of k neighbors; minimum: known neighbors that a pixel needs; limit: number
-        of sweeps after which a single neighbor is enough.
+        wins: integer whose bit k is set if the median is used for pixels with k known neighbors; minimum: number of
+        known neighbors that a pixel needs; limit: number of sweeps after which a single neighbor is enough.
         """
         state = self._sweep(wins, minimum, limit, self.level, np.zeros(2, np.int32), progress)
         if state[1] < self.missing:
@@ -307,7 +308,10 @@ class Holes:
         return state[0]
 
     def _lists(self, level: NDArray[np.int32], minimum: int) -> tuple[cl.Buffer, NDArray[np.int32]]:
-        """Lists and state of mean_median.cl before a sweep; level: (M,), known neighbors up to minimum, 0 if filled."""
+        """Lists and state of mean_median.cl before a sweep.
+
+        level: (M,), number of known neighbors of each pixel, at most `minimum`, 0 if it is filled.
+        """
         state = np.zeros((minimum + 1, 2), np.int32)
         lists = np.empty((minimum, self.at.size), np.int32)
         for k in range(1, minimum + 1):
@@ -317,7 +321,7 @@ class Holes:
         return copied(self.session, lists), state
 
     def smooth(self, rounds: int, progress: Progress) -> Floats:
-        """Stage 2: smooth the missing pixels by rounds of the median in two alternating buffers; returns the values."""
+        """Stage 2: smooth the missing pixels by rounds of the median, in two alternating buffers; return the values."""
         run, single, alone = parts(self.at, self.level == 8)
         buffers = (upload(self.session, run), np.int32(len(run)), upload(self.session, single))
         items = len(run) + -(-single.size // FILL_LANES)
@@ -325,7 +329,7 @@ class Holes:
         by_one = rounds > 1 and group_size(self.session) == 1 and items * self.channels <= MOST_VECTORS
         at_once = rounds if by_one else 1
         for n in range(0, rounds, at_once):
-            # Pixels with only known neighbors have equal values in both buffers after two rounds.
+            # Pixels whose neighbors are all known have equal values in both buffers after two rounds.
             singles = np.int32(single.size - (alone if n > 1 else 0))
             size, planes = ((1, OWNERS) if by_one else (items, VECTORS)), (self.beside, self.value, self.found)
             self._launch("smooth_holes", *size, self.slots, np.int32(at_once), *buffers, singles, *planes)
@@ -346,10 +350,11 @@ class Holes:
 
 
 def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
-    """Runs of missing pixels, and single ones, from their numbers `at` (M,), as the kernel smooth_holes reads them.
+    """Runs of missing pixels, and single missing pixels, in the form that the kernel smooth_holes reads.
 
-    Returns first numbers and lengths of runs (R, 2), numbers of single pixels (S,), and how many of these are `alone`;
-    they are last.
+    at: (M,), numbers of the missing pixels; alone: (M,), mask of those whose eight neighbors are all known. Returns
+    first numbers and lengths of runs (R, 2), numbers of single pixels (S,), and how many of the single pixels are
+    `alone`; these are last.
     """
     starts = np.flatnonzero(np.diff(at, prepend=-2) != 1)
     within = np.arange(at.size) - np.repeat(starts, np.diff(starts, append=at.size))

@@ -23,7 +23,7 @@ SOLVERS: dict[str, Callable[..., NDArray[np.float32]]] = {"biharmonic": fill_bih
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """Numbers (N,) and values (N, K) of the filled pixels, the method used, and the stages of mean-median."""
+    """Numbers (N,) and values (N, K) of the filled pixels, the method used, and results of mean-median's stages."""
 
     pixels: NDArray[np.int64]
     values: NDArray[np.float32]
@@ -40,10 +40,10 @@ def check_method(name: str) -> None:
 def fill(
     session: Session, method: str, image: NDArray[Any], missing: Mask, options: MeanMedian, progress: Progress
 ) -> Filled:
-    """Fill an image (rows, columns, K) of codes or floats with missing pixels (rows, columns), some but not all.
+    """Fill the missing pixels of an image (rows, columns, K) of codes or floats.
 
-    method: for "auto" the method that is better on known pixels is used; options: of the mean-median method; progress:
-    called with the fraction done.
+    method: with "auto", the method that is better on known pixels is used; missing: (rows, columns), some but not all
+    True; options: options of the mean-median method; progress: called with the fraction done.
     """
     if method == "auto":
         method = choose_method(session, image, missing)

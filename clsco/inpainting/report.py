@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 class Report:
     """Report on filling an image.
 
-    method: method used; device: name of the device; shape, dtype: of the image; missing_pixels: number of missing
-    pixels; seconds: total time; stages: results of the stages of mean-median, None for other methods or without missing
-    pixels; constants: options of mean-median.
+    method: method used; device: name of the device; shape, dtype: shape and type of the image; missing_pixels: number
+    of missing pixels; seconds: total time; stages: results of the stages of mean-median, None for other methods or
+    without missing pixels; constants: options of mean-median.
     """
 
     method: str

@@ -17,7 +17,7 @@ from clsco.errors import SceneError
 
 COUNTS = range(4, 9)
 """Counts of known neighbors for which mean and median are scored; with fewer neighbors, the mean is used."""
-STEPS = 2**16  # most steps in the range of the values, for scores; sums of 4096 pixels then fit into 53 bits
+STEPS = 2**16  # largest number of steps in the range of the values, for scores; sums of 4096 pixels fit into 53 bits
 LEAST_EXPONENT, MOST_EXPONENT = -126, 126  # range of the exponent of the scale, a float32
 
 
@@ -70,7 +70,8 @@ def most_sweeps(rows: int, columns: int) -> int:
 
     Each later sweep fills all pixels beside known ones, so that max(rows, columns) of these sweeps suffice, and stage 1
     takes fewer than 4 (rows + columns) sweeps for any mask. Without this limit, 1 of 10,000 random masks takes more
-    (4.09 times rows + columns for 61 x 51 pixels, of which 55 are known); about 40 of 10,000 reach the limit.
+    sweeps (4.09 times rows + columns for 61 x 51 pixels, of which 55 are known). About 40 of 10,000 masks reach the
+    limit.
     """
     return 3 * (rows + columns)
 
@@ -104,8 +105,9 @@ class Score:
 
 
 def score_scale(span: float) -> float:
-    """Factor of values before they are rounded for scores: the largest power of two for which it takes the range of the
-    values, `span`, to at most 2^16.
+    """Factor by which values are multiplied before they are rounded for scores.
+
+    It is the largest power of two by which the range of the values, `span`, becomes at most 2^16.
     """
     mantissa, exponent = frexp(span)
     above = exponent - (mantissa == 0.5)  # span is at most 2^above

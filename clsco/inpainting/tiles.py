@@ -27,10 +27,10 @@ def fill_in_tiles(
 ) -> Image:
     """Values (N, K) of the N missing pixels (H, W) of an image (H, W, K) of any type, row by row.
 
-    fill: returns a part of the image with its holes filled, given that part, whose known values are scaled to 0 to 1 in
-    each channel, and a mask of holes; results are clipped to 0 to 1. Tiles are filled row by row, each with a margin of
-    MARGIN px in which previously filled values count as known; tiles without a known pixel are deferred. Only one tile
-    at a time is held as floats. Raises ArgumentError if no pixel of the image is known.
+    fill: function of a part of the image and a mask of its holes that returns the part with its holes filled. Known
+    values in the part are scaled to 0 to 1 in each channel, and results are clipped to 0 to 1. Tiles are filled row by
+    row, each with a margin of MARGIN px in which previously filled values count as known; tiles without a known pixel
+    are deferred. Only one tile at a time is held as floats. Raises ArgumentError if no pixel of the image is known.
     """
     if missing.all():
         raise ArgumentError(f"missing: must leave a pixel known; got all {missing.size} missing")
@@ -61,8 +61,9 @@ def fill_in_tiles(
 def _within(
     part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Indices among ascending pixel numbers (N,) of a part of an image of `columns` columns, and rows and columns of
-    these pixels in the part.
+    """Those of the pixels (N,), ascending numbers in an image of `columns` columns, that are in a part of the image.
+
+    Returns their indices in `pixels`, and their rows and columns in the part.
     """
     first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
     row, column = np.divmod(pixels[first:end], columns)

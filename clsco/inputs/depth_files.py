@@ -25,12 +25,12 @@ DEPTH_FORMATS = IMAGE_FORMATS | {".npz": "NPZ", ".dpt": "DPT"}
 def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[Any]:
     """Read the numbers of a depth file as stored; `inverse_depth` interprets them.
 
-    PNG (8 or 16 bits; fewer bits become 8), JPEG, TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array `depth`, or
-    the only one with two dimensions) and EXR (a channel of the layer, chosen by `clsco.files.layers.depth_channels`;
-    pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM is not applied, as
-    in readers of Middlebury's files. TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`. Returns an
-    array (rows, columns) with row 0 on top, integers as stored or float64, which may include zero, negative numbers,
-    NaN and infinity.
+    Formats: PNG (8 or 16 bits; fewer bits become 8), JPEG, TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array
+    `depth`, or the only one with two dimensions) and EXR (a channel of the layer, chosen by
+    `clsco.files.layers.depth_channels`; pixels outside of its data window are NaN). Three equal channels count as one.
+    The scale in a PFM's header is not applied; readers of Middlebury's files do not apply it either. TIFF and 16-bit
+    color PNG need the extra `formats`, EXR needs `exr`. Returns an array (rows, columns) with row 0 on top, integers as
+    stored or float64, which may include zero, negative numbers, NaN and infinity.
 
     Raises FileError if the file does not hold exactly one depth map: it is unreadable or damaged, has the wrong
     extension, over 2^27 pixels or 65536 a side (rejected from the header), or channels that differ. Validated against

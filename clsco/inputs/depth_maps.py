@@ -48,7 +48,9 @@ class DepthValues:
         return sum(self.missing.values())
 
     def report(self) -> str:
-        """One line with the numbers of pixels without depth, by reason, infinitely far, and at soft edges; "" if 0."""
+        """One line: the numbers of pixels without depth (by reason), infinitely far, and at soft edges; "" if there are
+        none.
+        """
         why = _listed(self.missing)
         size, verb = self.inverse_depth.size, "is" if self.far == 1 else "are"
         parts = [f"{self.invalid} of {size} pixels have no depth ({why})"] if why else []
@@ -85,9 +87,9 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     missing pixels. Surfaces at infinity, or farther than 1e12 mm, get 1e-12 per mm, and are blurred as at infinity.
 
     Raises FileError if no pixel has a surface; if |R| exceeds 512 px, with a guess of the intended unit; if a depth is
-    below 1e-6 mm; if a blur radius (coc) is larger than at infinity, as no depth has it; and if near and far are set,
-    but all numbers are equal. Validated against the formulas in exact fractions, and by converting analytic depth to
-    every unit and back.
+    below 1e-6 mm; if a blur radius (coc) is larger than the radius at infinity, which no depth has; and if near and far
+    are set, but all numbers are equal. Validated against the formulas in exact fractions, and by converting analytic
+    depth to every unit and back.
     """
     unit, nowhere = item.unit, np.zeros(raw.shape, np.bool_)
     with np.errstate(over="ignore"):
@@ -145,10 +147,10 @@ def fill_depth(w: Array) -> Array:
 
 
 def _across(w: Array) -> tuple[Array, Array]:
-    """w of every pixel, interpolated between the nearest known pixels of its row, and the distance of these two in px.
+    """w of every pixel, interpolated between the nearest known pixels in its row, and the distance of these two in px.
 
-    A pixel with known pixels on one side only gets w of the nearest, and twice the distance to it; rows without known
-    pixels get 0 and inf.
+    A pixel with known pixels on one side only gets w of the nearest one, and twice the distance to it. Pixels in rows
+    without known pixels get 0 and inf.
     """
     column = np.broadcast_to(np.arange(w.shape[1]), w.shape)
     left = np.maximum.accumulate(np.where(w > 0, column, -1), axis=1)
@@ -278,7 +280,7 @@ def _ray_lengths(shape: tuple[int, ...], camera: Camera) -> Array:
 
 
 def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: Camera, where: str) -> None:
-    """Raise FileError if a blur radius is too large. scale: of the depth map, None if it has `near` and `far`."""
+    """Raise FileError if a blur radius is too large. scale: the depth map's, None with `near` and `far`."""
     # The radius is linear in w, so that the largest is at the smallest or the largest w.
     largest, at = max((abs(float(blur_radius(camera, w[at]))), -int(at)) for at in (w.argmin(), w.argmax()))
     if largest > LARGEST_BLUR:
@@ -293,10 +295,10 @@ def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: 
 
 
 def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> str:
-    """Hint for the error on too large blur radii: the unit that the numbers probably have, or what else may be wrong.
+    """Hint for the error about too large blur radii: the probable unit of the numbers, or what else may be wrong.
 
-    A unit is likely if no radius is too large in it, and if the range of the radii is at least a tenth of the largest
-    range in any such unit.
+    A unit is likely if it makes no radius too large, and if its range of radii is at least a tenth of the largest range
+    among such units.
     """
     at_infinity = abs(float(blur_radius(camera, 0.0)))
     if at_infinity > LARGEST_BLUR:

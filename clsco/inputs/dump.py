@@ -38,7 +38,7 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     SceneError
         The scene has arrays in memory, and `path` is missing or does not end in .toml.
     FileError
-        A file cannot be written; in this case no file is.
+        A file cannot be written; in this case none is written.
 
     Notes
     -----

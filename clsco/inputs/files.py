@@ -70,7 +70,7 @@ class InputFiles:
         return scale_radiance(loaded, exposure_factor(scene.aperture, self.point_spread(scene)))
 
     def maps(self, scene: Scene) -> Maps:
-        """`clsco.inputs.depth_maps.load_scene_depths`, each map once per content and camera."""
+        """The result of `clsco.inputs.depth_maps.load_scene_depths`, each map computed once per content and camera."""
         return load_scene_depths(scene, self.map)
 
     def point_spread(self, scene: Scene) -> PointSpread:
@@ -80,7 +80,7 @@ class InputFiles:
     def texture(
         self, source: Input, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
     ) -> Texture:  # fmt: skip
-        """`clsco.inputs.textures.load_texture`, once per content, transfer, size and primaries."""
+        """The result of `clsco.inputs.textures.load_texture`, loaded once per content, transfer, size and primaries."""
         drawn = is_drawn(source)
         content: Hashable | None = source if drawn else self._content(source)
         if content is None:
@@ -114,7 +114,7 @@ class InputFiles:
         return radiance
 
     def picture(self, source: Input) -> Picture:
-        """`clsco.inputs.textures.picture_of`, once per content."""
+        """The result of `clsco.inputs.textures.picture_of`, computed once per content."""
         return self._once("picture", source, lambda: picture_of(source), lambda picture: picture.data.nbytes)
 
     def about(self, source: Input) -> About:
@@ -127,7 +127,7 @@ class InputFiles:
         return self._once("about", source, read, lambda about: about.color.size)
 
     def depth(self, source: Input) -> NDArray[Any]:
-        """`clsco.inputs.depth_maps.depth_numbers`, once per content."""
+        """The result of `clsco.inputs.depth_maps.depth_numbers`, computed once per content."""
         return self._once("depth", source, lambda: depth_numbers(source), lambda array: array.nbytes)
 
     def map(self, scene: Scene, item: DepthMap) -> NDArray[np.float64]:
@@ -135,7 +135,7 @@ class InputFiles:
         return self.depth_values(scene, item).inverse_depth
 
     def depth_values(self, scene: Scene, item: DepthMap) -> DepthValues:
-        """`clsco.inputs.depth_maps.map_values` of an object, once per content and camera."""
+        """The result of `clsco.inputs.depth_maps.map_values` for an object, computed once per content and camera."""
         source, texture = item.inputs()["depth"], item.inputs()["texture"]
         content, picture = self._content(source), texture if is_drawn(texture) else self._content(texture)
 
@@ -198,6 +198,8 @@ def shared_files() -> InputFiles:
 
 
 def _stamp(path: str) -> tuple[int, ...]:
-    """Numbers that change when a file does: device, inode, size in bytes, and times of both changes in ns."""
+    """Numbers that change when a file does: device, inode, size in bytes, and times of changes of content and status,
+    ns.
+    """
     state = Path(path).stat()
     return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns

@@ -27,7 +27,7 @@ Focus = tuple[int, int] | float
 
 
 def lens_line(scene: Scene, w: Array) -> str:
-    """Text on a depth map: the range of its blur radius R, the share of pixels in focus, and warnings.
+    """Text about a depth map: the range of its blur radius R, the share of pixels in focus, and warnings.
 
     w: inverse depth (rows, columns), 1/mm, 0 for pixels without a surface; at least one pixel has a surface. Example:
     "R -0.1 to 33 px; in focus: 12 % of the picture". A pixel is in focus if |R| is at most `SHARP`.
@@ -57,9 +57,10 @@ def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     """The scene with its lens focused, at t = 0, on the surface at a point or at a quantile of the depths.
 
     scene: a scene with a resolution. The lens gets a focus distance or, for infinity, its detector moves to the focal
-    length. Raises SceneError if the point is outside of the picture, shows no surface, or is within the focal length,
-    or if a depth map stores blur radii, whose depths depend on the focus; FileError if a depth map cannot be read.
-    Quantiles use at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
+    length. Raises SceneError if the point is outside of the picture, shows no surface, or is within the focal length;
+    also if a depth map stores blur radii, because their depths depend on the focus. Raises FileError if a depth map
+    cannot be read. Quantiles use at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of
+    known depth.
     """
     columns, rows = scene.camera.frame_size
     if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):
@@ -91,7 +92,7 @@ def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
 def find_visible(
     scene: Scene, maps: Sequence[Array | None], i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Inverse depth in 1/mm and number of the object visible in rows i and columns j at t = 0, (len(i), len(j)).
+    """Inverse depth in 1/mm and object number (len(i), len(j)) of what is visible in rows i and columns j at t = 0.
 
     maps: as returned by `InputFiles.maps`. For a pixel without a surface, the inverse depth is 0, and the number is
     that of the background, or -1 if there is none. With a depth map, i and j must be in the frame.

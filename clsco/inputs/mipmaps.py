@@ -42,9 +42,9 @@ def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
     """All levels of one image (rows, columns, channels), or of the six images of a cube map in the order of `SIDES`.
 
     out: array of `mipmap_floats` floats to which the levels are written in order. Returns the levels, each (sides,
-    rows, columns, channels). A level is the previous one, low-pass filtered by a cubic two texels wide without second
-    moment, so that interpolation between texels does not widen the image. Sides of a cube have borders of CUBE_BORDER
-    neighbor texels.
+    rows, columns, channels). Each level is the previous one after a low-pass filter, a cubic two texels wide. Its
+    second moment is 0, so that interpolation between texels does not widen the image. Sides of a cube have borders of
+    CUBE_BORDER texels from their neighbors.
     """
     rows, columns, channels = images[0].shape
     if out is None:
@@ -122,7 +122,7 @@ def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (..., 3) of a cube's side at coordinates x (right) and y (up) from -1 to 1; beyond, of its plane."""
+    """Points (..., 3) in the plane of a cube's side at coordinates x (right) and y (up), -1 to 1 on the side."""
     (out, sign), (right, right_sign), (up, up_sign) = SIDES[side]
     points = np.empty((*np.shape(x), 3))
     points[..., out], points[..., right], points[..., up] = sign, right_sign * x, up_sign * y
@@ -130,7 +130,7 @@ def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
 
 
 def cube_side(q: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-    """Sides of a cube that directions (..., 3) meet, and the coordinates on these sides; ties go to the first axis."""
+    """Sides of a cube that directions (..., 3) point to, and coordinates on these sides; ties go to the first axis."""
     axis = np.argmax(np.abs(q), axis=-1)
     size = np.take_along_axis(q, axis[..., None], -1)[..., 0]
     # Right, top and front are the positive ends of the axes.

@@ -26,7 +26,7 @@ Load = Callable[[Input], "Picture"]
 def load_point_spread(
     psf: Psf, aperture: Aperture, transfer: str = "srgb", load: Load = picture_of, camera: Camera | None = None
 ) -> PointSpread:  # fmt: skip
-    """Point spread function of a PSF section and an aperture, with the image of its pupil.
+    """Point spread function for a PSF section and an aperture; if the aperture has an image, it is loaded as the pupil.
 
     transfer: curve of images with 8 and 16 bits, as for textures. load: `clsco.inputs.textures.picture_of`, or a
     replacement. camera: required by psf.model = "wave". Raises FileError if the image of the aperture cannot be read,

@@ -34,8 +34,9 @@ def resample(
 
 
 def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
-    """First row and end of the rows of an image that are needed to compute rows `first` to before `end` of its
-    resampled version; before, rows: rows of the image and of its resampled version.
+    """First row and end of the rows of an image that rows `first` to before `end` of its resampled version depend on.
+
+    before, rows: number of rows of the image and of its resampled version.
     """
     if before == rows:
         return first, end
@@ -60,7 +61,7 @@ def resample_rows(
 ) -> Floats:
     """Rows `numbers` of an image resampled to `rows` rows, as in `resample`; the result may be negative.
 
-    above, before: `part` of `resample`. Second moments are preserved, as the cubic has none.
+    above, before: the two numbers in `part` of `resample`. Second moments are preserved, as the cubic's own is 0.
     """
     before = image.shape[0] if before is None else before
     taps, t = _taps(before, rows, numbers)

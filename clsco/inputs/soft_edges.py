@@ -140,7 +140,8 @@ def _steep(radius: Array) -> tuple[Indices, Indices]:
     """Rows and columns of the steps that are large enough to be the steepest step of an edge."""
     steps = radius[:, 1:] - radius[:, :-1]
     least = LEAST_STEP * LEAST_STEEPEST
-    if not steps.size or (steps.max() < least and steps.min() > -least):  # takes a fifth of the time of the search
+    # This test takes a fifth of the time of the search.
+    if not steps.size or (steps.max() < least and steps.min() > -least):
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     line, column = np.nonzero(np.abs(steps) >= least)
     return line, column
@@ -175,7 +176,7 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
 def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.bool_]:
     """Mark the places that have a nearly flat step within REACH on both sides.
 
-    This discards ramps, and costs less than to examine all steps around each place.
+    This test discards ramps, and costs less than examining all steps around each place.
     """
     size = np.zeros((len(stored), stored.shape[1] - 1 + 2 * REACH))  # magnitudes of the steps, 0 beyond the border
     np.abs(stored[:, 1:] - stored[:, :-1], out=size[:, REACH:-REACH])
@@ -196,7 +197,7 @@ def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
 
 
 def _length(steps: Array) -> Indices:
-    """Number of steps on one side of the steepest that belong to each edge; -1 if no flat surface follows them.
+    """Number of steps on one side of the steepest that are part of each edge; -1 if no flat surface follows them.
 
     steps: (edges, REACH), from the steepest outwards, in multiples of the steepest.
     """
@@ -247,7 +248,7 @@ def _supported(edges: _Edges, columns: int) -> _Edges:
 
 
 def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges, _Edges]:
-    """Remove edges whose surfaces are pixels inside a larger edge, in the same or the other direction."""
+    """Remove edges whose surfaces have pixels that are inside a larger edge, in the same or the other direction."""
 
     def pixels(edges: _Edges, place: Indices) -> Indices:
         line = edges.line[:, None]
@@ -277,7 +278,7 @@ def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges
 def _assigned(
     edges: _Edges, stored: Array, image: NDArray[Any] | None
 ) -> tuple[Indices, Indices, Array, Array, Indices]:
-    """Line, position in the line and new radius of each pixel to be changed, and step and count of its edge."""
+    """Line, position in the line and new radius of each pixel to be changed, and the step and the count of its edge."""
     most = int(edges.count.max(initial=0))
     inner = np.arange(1, most + 1)
     between = inner <= edges.count[:, None]
@@ -315,9 +316,9 @@ def _cut_by_color(
 ) -> tuple[Indices, NDArray[np.bool_]]:
     """Likeliest number of pixels of the first surface in each edge, and a mask of the edges to be used.
 
-    The mask excludes edges of one or two pixels if the color of one is no mixture of the two surfaces' colors. places,
-    between: positions (edges, most) of pixels in their lines, and mask of those in the edge; where: the number of
-    pixels of the first surface by depth, fractional.
+    The mask excludes edges of one or two pixels if the color of one is no mixture of the two surfaces' colors. places:
+    (edges, most), positions of pixels in their lines; between: (edges, most), mask of the pixels inside the edge;
+    where: fractional number of pixels of the first surface, according to depth.
     """
     line, side = edges.line[:, None], np.arange(AROUND)
     last = edges.first + edges.count + 1

@@ -43,10 +43,10 @@ TextureSource = str | os.PathLike[str] | ArrayInput  # a LayerInput is a path
 class Texture:
     """Image of a surface, in linear radiance.
 
-    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, finite; row 0 on top. bits: 8, 16 or 32 per
-    value, as stored. source: name of the pattern, path of the file, or the array's name in messages. content:
-    identifies the radiance, equal for equal values; None if unknown. others: for a cube map, the radiance of the sides
-    after the first, in the order of `clsco.inputs.mipmaps`.
+    radiance: float32 (rows, columns) or (rows, columns, 3), 1 = white, finite; row 0 on top. bits: number of bits per
+    stored value, 8, 16 or 32. source: name of the pattern, path of the file, or the array's name in messages. content:
+    key that is equal only for equal radiance; None if unknown. others: for a cube map, the radiance of the sides after
+    the first, in the order of `clsco.inputs.mipmaps`.
     """
 
     radiance: NDArray[np.float32]
@@ -57,7 +57,7 @@ class Texture:
 
     @cached_property
     def brightest(self) -> float:
-        """Upper bound of |radiance|: range of all values and 0, which is the largest radiance if none is negative."""
+        """Upper bound of |radiance|: the range of all values and 0, which is the maximum if no value is negative."""
         return max(radiance_span(image) for image in self.images)
 
     @property
@@ -98,11 +98,11 @@ def load_texture(
     """Load a built-in pattern, an image file or an array as linear radiance.
 
     source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
-    or "linear", the curve of patterns and colors, which have 8 bits, and of 8- and 16-bit images; the curve of a color
-    profile replaces "srgb"; floats are linear. size: (rows, columns) of the result: an image of another size is
-    resampled (`resample`), a pattern is drawn in it, by default in 512 x 512. to_srgb: True to convert an image to the
-    primaries of sRGB (`Color.to_srgb`). read: `picture_of`, or a replacement. Raises FileError if the pattern or file
-    does not exist or cannot be read.
+    or "linear", the curve of 8- and 16-bit images, and of patterns and colors, which have 8 bits. If an image has a
+    color profile, its curve replaces "srgb"; floats are linear. size: (rows, columns) of the result. An image of
+    another size is resampled (`resample`); a pattern is drawn in this size, by default in 512 x 512. to_srgb: True to
+    convert an image to the primaries of sRGB (`Color.to_srgb`). read: `picture_of`, or a replacement. Raises FileError
+    if the pattern or file does not exist or cannot be read.
     """
     if is_drawn(source):
         return Texture(radiance_of(str(source), transfer, size), 8, str(source))
@@ -191,8 +191,9 @@ def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
 def _by_rows(
     shape: tuple[int, ...], rows_of: Callable[[int, int], Floats], step: int = ROWS_AT_A_TIME
 ) -> NDArray[np.float32]:
-    """An aligned float32 image of this shape, computed `step` rows at a time; rows_of(first, end): returns the rows
-    from `first` to before `end`.
+    """An aligned float32 image of the given shape, computed `step` rows at a time.
+
+    rows_of(first, end): returns the rows from `first` to before `end`.
     """
     image = empty_image(shape)
     for first in range(0, shape[0], step):
@@ -242,9 +243,9 @@ def load_scene_textures(
     """Load the textures of all objects, each file once.
 
     Projected textures get the size of the frame; textures on surfaces keep their size. If images have different color
-    profiles, all are converted to the primaries of sRGB. load: `load_texture`, or a replacement; color: of a file.
-    Returns the scene with a resolution, by default that of the first object's texture, and a texture per object. Raises
-    FileError as `load_texture`.
+    profiles, all are converted to the primaries of sRGB. load: `load_texture`, or a replacement; color: returns the
+    color space of an image file. Returns the scene with a resolution, by default that of the first object's texture,
+    and a texture per object. Raises FileError as `load_texture`.
     """
     columns, rows = scene.camera.resolution or texture_size(scene.objects[0].textures()[0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})

@@ -1,8 +1,8 @@
 """Time samples of a frame and their weights.
 
 The number of time samples affects a frame with motion. The device's samples are used if their intervals cover the
-exposure of each line, and if they are as many as the scene asks for or, for "auto", as the displacement measured here
-needs. Their weights depend only on the shutter curve.
+exposure of each line, and if there are enough of them: the number that the scene sets or, for "auto", the number that
+the displacement measured in this module requires. The weights of samples depend only on the shutter curve.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Object, Scene
 from clsco.scene.sequence import CURVES
 
-CLOSED = 1e-6  # share of an exposure; intervals cover it if they end this close to its end
+CLOSED = 1e-6  # share of an exposure; intervals that end this close to the end of the exposure cover it
 STEPS = 64  # number of steps of an exposure, for paths in the image
 LOOKS = (0, STEPS // 2, STEPS)  # steps at whose times rays sample the objects
-EDGE_ERROR, CHORD = 5e-4, 0.5  # error allowed at a moving edge, 1 = white; least share of a lens passed in one radius
+# Error allowed at a moving edge, 1 = white; lower bound of the share of a lens's light that an edge crosses per radius.
+EDGE_ERROR, CHORD = 5e-4, 0.5
 MEASURED = 0.8  # share of the samples needed by points on a grid of rays that counts as sufficient
 NEAREST = 1e-3  # least depth in mm, and least blur radius in px
 MOST = 4095  # largest number of time samples while a line is exposed
@@ -36,8 +37,8 @@ MOST = 4095  # largest number of time samples while a line is exposed
 def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[Array, Array]:
     """Times (samples,) of a frame in s, and weights (samples, lines) for its rows or columns.
 
-    Weights are (samples, 1) if all lines have the same. claimed: number of time samples on the device while a line is
-    exposed; least: the sufficient number.
+    Weights are (samples, 1) if they are equal for all lines. claimed: number of time samples on the device while a line
+    is exposed; least: the number that is sufficient.
     """
     if not scene.moves:
         return np.zeros(1), np.ones((1, 1))
@@ -64,8 +65,9 @@ def exposure_of(scene: Scene, index: int, claimed: int, least: float) -> tuple[A
 
 
 def light_passed(curve: ArrayLike, time: Array) -> Array:
-    """Fraction of an exposure's light that has passed at times from 0 to 1, by the trapezoidal rule; curve: at equal
-    time steps.
+    """Fraction of an exposure's light that has passed at times from 0 to 1, by the trapezoidal rule.
+
+    curve: weights of the shutter curve at equal time steps.
     """
     heights = np.asarray(curve, np.float64) / np.max(curve)
     nodes, inside = np.linspace(0.0, 1.0, len(heights)), np.clip(time, 0.0, 1.0)
@@ -78,8 +80,8 @@ def light_passed(curve: ArrayLike, time: Array) -> Array:
 def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: int, guard: int) -> float:
     """Sufficient number of time samples while a line of a frame is exposed.
 
-    It is that of the scene, or for "auto" as many as points of the objects need, up to `guard` px around the frame.
-    maps: inverse depths of each object's depth map, or None.
+    It is the scene's number or, for "auto", the number that points of the objects need, including points up to `guard`
+    px outside of the frame. maps: inverse depths of each object's depth map, or None.
     """
     sequence = scene.sequence
     if sequence.samples != "auto" or not scene.moves:
@@ -118,7 +120,7 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
 
 
 def _seen_points(camera: Camera, item: Object, pose: Pose, depth: Array | None, guard: int) -> tuple[Array, Array]:
-    """Rays (n, 3) and inverse depths (n,) of an object seen alone: at every second pixel, or all pixels of a map."""
+    """Rays (n, 3) and inverse depths (n,) of an object seen alone, at every second pixel, or at all pixels of a map."""
     row, column = (place[:: 1 + (depth is None), :: 1 + (depth is None)] for place in padded_grid(camera, guard))
     rays = pixel_ray(camera, row, column)
     if depth is None:
@@ -130,5 +132,5 @@ def _seen_points(camera: Camera, item: Object, pose: Pose, depth: Array | None, 
 
 
 def _radii(lenses: tuple[Lens, ...], rays: Array, w: Array) -> Array:
-    """Smallest |R| (n,) of points over the colors of a lens, px."""
+    """For each point, the smallest |R| in px over the colors of a lens, (n,)."""
     return np.asarray(np.min([np.abs(blur_radius(lens, rays, w)) for lens in lenses], axis=0))

@@ -1,4 +1,4 @@
-"""The blurred image of a view at a time, and the forward warp, in NumPy float64."""
+"""Blurred image of a view at one time, and the forward warp, in NumPy float64."""
 
 from __future__ import annotations
 
@@ -44,9 +44,10 @@ from clsco.scene.model import Scene
 
 
 def run(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Mapping[str, Any]:
-    """The blurred "plane" (m, n, C) of a view at a time in s, and other outputs by name.
+    """The blurred "plane" (m, n, C) of a view at a time in s, and further outputs by name.
 
-    They are "counts" of the filling, a mask of "missing" ones among moved pixels, and the number of "depth_layers".
+    Some of these exist only for warped images or depth layers: "counts" of the filling, a mask of "missing" pixels
+    after a forward warp, and the number of "depth_layers".
     """
     outputs: dict[str, Any] = {}
     planes: list[Array] = []
@@ -67,7 +68,7 @@ def _view(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Vi
 
 
 def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Array:
-    """Blurred image of traced sources, one occlusion group after the other."""
+    """Blurred image of traced sources; occlusion groups are blurred one after another and added."""
     view, psf = _view(plan, textures, time), plan.scene.psf
     guard, total = band_of(plan, view), np.zeros((*plan.shape, plan.channels))
     for group in plan.groups:
@@ -85,7 +86,7 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
 
 
 def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> dict[str, Any]:
-    """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers; result as of `run`."""
+    """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers; outputs as from `run`."""
     guard, needed = 0, plan.claimed[1]
     outputs: dict[str, Any] = {}
     while guard < needed or not outputs:
@@ -111,7 +112,7 @@ def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: fl
 
 
 def _cut_by_rims(plan: ReferencePlan, time: float, guard: int, sources: Sources) -> Sources:
-    """Sources of an image with their light cut by rims."""
+    """Copy of an image's sources in which rims cut the light of each source."""
     lit = sources.lit.copy()
     state, visibility = _check_rims(plan, time, guard, lit, sources.radius[lit], 1.0)
     number = np.full(lit.size, -1)
@@ -123,8 +124,9 @@ def _cut_by_rims(plan: ReferencePlan, time: float, guard: int, sources: Sources)
 def _check_rims(
     plan: ReferencePlan, time: float, guard: int, mask: NDArray[np.bool_], radius: Array, width: float
 ) -> tuple[NDArray[np.uint8], Visibility]:
-    """State of the lens (N,) behind rims, and the data for tests per tap, for sources of a `width` in px with signed
-    radii (N,), at the pixels in `mask` (H, W).
+    """State of the lens (N,) behind the rims, and the `Visibility` for tests per tap.
+
+    The N sources are at the pixels in `mask` (H, W), are `width` px wide, and have the signed radii `radius` (N,).
     """
     scene, lens = plan.scene, lens_at(plan.scene, time, plan.only)
     camera, zeros = colored(camera_at(scene, time), scene.lens, plan.only), np.zeros(len(radius))
@@ -162,7 +164,7 @@ def _of_color(texture: Texture, color: int | None) -> Texture:
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """Result of a forward warp: sources, the object of each (H, W), status of the filling (H, W), and its report."""
+    """Result of a forward warp: sources; each pixel's object (H, W); status of the filling (H, W); and its report."""
 
     sources: Sources
     objects: NDArray[np.uint8]
@@ -174,7 +176,7 @@ def warped_image(
     scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye,
     color: int | None = None,
 ) -> Warped:  # fmt: skip
-    """The pixels of the reference pose moved to their positions at a time, with holes filled, and radii for a color."""
+    """The pixels of the reference pose moved to a time, with holes filled; color: as for `view_at`."""
     images = tuple(texture for texture in textures if not isinstance(texture, MappedTexture))  # none is mapped
     pairs = zip(scene.objects, rest_poses(scene), strict=True)
     reference_pose = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)

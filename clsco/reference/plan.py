@@ -1,9 +1,9 @@
 """The reference's own plan, which omits no feature and makes none of the device's optimizations.
 
-Each object is blurred separately, and with visibility tests every other object may hide it; all pixels that an outline
-can touch have sub-pixel sources; the guard band is twice as wide as needed; radii are not clamped. The formulas of
-`clsco.optics`, and approximations by design, are shared with the device: cells of the lens, edges of occluders, taps,
-depth layers.
+Each object is blurred separately, and in visibility tests every other object is an occluder. All pixels that an outline
+can touch have sub-pixel sources, the guard band is twice as wide as needed, and radii are not clamped. The formulas of
+`clsco.optics` are shared with the device, and so are approximations by design: cells of the lens, edges of occluders,
+taps, and depth layers.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ WIDEST_BAND = 1024  # px, largest width of the guard band
 class ReferencePlan:
     """The reference's plan for a view of a scene.
 
-    scene: a scene with a resolution; psf: of its lens; spreads: PSFs of red, green and blue, if each is blurred
-    separately; only: number of the color that the plan is for, None for all; channels: of the frame; claimed: the
-    device's number of time samples, guard band and largest |R|. Frames with motion depend on the first, depth layers
-    and moved pixels on the other two, so these values are used if they are sufficient.
+    scene: a scene with a resolution; psf: PSF of its lens; spreads: PSFs of red, green and blue if each is blurred
+    separately, else empty; channels: number of channels of the frame; only: number of the color that the plan is for,
+    None for all; claimed: the device's number of time samples, guard band in px, and largest |R| in px. A frame with
+    motion depends on the number of samples, and depth layers and moved pixels depend on the other two, so the device's
+    values are used if they are sufficient.
     """
 
     scene: Scene
@@ -82,7 +83,7 @@ class ReferencePlan:
 
     @property
     def static_map(self) -> bool:
-        """True for a single depth map of which each pixel stays at its position."""
+        """True if the scene is a single depth map whose pixels all stay at their positions."""
         scene = self.scene
         stays = not (scene.moves or scene.shifts_colors) and scene.stereo is None
         return not scene.is_analytic and len(scene.objects) == 1 and stays
@@ -106,7 +107,9 @@ class ReferencePlan:
 
     @property
     def occlusion(self) -> Occlusion:
-        """Method: "none" if set or nothing can be hidden, "layered" for depth maps and moved pixels, or the scene's."""
+        """The method: "none" if set or nothing can be hidden, "layered" for depth maps and moved pixels, else the
+        scene's.
+        """
         scene = self.scene
         convex = len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
         if scene.psf.occlusion == "none" or convex:
@@ -128,7 +131,7 @@ class ReferencePlan:
 
     @property
     def spec(self) -> BlurSpec:
-        """The blur specification, as far as the reference uses it."""
+        """The blur specification; fields that the reference does not use have placeholder values."""
         scene, psf = self.scene, self.psf
         return BlurSpec(psf, "scatter", 0.0, self.claimed[2], tilt=scene.psf.tilt, border=scene.psf.border)
 
@@ -139,8 +142,9 @@ def _hollow(item: Object) -> bool:
 
 
 def band_of(plan: ReferencePlan, view: View) -> int:
-    """Width in px of the guard band of a view: twice the width needed for |R| of all surfaces that rays meet there,
-    occluded or not.
+    """Width in px of the guard band of a view: twice the width that the |R| of all surfaces on its rays needs.
+
+    Occluded surfaces count as well.
     """
     if plan.scene.psf.border == "renormalize":
         return 0
@@ -162,8 +166,9 @@ def band_of(plan: ReferencePlan, view: View) -> int:
 
 
 def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Mask (H, W) of pixels that get sub-pixel sources: near a change of the labels (H, W), or near an object that the
-    rays through all pixel centers within SILHOUETTE_RANGE px miss.
+    """Mask (H, W) of pixels that get sub-pixel sources: near a change of the labels (H, W), or near a missed object.
+
+    An object is missed if none of the rays through pixel centers within SILHOUETTE_RANGE px hits it.
     """
     (row, column), center, missed = padded_grid(view.camera, guard), label & 127, np.zeros(label.shape, dtype=bool)
     members = [item for k, item in enumerate(view.scene.objects) if group.members >> k & 1]

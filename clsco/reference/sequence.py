@@ -1,4 +1,4 @@
-"""Reference renderer: renders scenes in NumPy float64, to check the device against."""
+"""Reference renderer: renders scenes in NumPy float64, so that results of devices can be checked against it."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _frame(plan: ReferencePlan, textures: tuple[Texture, ...], index: int, subfr
 
 
 def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> dict[str, Any]:
-    """Ground truth from rays; empty if the scene has depth maps, which are not ray-castable."""
+    """Ground truth from rays; empty if the scene has depth maps, at which rays cannot be cast."""
     scene = plan.scene
     if not scene.is_analytic:
         return {}

@@ -39,8 +39,9 @@ class PsfStack:
     Attributes
     ----------
     weights : ndarray of float32, (channels, places, depths, rows, columns)
-        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns). All sum
-        to 1, or with aberrations that vary over the frame to the factor by which these enlarge the image.
+        Fraction of a source's light that each pixel receives; the source is in the middle of (rows, columns). The
+        weights of a source sum to 1 or, with aberrations that vary over the frame, to the factor by which these enlarge
+        the image.
     depth : ndarray of float64, (depths,)
         Depth Z of the source, mm, from near to far.
     radius : ndarray of float64, (channels, places, depths)
@@ -85,8 +86,8 @@ def psf(
     scene : Scene, mapping or path
         As for `clsco.render_frame`.
     at : sequence of (column, row), optional
-        Positions of sources in the frame, px. By default the middle; if the blur depends on the position, four from
-        there to the corner.
+        Positions of sources in the frame, px. By default the middle; if the blur depends on the position, four
+        positions from the middle to the corner.
     depths : sequence of float, optional
         Depths Z of sources, mm; may be infinite. By default nine about the focus, from near to far at equal steps of
         1/Z, up to the largest |R| of the scene.
@@ -108,7 +109,7 @@ def psf(
     Notes
     -----
     The weights are read from the same tables as on the device: for one source, all of it visible, on a surface that
-    faces the camera, in linear light. `clsco.response` has occlusion, motion, tilt and the border.
+    faces the camera, in linear light. `clsco.response` includes occlusion, motion, tilt and the border.
     Validated: equal to the response of a source on such a plane.
 
     Examples
@@ -166,9 +167,10 @@ def psf_of(
 def behind_rims(
     lens: Lens, spread: PointSpread, slopes: Array, inverse: Array, radius: Array, weights: NDArray[np.float32]
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Weights (places, depths, n, n) of the light that passes rims, from those of the whole lens.
+    """Weights (places, depths, n, n) of the light that passes the rims.
 
-    slopes: (places, 2), X / Z and Y / Z; inverse: (depths,), 1 / Z; radius: (places, depths), px.
+    slopes: (places, 2), X / Z and Y / Z; inverse: (depths,), 1 / Z; radius: (places, depths), px; weights: weights of
+    the whole lens, of the shape of the result.
     """
     size, count, zero = weights.shape[-1], radius.size, np.zeros(radius.size)
     rays = np.repeat(np.pad(slopes, ((0, 0), (0, 1)), constant_values=1.0), len(inverse), axis=0)
@@ -208,7 +210,7 @@ def _inverse(depths: Sequence[float]) -> Array:
 
 
 def _inverse_depths(lens: Lens, largest: float) -> Array:
-    """Inverse depths, 1/mm, from near to far; `largest`: largest |R|, px, on both sides of the focus."""
+    """Inverse depths in 1/mm, from near to far, up to |R| = `largest` px on both sides of the focus."""
     power, margin = lens.focus_power, largest / lens.blur_scale
     near, far = power + margin, max(power - margin, 0.0)
     if not far < power < near:
@@ -237,8 +239,9 @@ def _stacked(spreads: Sequence[PointSpread], radius: Array, places: Array) -> ND
 
 
 def spread_weights(spread: PointSpread, radius: float, place: tuple[float, float] | None = None) -> NDArray[np.float32]:
-    """Weights (n, n) of a source with a signed blur radius, px, from the tables that a device reads; place: its column
-    and row in the frame, if weights vary over it.
+    """Weights (n, n) of a source with a signed blur radius in px, from the tables that a device reads.
+
+    place: column and row of the source in the frame, if weights vary over the frame.
     """
     if spread.varying is None or place is None:
         return table_weights(psf_table(spread, abs(radius), abs(radius), blocks=_block), spread, radius)

@@ -77,7 +77,7 @@ else:
 
 
 def zernike_terms(table: Strict) -> tuple[tuple[int, int, float], ...]:
-    """Indices n and m, and size in waves, of each nonzero polynomial of [psf.zernike]."""
+    """Indices n and m, and coefficient in waves, of each nonzero polynomial of [psf.zernike]."""
     if not table.model_fields_set:  # fast path, as each frame calls this several times
         return ()
     terms = ((n, m, float(getattr(table, f"{n},{m}"))) for n, m in _polynomials())

@@ -58,9 +58,9 @@ class ArrayInput:
 
 @dataclass(frozen=True)
 class LayerInput(os.PathLike[str]):
-    """A layer of an EXR file with several layers; its text, and `os.fspath`, are the path of the file.
+    """A layer of an EXR file that has several; `str` and `os.fspath` return the path of the file.
 
-    layer: name as for `clsco.files.layers.image_channels` or `depth_channels`.
+    layer: name of the layer, as for `clsco.files.layers.image_channels` or `depth_channels`.
     """
 
     path: str
@@ -84,7 +84,7 @@ class _InputOf:
     kind: Kind
 
     def check(self, value: Any, text: Callable[[Any], str]) -> str | ArrayInput:
-        """The input in the form stored in the model; text: validates a name or path. Raises the input's faults."""
+        """Convert an input to the form that the model stores, or raise its faults; text: validates a name or path."""
         if isinstance(value, ArrayInput):
             return value if value.kind == self.kind else self.check(value.array, text)
         if isinstance(value, np.ndarray):

@@ -25,12 +25,14 @@ from clsco.scene.quantities import (
 
 
 def _aperture_mm(data: dict[str, Any]) -> float:
-    """Default of the aperture diameter D, mm; data: the keys before it."""
+    """Default of the aperture diameter D, mm; data: values of the keys before `aperture_diameter`."""
     return 10.0 if data["f_number"] is None else float(data["focal_length"] / data["f_number"])
 
 
 def _sensor_distance_mm(data: dict[str, Any]) -> float:
-    """Default of the sensor distance s, mm: 1/s = 1/f - 1/u, or without u, that of the thesis for its f of 20 mm."""
+    """Default of the sensor distance s, mm: 1/s = 1/f - 1/u, or without u the thesis' 21.739 mm for f = 20, scaled by
+    f.
+    """
     f, u = data["focal_length"], data["focus_distance"]
     return float(21.739 * f / 20.0 if u is None else image_distance(f, u))
 

@@ -19,14 +19,14 @@ from clsco.scene.text import brief, shown
 
 MAX_VARIANTS = 4096
 MOST_JOINED = 8  # depth of tables that are joined; deeper nesting is rejected later
-VARIANT = "variant"  # array of tables: keys that differ from the rest of the file, in each of several scenes
-# (key, its section, its values, keys of the section that belong to only some of these)
+VARIANT = "variant"  # array of tables; each has the keys of one scene that differ from the rest of the file
+# (key, its section, its values, other keys of the section that are allowed only with some of these values)
 _CHOICES: tuple[tuple[str, str, tuple[str, ...], Mapping[str, tuple[str, ...]]], ...] = (
     ("aperture.shape", "aperture", get_args(ApertureShape), APERTURE_KEYS),
     ("psf.model", "psf", get_args(SpreadModel), MODEL_KEYS),
     ("sensor.exposure", "sensor", ("normalized", "physical"), EXPOSURE_KEYS),
 )
-# (key, its new value or None for any, key of the file that would contradict it)
+# (key that is set, its new value or None for any, other key that contradicts this value)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.f_number", None, "camera.aperture_diameter"),
     ("camera.aperture_diameter", None, "camera.f_number"),
@@ -104,7 +104,7 @@ def put(data: dict[str, Any], parts: list[str], value: Any) -> str | None:
 
 
 def variant_tables(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Content of the scene file of each [[variant]] by itself; [] without any, or if they are no tables or too many."""
+    """Content of a separate scene file for each [[variant]]; [] if they are missing, too many, or not all tables."""
     tables, shared = data.get(VARIANT), {key: value for key, value in data.items() if key != VARIANT}
     if not isinstance(tables, list) or len(tables) > MAX_VARIANTS or not all(isinstance(t, Mapping) for t in tables):
         return []
@@ -112,10 +112,10 @@ def variant_tables(data: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _changed(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of a scene file with the values of `table`, which displace those that contradict them.
+    """Content of a scene file with the values of `table`, and without keys that contradict these values.
 
-    Tables are joined key by key; a table for a list changes its entries by number, as "object.0.radius" does; other
-    values are replaced.
+    Tables are joined key by key. A table in place of a list changes the list's entries by number, as "object.0.radius"
+    does; other values are replaced.
     """
     copy = {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
     for section, keys in table.items():

@@ -76,7 +76,8 @@ def parsed(root: type[Root], mapping: Any, where: str) -> Root:
 def messages(error: ValidationError, root: type[BaseModel], place: Location = ()) -> list[str]:
     """Messages on the faults that pydantic found in a scene, or in the scene's table at the location `place`."""
     faults = error.errors(include_url=False)
-    own = [fault for fault in faults if fault["type"] != "default_factory_not_called"]  # as another key is faulty
+    # A default is not computed if it depends on a key that is faulty itself.
+    own = [fault for fault in faults if fault["type"] != "default_factory_not_called"]
     return [_message({**fault, "loc": (*place, *fault["loc"])}, root) for fault in own]
 
 
@@ -111,7 +112,7 @@ def items(data: Mapping[str, Any], key: str = "object") -> list[Mapping[str, Any
 
 
 def _without_shape(loc: Location) -> Location:
-    """A location in a file, which has no shape after the index of an object, as locations in faults of pydantic do."""
+    """A location as in a file: pydantic's location without the shape that follows the index of an object."""
     return loc[:2] + loc[3:] if len(loc) > 2 and loc[0] == "object" and loc[2] in SHAPES else loc
 
 

@@ -112,7 +112,7 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
 
 
 def _has_several(value: Any, annotation: Any) -> bool:
-    """True if a value is a range, or a list for a key with this type annotation that takes no such list."""
+    """True if a value is a range, or a list that a key with this type annotation does not take as a single value."""
     is_list = isinstance(value, list) and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
     return is_list or isinstance(value, Mapping)
 
@@ -152,7 +152,7 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
-    """Copy of a scene file's content with other file names; name: returns the new one from location and old name."""
+    """Copy of a scene file's content with other file names; name: returns the new name, from location and old name."""
     if tables := variant_tables(data):
         return {VARIANT: [relocated(table, name) for table in tables]}
     copy = dict(data)

@@ -33,7 +33,7 @@ def group_origin(group: Group, objects: Sequence[AnyShape]) -> Vector:
 
 
 def unknown_groups(members: Iterable[str | None], names: Iterable[str | None]) -> list[tuple[Location, str, str]]:
-    """A fault for each object whose group does not exist; members: the group of each object, names: of all groups."""
+    """A fault for each object whose group does not exist; members: group of each object, names: names of all groups."""
     known = list(dict.fromkeys(name for name in names if name is not None))
     some = ", ".join(map(shown, known[:8])) + (", ..." if len(known) > 8 else "")
     rule = f"must be the name of a group, {some}" if known else "must be the name of a group; there is none"

@@ -50,7 +50,7 @@ def _known_shape(value: Any) -> Any:
 
 
 def repeated_names(names: Iterable[str | None], table: str = "object") -> list[tuple[Location, str, str]]:
-    """A fault for each object that has the name of an earlier one; table: name of the array of objects in a file."""
+    """A fault for each object that has the name of an earlier one; table: name of the objects' array in a file."""
     first: dict[str, int] = {}
     return [
         ((index, "name"), f"names must differ; {table}[{first[name]}] has the same", name)
@@ -111,7 +111,7 @@ class _OfItsShape:
         """The validated object; raises the same faults as validation by the union of all shapes."""
         model = SHAPES[value["shape"]] if isinstance(value, dict) else type(value)
         if model in SHAPES.values():
-            model.model_rebuild()  # or another thread could validate by a half-built model
+            model.model_rebuild()  # otherwise another thread could validate with a half-built model
             with suppress(ValidationError):
                 return model.model_validate(value)
         return cast(AnyShape, _any_shape().validate_python(value, strict=True))

@@ -32,7 +32,7 @@ MAX_LISTED = 4096  # largest number of entries of an array in place of a list
 
 Vector = tuple[float, float, float]
 Location = tuple[str | int, ...]
-"""Location of a key or table, as ("object", 0, "motion", "velocity")."""
+"""Location of a key or table, such as ("object", 0, "motion", "velocity")."""
 Fault = tuple[Location, PydanticCustomError | str, Any]
 """Location of a fault, the violated rule or an error from `fault`, and the invalid value."""
 
@@ -62,9 +62,9 @@ def refuse_if(wrong: Callable[[Any], bool], rule: str, got: str | None = None) -
 
 
 def only_with(selector: str, homes: Mapping[str, tuple[str, ...]]) -> Any:
-    """Validator of keys that belong to some values of another key, which precedes them in the table.
+    """Validator for keys that are allowed only with some values of another key, which precedes them in the table.
 
-    selector: the other key as in messages, "psf.model"; homes: its values, by key.
+    selector: name of the other key in messages, such as "psf.model"; homes: for each key, the values that allow it.
     """
 
     def check(value: Any, info: ValidationInfo) -> Any:
@@ -78,11 +78,11 @@ def only_with(selector: str, homes: Mapping[str, tuple[str, ...]]) -> Any:
 
 
 def instead_of(**others: str) -> Any:
-    """Validator of keys that exclude another key, which precedes them in the table; others: this key, by key."""
+    """Validator for keys that exclude another key, which precedes them; others: the excluded key for each key."""
 
     def check(value: Any, info: ValidationInfo) -> Any:
         other = others[str(info.field_name)]
-        if value is not None and info.data.get(other, "refused") is not None:  # a rejected value is missing
+        if value is not None and info.data.get(other, "refused") is not None:  # "refused" if the other key was rejected
             raise fault(f"give {other} or {info.field_name}, not both")
         return value
 
@@ -101,7 +101,7 @@ def raise_faults(*faults: Fault) -> None:
 class Within:
     """Constraint on a number: finite and between `low` and `high`, in `unit`.
 
-    ends: brackets that say which limits belong to the interval.
+    ends: a bracket for each limit, square if the limit itself is allowed.
     """
 
     low: float
@@ -166,7 +166,10 @@ def _list_of(count: int, what: str) -> Callable[[Any], Any]:
 
 
 def array_of_tables(header: str, what: str, most: int, least: int = 0) -> BeforeValidator:
-    """Constraint on the number of tables in an array, [[header]] in a file, which becomes a tuple; what: their name."""
+    """Constraint on an array of tables, [[header]] in a file: the number of tables; the array becomes a tuple.
+
+    what: name of the tables in messages.
+    """
 
     def convert(value: Any) -> Any:
         value = as_python(value)
@@ -261,7 +264,7 @@ class Deferred:
         def check(value: Any) -> Any:
             if value is None:
                 return None
-            model.model_rebuild()  # or another thread could validate by a half-built model
+            model.model_rebuild()  # otherwise another thread could validate with a half-built model
             return model.model_validate(value)
 
         return core_schema.no_info_plain_validator_function(check, metadata={"source": source})
@@ -291,7 +294,7 @@ class Strict(BaseModel):
             except ValidationError as error:
                 raise Strict.refusal(type(self), error) from None
 
-        # For the parts of a model, pydantic does not call a constructor with this attribute, as its own has.
+        # With this attribute, which pydantic's own constructor has, this one is not called for the parts of a model.
         __init__.__pydantic_base_init__ = True
 
     @classmethod

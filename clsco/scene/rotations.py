@@ -113,7 +113,7 @@ def _about(axis: Vector, degrees: float) -> Rows:
 
 
 def _sine_cosine(degrees: float) -> tuple[float, float]:
-    """Sine and cosine, exact for quarter turns: pi/2 in float64 is slightly off and would tilt a plane."""
+    """Sine and cosine, exact for quarter turns; pi/2 in float64 is slightly off, which would tilt a plane."""
     quarter = {0.0: (0.0, 1.0), 90.0: (1.0, 0.0), 180.0: (0.0, -1.0), 270.0: (-1.0, 0.0)}
     angle = math.radians(degrees)
     return quarter.get(math.fmod(degrees + 360.0, 360.0), (math.sin(angle), math.cos(angle)))

@@ -9,9 +9,9 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from clsco.scene.quantities import Duration, FNumber, Strict, Triple, Within, fault, instead_of, only_with, raise_faults
 
 MOSAICS = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "grbg": (1, 0, 2, 1), "gbrg": (1, 2, 0, 1)}
-"""Channels of the pixels (0, 0), (0, 1), (1, 0), (1, 1) (row, column) of a Bayer mosaic: red, green, blue."""
+"""Channels (0 red, 1 green, 2 blue) of a Bayer mosaic's pixels in (row, column) (0, 0), (0, 1), (1, 0), (1, 1)."""
 EXPOSURE_KEYS = {"reference_shutter": ("physical",), "reference_f_number": ("physical",)}
-"""Keys that only some values of `exposure` have, with these values."""
+"""Keys of [sensor] that are allowed only with some values of `exposure`, and these values."""
 MOST_ELECTRONS = 10_000_000
 NOISE_SEEDS = 2**53  # number of seeds, all of which JSON numbers represent exactly
 

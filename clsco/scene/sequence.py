@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 from clsco.scene.quantities import Duration, Samples, Strict, Within, as_python, fault, refuse_if
 
 CURVES = {"box": (1.0, 1.0), "trapezoid": (0.0, 1.0, 1.0, 1.0, 0.0), "triangle": (0.0, 1.0, 0.0)}
-"""Weights of the shutter curves that have names, at equal times from opening to closing."""
+"""Weights of the named shutter curves, at equal time steps from opening to closing."""
 MOST_WEIGHTS, LARGEST_WEIGHT = 256, 1e9  # largest number of weights of a shutter curve, and largest weight
 
 

@@ -31,7 +31,7 @@ from clsco.scene.rotations import Rotation, after, depth_row
 from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, in_layer
 
 BACKGROUND_MM = 1e12
-"""Distance of surfaces that are infinitely far away: their blur differs from that of infinity by a part in 10^10."""
+"""Distance that stands for infinity: the blur differs from the blur at infinity by a part in 10^10."""
 ROUNDING = 1e-15  # rounding error of a direction's component that should be 0 after a rotation
 STATIC = "a background stays where it is; turn the camera by camera.motion"
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
@@ -391,8 +391,9 @@ SHAPES: dict[str, type[AnyShape]] = {kind.model_fields["shape"].default: kind fo
 
 
 def origin(shape: AnyShape) -> Vector:
-    """Origin of an object, mm, about which it rotates and its bounds are given: the apex of a cone, (0, 0, distance) of
-    a plane, else the center.
+    """Origin of an object, mm, about which it rotates and its bounds are given.
+
+    It is the apex of a cone, (0, 0, distance) of a plane, and the center of other shapes.
     """
     if isinstance(shape, Plane):
         return (0.0, 0.0, shape.distance)

@@ -24,7 +24,7 @@ APERTURE_KEYS: dict[str, tuple[ApertureShape, ...]] = {
     "obstruction": ("ring",),
     "image": ("image",),
 }
-"""Keys of [aperture] that only some shapes have, with these shapes."""
+"""Keys of [aperture] that are allowed only with some shapes, and these shapes."""
 
 
 MOST_CONCAVE_TRIANGLE = -math.tan(math.radians(15.0)) / math.tan(math.radians(30.0))
@@ -75,8 +75,8 @@ class Aperture(HasInputs, Strict):
     def _blades_meet_at_corners(cls, value: float, info: ValidationInfo) -> float:
         """Reject three blades that are so concave that they cross.
 
-        At a corner, the arc of a blade of curvature c is at 2 atan(c tan 30 deg) to its chord, and the chord is at
-        30 deg to the line to the center.
+        At a corner, the angle between the arc of a blade of curvature c and its chord is 2 atan(c tan 30 deg), and the
+        angle between the chord and the line to the center is 30 deg.
         """
         if info.data.get("blades") == 3 and value < MOST_CONCAVE_TRIANGLE:
             raise fault(f"must be at least {MOST_CONCAVE_TRIANGLE:.3f} with 3 blades, which would cross one another")
@@ -100,7 +100,7 @@ MODEL_KEYS: dict[str, tuple[SpreadModel, ...]] = {
     "zernike": ("wave", "pillbox"), "wavelengths": ("wave", "pillbox"),
     **dict.fromkeys(("bandwidth", "tail", "rest"), ("wave",)),
 }  # fmt: skip
-"""Keys of [psf] that only some models have, with these models."""
+"""Keys of [psf] that are allowed only with some models, and these models."""
 
 
 class Psf(Strict):
@@ -180,8 +180,9 @@ class Psf(Strict):
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
 
     def of_images(self) -> Self:
-        """Copy for images and depth maps, which rays cannot hit: occlusion is "layered" unless set; SceneError for
-        "visibility".
+        """Copy for images and depth maps, at which no rays can be cast: occlusion is "layered" unless it is set.
+
+        Raises SceneError if it is set to "visibility".
         """
         if self.asks_for_rays:
             raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")

@@ -26,8 +26,9 @@ DEEPEST = 8  # deepest nesting of tables and lists, more than a range of an obje
 
 @dataclass(frozen=True)
 class Sweep:
-    """Scenes of one file, each with a label of the swept keys and their values, which is a valid folder name; "" for
-    the only scene of a file.
+    """Scenes of one file, each with a label of the swept keys and their values.
+
+    A label is a valid folder name; it is "" if the file has only one scene.
     """
 
     labels: tuple[str, ...]
@@ -52,7 +53,7 @@ class _Axis:
         return short if len(set(short)) == len(short) else [_word(value, exact=True) for value in self.values]
 
     def label(self) -> str:
-        """The key in labels: short, and different for every key that can be swept."""
+        """The key as part of a label: short, and different for every key that can be swept."""
         section, *inner, key = (str(part) for part in self.location)
         return "_".join([section, *inner[:-1], key] if inner else [key])  # without "motion"
 
@@ -102,7 +103,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tuple[Path, Sweep | SceneError]]:
-    """Read the sweeps of several files, as `load_sweep`; an invalid file gives its error instead."""
+    """Read the sweeps of several files, as `load_sweep` does; an invalid file gives its error in place of a sweep."""
     loaded: list[tuple[Path, Sweep | SceneError]] = []
     for path in paths:
         try:
@@ -253,7 +254,7 @@ def _faults(
 
 
 def _at_value(message: str, axes: Sequence[_Axis], choice: tuple[int, ...]) -> str:
-    """The message; if it begins with a swept key, with the index of its value, like "camera.f_number[2]: ..."."""
+    """The message; if it begins with a swept key, the index of the key's value is added: "camera.f_number[2]: ..."."""
     for axis, index in zip(axes, choice, strict=True):
         if message.startswith(axis.name) and message[len(axis.name)] in ":[":
             return f"{axis.name}[{index}]{message[len(axis.name) :]}"

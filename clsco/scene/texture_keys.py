@@ -168,7 +168,7 @@ class SixSided(Textured):
 
 
 def check_texture_keys(item: Any) -> Any:
-    """Reject keys that the texture's mapping or the shape does not use, and a lack of required ones."""
+    """Reject keys that the texture's mapping or the shape does not use, and missing keys that are required."""
     faults = _misplaced(item)
     raise_faults(*(((key,), fault(rule, "nothing" if got is None else None), got) for key, rule, got in faults))
     return item

@@ -24,14 +24,15 @@ from clsco.reference.trace.trace import Sources, SubpixelSources
 Shape = tuple[int, int]
 BLOCK = 16384  # number of sources processed at a time, so that intermediate results stay in the cache
 TINIEST_OFFSET = 1e-6  # px
-OCCLUDED_BLOCK = 2048  # the same number for sources with occluders, which need more memory
+OCCLUDED_BLOCK = 2048  # replaces BLOCK for sources with occluders, which need more memory
 
 
 def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
     """Gradient (H, W, 2) of the blur radius in px per px, right and down, by finite differences.
 
-    coc: (H, W) signed radius in px; valid: (H, W) mask of sources. Central differences if both neighbors are valid,
-    one-sided if one is, else 0. For forward-warped images and depth maps, which have no analytic surface.
+    coc: (H, W) signed radius in px; valid: (H, W) mask of sources. Differences are central if both neighbors of a
+    source are valid, one-sided if one is, and 0 otherwise. Used for forward-warped images and depth maps, which have no
+    analytic surface.
     """
 
     def along(radius: Array, there: NDArray[np.bool_]) -> Array:
@@ -47,8 +48,8 @@ def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
 def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array, limb: ArrayLike = False) -> Array:
     """Weight 1 + l . grad R of the radiance that a tilted surface sends through lens point l = (dx, dy) / R.
 
-    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, right and down, from `tilt_slope`; limb: as for
-    `tilt_share`. They broadcast. The factor is never negative.
+    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, right and down, from `tilt_slope`; limb: see
+    `tilt_share`. All arguments broadcast. The factor is never negative.
     """
     return tilt_share(1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]), limb)
 
@@ -68,8 +69,9 @@ def place_weights(
 ) -> Array:
     """Weights (n,) of taps for sources at positions `place` (2, n), row and column in the frame, px.
 
-    dx, dy: px, scalar or (n,); radius: (n,) signed, px; subpixel: True for `PointSpread.subpixel_weights`, else
-    `PointSpread.weights`. Weights that vary over the frame are blended from four grid positions.
+    dx, dy: offset from the source to the tap, px, scalar or (n,); radius: (n,) signed, px; subpixel: True to use
+    `PointSpread.subpixel_weights`, False to use `PointSpread.weights`. If the PSF varies over the frame, the weights of
+    four grid positions are blended.
     """
 
     def weights(spread: PointSpread, which: NDArray[np.int64] | slice) -> Array:
@@ -89,7 +91,7 @@ def place_weights(
 
 
 def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); only itself if `alone`."""
+    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); itself if `alone`."""
     if alone:
         span = range(-offset_limit, offset_limit + 1)
         yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
@@ -100,9 +102,9 @@ def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, s
 
 
 def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
-    """Groups of partly hidden sources that have nearly equal radii, and so equal taps.
+    """Groups of partly hidden sources with nearly equal radii, which have nearly the same taps.
 
-    For each group: numbers of the sources, their part of `visibility`, and their `cell_visibility`.
+    Each group has the numbers of its sources, the `Visibility` of these sources, and the result of `cell_visibility`.
     """
     hidden = np.flatnonzero(visibility.row >= 0)
     parts = _blocks(hidden, visibility.radius[visibility.row[hidden]], OCCLUDED_BLOCK)
@@ -110,7 +112,7 @@ def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Vi
 
 
 def _blocks(numbers: NDArray[np.int64], radius: Array, size: int) -> list[NDArray[np.int64]]:
-    """Numbers (n,) of sources with signed radii (n,) in blocks of ascending |R|, which have nearly the same taps."""
+    """Numbers (n,) of sources with signed radii (n,), in blocks of similar |R|, which have nearly the same taps."""
     numbers = numbers[np.argsort(np.abs(radius), kind="stable")]
     return [numbers[start : start + size] for start in range(0, numbers.size, size)]
 
@@ -118,9 +120,9 @@ def _blocks(numbers: NDArray[np.int64], radius: Array, size: int) -> list[NDArra
 def _tap_shares(
     spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For every offset: source numbers, frame pixel numbers, and the fraction of radiance that each pixel receives.
+    """For every offset: numbers of sources and of the frame pixels that they reach, and fractions of their radiance.
 
-    there: mask (H, W) of the sources to use. Targets outside of the frame are left out.
+    there: mask (H, W) of the sources to use. Pixels outside of the frame are left out.
     """
     radius, at = sources.radius.ravel(), np.flatnonzero(there)
     slope = tilt_slope(sources.gradient, sources.radius, spec.psf.diffracted).reshape(-1, 2)
@@ -166,9 +168,9 @@ def _tap_shares(
 def _subpixel_tap_shares(
     spec: BlurSpec, sub: SubpixelSources, shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, fraction of radiance.
+    """As `_tap_shares`, for blocks of sub-pixel sources and every offset.
 
-    Sources are numbered in the order of `hit`; the fraction includes the source's weight 1/S^2. Targets outside of the
+    Sources are numbered in the order of `hit`; the fraction includes the source's weight 1/S^2. Pixels outside of the
     frame are left out.
     """
     samples, places = sub.hit.shape[1], np.nonzero(sub.hit)
@@ -213,7 +215,7 @@ def _subpixel_tap_shares(
 
 
 def _whole_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
-    """Mask (H, W) of pixels with their own source: a surface, and no sub-pixel sources."""
+    """Mask (H, W) of pixels that are one source themselves: they show a surface and have no sub-pixel sources."""
     mask = sources.lit.copy()
     if sub is not None:
         mask[sub.row, sub.column] = False
@@ -255,8 +257,8 @@ def renormalize(
 def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
     """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
 
-    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace the source of their
-    pixel, or None; shape: (m, n) of the frame; guard: px. For border = "renormalize" see `renormalize`.
+    sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources, which replace the pixel's own
+    source, or None; shape: (m, n) of the frame; guard: px. For border = "renormalize" see `renormalize`.
     """
     m, n = shape
     if spec.border == "renormalize":

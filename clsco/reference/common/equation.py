@@ -16,7 +16,7 @@ from clsco.reference.common.occluder import TINY, Mask
 
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step with the variance of a box of width 1
 WIDE_LENS = 3.2  # px, blur radius from which on visibility is tested once per tap, not on a grid of lens cells
-TAP_LENS = 1.2  # px, the same limit for point sources in the blur
+TAP_LENS = 1.2  # px, as WIDE_LENS, for point sources in the blur
 NEAR_LENS = 1.7  # px, blur radius below which sources that are whole pixels count as near the focus
 FAR_PLACE, FOCUSED, FAR_RADII = 4.0, 0.1, 3.0  # see `sees_by_cells`
 PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # cells per lens radius for pixels in focus: radius of a disc with a tent's variance
@@ -26,10 +26,11 @@ PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # cells per lens radius for pixels in focus: r
 class Points:
     """Surface points of visibility tests.
 
-    rays: (N, 3); w (N,): inverse depth, 1/mm; radius (N,): signed blur radius, px; x, y (N,): position of the source in
-    its pixel, px; width: of the sources, px, 1 for whole pixels; gradient (N, 2): of the blur radius, px per px, right
-    and down, 0 if surface tilt is ignored; limb (N,): True at a limb; place (2, N): row and column of the pixel in the
-    frame, px; shared (N,): True for pixel centers tested on behalf of all sub-pixels.
+    rays: (N, 3). w (N,): inverse depth, 1/mm. radius (N,): signed blur radius, px. x, y (N,): position of the source in
+    its pixel, px. width: width of the sources in px, 1 for whole pixels. gradient (N, 2): gradient of the blur radius,
+    px per px, right and down, 0 if surface tilt is ignored. limb (N,): True at a limb. place (2, N): row and column of
+    the pixel in the frame, px. shared (N,): True for a pixel center that is tested for all sub-pixel sources of its
+    pixel.
     """
 
     rays: Array
@@ -48,10 +49,10 @@ class Points:
 class Division:
     """Division of the lens into cells, for N sources.
 
-    cells (N,): number of cells per lens radius, signed as the blur radius; wide (N,): True if a cell is a pixel of the
-    blur; blur (N,): |R| extent, px; extent: largest distance from the lens center at which light passes, in lens radii;
-    width: of the sources, px; gradient (N, 2): of their blur radius; part (N,): px per cell for `wide` sources, less
-    than 1 in focus; bent: True if wavefront errors bend the rays.
+    cells (N,): number of cells per lens radius, with the sign of the blur radius. wide (N,): True if a cell is a pixel
+    of the blur. blur (N,): |R| times `extent`, px. extent: largest distance from the lens center at which light passes,
+    in lens radii. width: width of the sources, px. gradient (N, 2): gradient of their blur radius. part (N,): px per
+    cell for `wide` sources, less than 1 in focus. bent: True if wavefront errors bend the rays.
     """
 
     cells: Array
@@ -70,7 +71,7 @@ class Division:
 
 
 def division_of(radius: Array, extent: float, width: Array | float, gradient: Array) -> Division:
-    """Lens cells for sources with blur radii (N,) px."""
+    """Division of the lens for sources with blur radii (N,) px."""
     blur = np.abs(radius) * extent
     wide = blur >= WIDE_LENS
     cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
@@ -80,8 +81,9 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
 def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
     """Division of the lens for the blur, where more sources than in `division` are tested once per tap.
 
-    These are points from a blur of TAP_LENS px on, and all whole pixels, since a tap's view of the lens depends on
-    where in the pixel its light comes from. by_cells (N,): True for sources that keep their lens cells.
+    Sources tested once per tap are points with a blur of at least TAP_LENS px, and all whole pixels, because a tap's
+    view of the lens depends on where in the source pixel its light comes from. by_cells (N,): True for sources that
+    keep their lens cells.
     """
     wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~by_cells
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
@@ -92,7 +94,7 @@ def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
 def sees_by_cells(division: Division, place: Array) -> Mask:
     """True (N,) for pixels with narrow blur that use lens cells, because all of their occluders are far.
 
-    place (N,): smallest `crossing_place` of these. Reason: kernels/common/visibility_test.clh.
+    place (N,): smallest `crossing_place` of the pixel's occluders. kernels/common/visibility_test.clh gives the reason.
     """
     least = np.maximum(FAR_PLACE * np.minimum(division.blur / FOCUSED, 1.0), FAR_RADII * division.blur)
     is_pixel = (np.asarray(division.width) == 1.0) & (division.blur < WIDE_LENS)
@@ -100,13 +102,13 @@ def sees_by_cells(division: Division, place: Array) -> Mask:
 
 
 def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
-    """The numbers `follows`, `narrows`, `trails` (N,) of an `Occluder` with edges displaced by `place` (N,).
+    """The fields `follows`, `narrows` and `trails` (N,) of an `Occluder`, whose `crossing_place` is `place` (N,).
 
     If a source moves by 1 px, an edge moves by 2 g cells, g = cells / (2 place). follows: g for whole pixels, 0 for
     points. narrows, trails: fractions of the edge's variance that are due to the part of the lens and to the part of
     the source that a tap sees. For pixels they are (1 - g part)^2 and g^2, divided by (1 - g)^2 + g^2; for points, 1
-    and the square of width (2 g - 1), divided by their sum. With bent rays the numerators for pixels are 1 and 2 g^2,
-    and -2 g for the covariance of lens and source.
+    and the square of width (2 g - 1), divided by the sum of the two. With bent rays, the numerators for pixels are 1
+    and 2 g^2, and the covariance of lens and source has the numerator -2 g.
     """
     g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
     width = np.asarray(division.width)
@@ -120,11 +122,11 @@ def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
 class Equation:
     """Coefficients of C v^2 + 2 B v + F = 0 for one surface, N points and the middle of the lens, with C > 0.
 
-    B, F: (N,). point (N, 3): points times w, in the canonical frame; right (N,): mm per cell; along_x, along_y (N, 3):
-    displacement of the lens point per cell, right and down; linear (N,): l . point; sign: factor applied to the
-    surface's own equation; once (N,): True if there is at most one intersection; grow_x, grow_y (N,): change of the
-    lens point's last homogeneous coordinate per cell. It is 0 unless K changes over the image: then the blur of an
-    occluder depends on K at its own position, as if lines ended at l / (1 + l . grad R).
+    B, F: (N,). point (N, 3): points times w, in the canonical frame. right (N,): mm per cell. along_x, along_y (N, 3):
+    displacement of the lens point per cell, right and down. linear (N,): l . point. sign: factor applied to the
+    surface's own equation. once (N,): True if there is at most one intersection. grow_x, grow_y (N,): change of the
+    lens point's last homogeneous coordinate per cell; 0 unless K changes over the image. If K changes, the blur of an
+    occluder depends on K at the occluder's own position, as if lines ended at l / (1 + l . grad R).
     """
 
     B: Array
@@ -159,8 +161,9 @@ def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells
 
 
 def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> tuple[Array, Array, Array]:
-    """Coefficients of B (N, 3), C and D = B^2 - C F (N, 6), which is 0 at the outline, for 1, x, y, x^2, x y, y^2 of
-    the tap; d: D (N,) at the middle of the lens.
+    """Coefficients of B (N, 3), C (N, 6) and D = B^2 - C F (N, 6) for 1, x, y, x^2, x y, y^2 of the tap.
+
+    D is 0 at the outline. d (N,): D at the middle of the lens.
     """
     q, l, k, o, side = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset, e.sign  # noqa: E741
     ways = (ex, gx), (ey, gy) = (e.along_x, e.grow_x), (e.along_y, e.grow_y)
@@ -186,6 +189,6 @@ def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
 
 
 def edge_width(division: Division, place: Array) -> Array:
-    """Half width (N,) of an occluder's edge in cells: from the cell size, and from the source's width."""
+    """Half width (N,) of an occluder's soft edge in cells; it depends on the cell size and on the source's width."""
     away = division.cells / place
     return np.asarray(SOFT_BOX * np.hypot(1.0, division.width * np.where(division.wide, away - 1, away)))

@@ -32,7 +32,7 @@ STEEPEST_TILT = 1e6  # 1/px, limit that keeps tilt finite at a limb, far beyond 
 
 
 def _product_error(a: Array, b: Array, product: Array) -> Array:
-    """a b - product, exactly (Dekker 1971), as by an FMA; valid far from the limits of float64's range."""
+    """a b - product, computed exactly as by an FMA (Dekker 1971); valid far from the limits of float64's range."""
 
     def halves(value: Array) -> tuple[Array, Array]:
         scaled = 134217729.0 * value  # 2^27 + 1 (Veltkamp)
@@ -57,7 +57,7 @@ def difference_of_products(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLik
 def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
     """Rays (..., 3) through pixel positions: slopes x right, y up, and 1 (3.1, 3.2).
 
-    row, column: px, may be fractional and outside of the frame; they broadcast.
+    row, column: positions in px, which may be fractional and outside of the frame; they broadcast.
     """
     x, y = ray_slopes(camera, row, column)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
@@ -66,7 +66,7 @@ def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
 def project(camera: Camera, position: Array) -> tuple[Array, Array]:
     """Row and column in px of the pinhole projection (2.4, 2.5) of points (..., 3).
 
-    position: camera frame, mm or any common multiple of the coordinates; the third must not be 0.
+    position: in the camera frame, in mm or scaled by any factor per point; the third coordinate must not be 0.
     """
     columns, rows = camera.frame_size
     right, up = places_of(camera, position[..., 0] / position[..., 2], position[..., 1] / position[..., 2])
@@ -97,8 +97,9 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
 
 
 def both_roots(surface: PlacedSurface, a: Array, b: Array, root: Array) -> tuple[Array, Array]:
-    """Roots (-B + sqrt(D))/C and (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0, with labels 1 and 2; infinite or NaN for
-    some D and C. root (...): square root of D.
+    """Roots (-B + sqrt(D))/C and (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0, with labels 1 and 2.
+
+    root (...): square root of D. If C is 0 or tiny, a root may be 0, infinite or NaN.
     """
     # -B and -sign(B) sqrt(D) have one sign: their sum does not cancel. The other root comes from A = C w1 w2.
     t = -b - np.copysign(root, b)
@@ -110,10 +111,10 @@ def both_roots(surface: PlacedSurface, a: Array, b: Array, root: Array) -> tuple
 
 
 def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Array, w: Array) -> NDArray[np.bool_]:
-    """Mask of roots (...) that are in front of the lens, on the right nappe, within the bounds, and on the disc.
+    """Mask of roots (...) that are in front of the lens, on the required nappe, within the bounds, and on the disc.
 
-    d, own: (..., 3) rays in the canonical and in the object's own frame; w: (...) 1/mm, finite or not. Comparisons are
-    multiplied by w instead of divided by it.
+    d: (..., 3), rays in the canonical frame; own: (..., 3), the same rays in the object's own frame; w: (...) 1/mm,
+    finite or not. Both sides of a comparison are multiplied by w, so that nothing is divided by w.
     """
     counts = np.isfinite(w) & (w > 0.0) & (w < NEAREST_INVERSE_DEPTH)
     w = np.where(counts, w, 0.0)
@@ -138,12 +139,12 @@ def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Ar
 def solve_quadric(
     surface: PlacedSurface, bounds: Bounds | None, rays: Array, only: int = 0
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and its label.
+    """Inverse depth (...) in 1/mm of the nearest visible root along rays (..., 3), and the root's label.
 
     bounds: box in the object's own frame, mm; only: label of the only root to use, 0 for both. Labels: 0 no surface (w
     = 0), 1 the root (-B + sqrt(D))/C, 2 the root (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0. A root is visible if it is
-    real, 0 < w < 1e6, on the required nappe, within the bounds, and on the disc; there is no division by w, so horizon
-    and infinity are handled by the sign of w. Of two equal roots the first is used.
+    real, 0 < w < 1e6, on the required nappe, within the bounds, and on the disc. Nothing is divided by w, so the sign
+    of w decides at the horizon and at infinity. Of two equal roots the first is used.
     """
     shape = surface.canonical
     d, own_rays = turned(surface.turn, rays), turned(surface.own_turn, rays)
@@ -169,8 +170,8 @@ def nearest_surface(
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
     """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its object number.
 
-    surfaces, bounds: of all objects. Label: 0 no surface (w = 0, number -1), else 2 k + the label of `solve_quadric`
-    for object k. Of equally near surfaces the first is used.
+    surfaces, bounds: one per object of the scene. Label: 0 no surface (w = 0, number -1), else 2 k + the label of
+    `solve_quadric` for object k. Of equally near surfaces the first is used.
     """
     nearest = np.zeros(rays.shape[:-1])
     label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
@@ -191,10 +192,10 @@ def canonical_gradient(surface: PlacedSurface, d: Array, w: Array) -> Array:
 
 
 def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Derivative of inverse depth (..., 2) by ray slope, x right and y up, in 1/mm.
+    """Derivative (..., 2) of the inverse depth by the ray's slope, x right and y up, in 1/mm.
 
-    By implicit differentiation of the quadric. 0 without a surface, and where the quadric has no gradient along the ray
-    (a cone's apex, an exactly tangent ray).
+    Computed by implicit differentiation of the quadric. It is 0 without a surface, and where the quadric has no
+    gradient along the ray (at a cone's apex, or for an exactly tangent ray).
     """
     d = turned(surface.turn, rays)
     g = canonical_gradient(surface, d, w)
@@ -212,7 +213,7 @@ def blur_radius(lens: Lens, rays: Array, w: Array) -> Array:
 
 
 def along_rays(lens: Lens, rays: Array) -> Lens:
-    """The lens for rays (..., 3); in a distorted image its numbers become arrays (...) that include the local scale."""
+    """The lens for rays (..., 3); in a distorted image its attributes are arrays (...) that include the local scale."""
     return lens.along(rays[..., 0], rays[..., 1])
 
 
@@ -238,7 +239,7 @@ def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Arra
 def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
     """Unit normal (..., 3) in the camera frame, towards the lens; 0 without a surface (w = 0).
 
-    If the quadric has no gradient (a cone's apex), the direction to the lens.
+    Where the quadric has no gradient (at a cone's apex), it is the direction to the lens.
     """
     n = turned(surface.turn.T, canonical_gradient(surface, turned(surface.turn, rays), w))
     n = np.where((n * rays).sum(axis=-1, keepdims=True) > 0.0, -n, n)
@@ -248,15 +249,15 @@ def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def body_point(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Position (..., 3) in the reference pose, relative to the object's center, of surface points that rays meet.
+    """Position (..., 3) of surface points on rays, in the reference pose, relative to the object's center.
 
-    In the camera's axes, multiplied by w and so without unit.
+    The position is in the camera's axes, and multiplied by w, so that it has no unit.
     """
     return np.asarray(surface.body_offset * w[..., None] + turned(surface.body_turn, rays))
 
 
 def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
-    """Position (..., 3) of surface points in the reference pose, in the camera frame, multiplied by w: without unit.
+    """Position (..., 3) of surface points in the reference pose, in the camera frame, multiplied by w (without unit).
 
     The third component is positive if the point was in front of the lens.
     """
@@ -264,10 +265,9 @@ def rest_position(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 
 
 def rest_pixel(surface: PlacedSurface, camera: Camera, rays: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Row and column (...) in px of surface points projected in the reference pose, and a mask of points with a
-    projection.
+    """Row and column (...) in px of surface points projected in the reference pose, and a mask (...) of valid ones.
 
-    False, and row = column = 0, without a surface or if the point was behind the lens.
+    Without a surface, and for points that were behind the lens, the mask is False and row = column = 0.
     """
     position = rest_position(surface, rays, w)
     valid = (w > 0.0) & (position[..., 2] > 0.0)
@@ -304,7 +304,7 @@ def _taps(position: Array, texture_filter: Filter) -> tuple[NDArray[np.int64], A
 
 
 def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Filter) -> Array:
-    """Texture (rows, columns[, channels]) interpolated at positions (...) in px, mirrored outside: (...[, channels]).
+    """Values (...[, channels]) of a texture (rows, columns[, channels]) at positions (...) in px, mirrored outside.
 
     texture_filter: "nearest" (halves are rounded up), "bilinear", or "bicubic" (Catmull-Rom, a = -1/2: may overshoot,
     is not clamped).
@@ -325,10 +325,10 @@ def table_coordinate(
 ) -> NDArray[np.float32]:
     """Coordinates (...) in a device's table of PSF weights; their integer part is the interval's number.
 
-    radius: (...) px; the table has `count` intervals from `first` on, to which other radii are clamped; turned: for a
-    signed shape, the number added to coordinates of negative radii, or 0 for `count`. Coordinates are rounded to
-    float32, but for a sampled PSF never into the next interval, as weights may jump there. Only devices read tables;
-    the reference computes weights.
+    radius: (...) px; first, count: the table has `count` intervals, from number `first` on, to which other radii are
+    clamped; turned: for a signed shape, the number added to coordinates of negative radii, where 0 stands for `count`.
+    Coordinates are rounded to float32, but for a sampled PSF never into the next interval, as weights may jump there.
+    Only devices read tables; the reference computes weights.
     """
     u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
     rounded = u.astype(np.float32)
@@ -347,8 +347,8 @@ def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array
     """Gradient of the signed blur radius divided by the radius, (..., 2) in 1/px: l . grad R per px of offset.
 
     gradient: (..., 2) px per px, right and down; radius: (...) signed, px. Below 1 px the disc is smaller than a pixel,
-    and a touched pixel's offset overestimates l: |radius| is then taken as at least 1 px. With waves, light beside the
-    image of a point in focus comes from the whole lens: the slope then tends to 0 with R.
+    and the offset of a pixel that it touches overestimates l; |radius| is therefore replaced by at least 1 px. With
+    waves, light beside the image of a point in focus comes from the whole lens; the slope therefore tends to 0 with R.
     """
     radius = np.asarray(radius, dtype=np.float64)
     if waves:
@@ -358,7 +358,7 @@ def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array
 
 
 def signed_size(radius: Array) -> Array:
-    """A signed blur radius (...), px, with a size of SMALLEST_RADIUS at least."""
+    """A signed blur radius (...) in px whose absolute value is at least SMALLEST_RADIUS."""
     return np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
 
 
@@ -374,7 +374,7 @@ def tilt_share(factor: ArrayLike, limb: ArrayLike = False) -> Array:
 
 
 def pixel_reach(radius: ArrayLike, waves: bool = False) -> Array:
-    """Divisor of the gradient of R for a whole pixel (...), px, see kernels/common/geometry.clh."""
+    """Divisor (...) in px of the gradient of R for sources that are whole pixels; see kernels/common/geometry.clh."""
     size = np.abs(np.asarray(radius, dtype=np.float64))
     if waves:
         return np.maximum(size, np.minimum(2.0 * size, 1.0))

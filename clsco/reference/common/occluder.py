@@ -25,11 +25,13 @@ class Occluder:
     """One surface between N points and the lens, for tests at taps offset by x, y cells, right and down.
 
     h (N, 3), root (N,), f (N, 5): the height in widths of the soft edge is h . (1, x, y) + root - sqrt(root^2 + f . (x,
-    y, x^2, x y, y^2)). strip (N,): see `strip_share`. crossings (N,): 1 or 2 intersections, 0 for a plane. Used only
-    with limits: b (N, 3), f0 (N,), c, d (N, 6), coefficients of B, F, C and D = B^2 - C F for 1, x, y, x^2, x y, y^2;
-    soft (N,): 1 / width of the edge. limits: conditions (N, 4), limit_0 + v (limit_1 + limit_2 x + limit_3 y) >= 0; for
-    a plane, h and a part of `two_boxes`. needed: masks (N,), True if a limit matters. follows, narrows, trails (N,):
-    see `clsco.reference.common.equation.source_ways`.
+    y, x^2, x y, y^2)). strip (N,): see `strip_share`. crossings (N,): 1 or 2 intersections, 0 for a plane. follows,
+    narrows, trails (N,): see `clsco.reference.common.equation.source_ways`.
+
+    limits: conditions (N, 4) each: limit_0 + v (limit_1 + limit_2 x + limit_3 y) >= 0; for a plane, the coefficients of
+    h for 1, x, y, then the `part` of `two_boxes`. needed: for each condition, a mask (N,) of points for which it
+    matters. Used only if there are limits: b (N, 3), f0 (N,), c, d (N, 6), the coefficients of B, F, C and D = B^2 - C
+    F for 1, x, y, x^2, x y, y^2; soft (N,), 1 / width of the edge.
     """
 
     h: Array
@@ -58,10 +60,10 @@ class Occluder:
 class Cut:
     """Effect of an aperture's edge on taps of wide lenses, which see only a part of their lens cells.
 
-    aside_x, aside_y (N,): displacement in px from the middle of the visible part to the tap; xx, xy, yy (N,): reduction
-    of its variance, 0 for none to 1; trail_x, trail_y (N,): the same for the part of the source that is seen through
-    one lens point; covariance (3, N): with bent rays, that of the positions in source and lens
-    (`clsco.optics.ray_means.RayMeans`).
+    aside_x, aside_y (N,): displacement in px from the middle of the visible part to the tap. xx, xy, yy (N,): reduction
+    of the variance of the visible part, from 0 (none) to 1. trail_x, trail_y (N,): reduction of the variance of the
+    part of the source that is seen through one lens point. covariance (3, N): with bent rays, the covariance of the
+    positions in source and lens (`clsco.optics.ray_means.RayMeans`).
     """
 
     aside_x: Array
@@ -78,7 +80,7 @@ class Cut:
 
 
 def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float:
-    """Factor (N,) by which edges with normals x, y (N,), of any length, become steeper."""
+    """Factor (N,) by which edges with normals x, y (N,) are steeper because taps see only a part of their cells."""
     if cut is None:
         return 1.0
     square = x * x + y * y + TINY
@@ -101,8 +103,9 @@ def soft_step(t: Array) -> Array:
 
 
 def two_boxes(t: Array, part: Array) -> Array:
-    """Step from 0 at t = -1/2 to 1 at 1/2: a sharp step blurred by boxes of widths `part`, at most 1/2, and 1 -
-    part.
+    """Step from 0 at t = -1/2 to 1 at 1/2: a sharp step blurred by two boxes of widths `part` and 1 - `part`.
+
+    part: at most 1/2.
     """
     distance = np.maximum(0.5 - np.abs(t), 0.0)
     least = np.minimum(distance, part)
@@ -112,7 +115,10 @@ def two_boxes(t: Array, part: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Hidden fraction (N,) of taps' lens cells, and the direction x, y (N,), of any length, in which more is hidden."""
+    """Fraction (N,) of taps' lens cells, hidden or free.
+
+    x, y (N,): direction, of any length, in which more is hidden.
+    """
 
     share: Array
     x: Array
@@ -130,11 +136,11 @@ class Part:
 
 
 def leave_free(free_part: Part, hidden: Part) -> Part:
-    """Part of cells that remains free if a further surface hides the part `hidden` of them.
+    """Part of the cells that remains free if a further surface hides the part `hidden` of them.
 
-    If edges are perpendicular, it is the product of the free fractions. If they are parallel, it is the smaller free
-    fraction if both surfaces hide the same side, or the strip between the edges if they hide opposite sides: nothing,
-    if they share that edge.
+    If the two edges are perpendicular, the remaining part is the product of the free fractions. If they are parallel
+    and both surfaces hide the same side, it is the smaller free fraction. If they hide opposite sides, it is the strip
+    between the edges, which is empty if the surfaces share that edge.
     """
     remaining = 1 - hidden.share
     product = free_part.share * remaining
@@ -149,7 +155,7 @@ def leave_free(free_part: Part, hidden: Part) -> Part:
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """One intersection of the lines to taps with a surface, at w + v: v and its derivatives by the tap, (N,) each."""
+    """One intersection of the lines to taps with a surface, at w + v: v (N,), and its derivatives x, y (N,)."""
 
     v: Array
     x: Array
@@ -157,7 +163,7 @@ class Crossing:
 
 
 def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, least: Array) -> Crossing:
-    """The intersection at w + v (N,) and its derivatives; b, c (N,): B and C at the taps x, y (N,).
+    """The `Crossing` at w + v (N,); b, c (N,): B and C at the taps x, y (N,).
 
     least (N,): signed lower bound of |C v + B| = sqrt(D). Without it the derivative of v is infinite at the outline,
     where every condition would be uncertain.
@@ -171,7 +177,7 @@ def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, l
 
 
 def limit_part(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array, cut: Cut | None = None) -> Part:
-    """Part (N,) of the taps' cells for which an intersection satisfies one condition (N, 4)."""
+    """Part (N,) of the taps' cells for which an intersection satisfies the condition `limit` (N, 4)."""
     slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
     gx, gy = at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y
     steep = m.soft * sharpened(m, cut, gx, gy) / (np.hypot(gx, gy) + TINY)
@@ -189,16 +195,16 @@ def crossing_part(m: Occluder, at: Crossing, x: Array, y: Array, cut: Cut | None
 
 
 def outline_part(m: Occluder, x: Array, y: Array) -> Part:
-    """D = B^2 - C F (N,) at taps x, y (N,) as the `share` of a `Part`, and its gradient as the direction."""
+    """A `Part` with D = B^2 - C F (N,) at taps x, y (N,) as its `share`, and the gradient of D as its direction."""
     d, d_x, d_y, d_xx, d_xy, d_yy = m.d.T
     height = d + x * (d_x + d_xx * x + d_xy * y) + y * (d_y + d_yy * y)
     return Part(height, d_x + 2 * d_xx * x + d_xy * y, d_y + d_xy * x + 2 * d_yy * y)
 
 
 def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple[Crossing, Crossing]:
-    """Both intersections at taps x, y (N,); of a single one, the other has v <= 0.
+    """Both intersections at taps x, y (N,); if there is only one, the other has v <= 0.
 
-    width: in widths of the edge, the distance from an outline within which derivatives are limited; 0 for no limit.
+    width: distance from an outline, in widths of the edge, within which derivatives are limited; 0 for no limit.
     """
     b = m.b[:, 0] + m.b[:, 1] * x + m.b[:, 2] * y
     c, d = (p[:, 0] + x * (p[:, 1] + p[:, 3] * x + p[:, 4] * y) + y * (p[:, 2] + p[:, 5] * y) for p in (m.c, m.d))
@@ -220,19 +226,19 @@ def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
 
 
 def strip_share(thin: Array | float) -> Array:
-    """Correction for a thin strip, such that it hides exactly its own width: addition to h, in widths of the edge.
+    """Correction (N,) added to h, in widths of the edge, so that a thin strip hides exactly its own width.
 
-    thin (N,): curvature of h across the outline minus that along it, times half the width of the edge, divided by the
-    slope; up to 15.
+    thin (N,): curvature of h across the outline minus the curvature along the outline, times half the width of the
+    edge, divided by the slope; up to 15.
     """
     return np.asarray(np.minimum(0.05 * thin, np.maximum(0.073 - 0.02 * thin, 0.03 - 0.0105 * thin)))
 
 
 def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Part:
-    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides.
+    """Part (N,) of the lens that one surface hides from taps x, y (N,), averaged over the tap's cell.
 
-    cut: for wide lenses, else None. If the aperture's edge cuts the view of a tap, the tap's light also comes from a
-    part of the pixel's source that is displaced from its middle.
+    cut: for wide lenses, else None. If the aperture's edge cuts the view of a tap, the tap's light also comes from only
+    a part of the source's pixel, whose middle is displaced.
     """
     if cut is not None:
         x, y = x + m.follows * cut.aside_x, y + m.follows * cut.aside_y
@@ -266,8 +272,8 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
 def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
     """True (N,) if a surface hides the lens at 16 points up to slightly beyond `most` (N,) cells from the middle.
 
-    Also a mask (N,) per condition that some intersection does not fully satisfy; other conditions can be dropped,
-    except one if there is a single intersection.
+    Also returns, for each condition, a mask (N,) of points for which some intersection does not fully satisfy it. All
+    other conditions can be dropped; with a single intersection, the first is always kept.
     """
     hidden, needed = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
     needed[0] |= m.crossings == 1

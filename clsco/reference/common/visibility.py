@@ -1,10 +1,10 @@
 """Visibility of the lens from surface points: the factor V(x, l) of the physics, in NumPy float64.
 
 The line from a point at inverse depth w to lens point l meets a quadric Q at inverse depths w + v, v > 0, with C v^2 +
-2 B v + F = 0, C = Q(lens point), F = w^2 Q(point). F does not depend on l. If its sign differs from C's there is one
-intersection for every l; otherwise two or none, and two exactly if h = -B - sqrt(C F) > 0, with signs such that C > 0.
-Taps represent cells of the lens; over a cell, the edge of the hidden part is softened by a cubic step with the variance
-of the boxes that overlap there, so that V is continuous.
+2 B v + F = 0, C = Q(lens point), F = w^2 Q(point). F does not depend on l. If F and C differ in sign, there is one
+intersection for every l. Otherwise there are two if h = -B - sqrt(C F) > 0, with signs chosen such that C > 0, and none
+if not. Taps represent cells of the lens; over a cell, the edge of the hidden part is softened to a cubic step, whose
+variance is that of the boxes that overlap in the cell, so that V is continuous.
 """
 
 from __future__ import annotations
@@ -74,10 +74,10 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Outline of a surface as seen on the lens, and the points from which all of the lens is free or hidden.
+    """Outline of a surface as seen on the lens.
 
     h, root, f, strip: as in `Occluder`, for the height h = -B - sqrt(C F) of the module's docstring. clear, hidden:
-    masks (N,).
+    masks (N,) of points from which the whole lens is free, or hidden.
     """
 
     h: Array
@@ -89,7 +89,7 @@ class Outline:
 
 
 def outline_slope(d: Array) -> Array:
-    """Steepest slope (N,) of D per cell at the outline D = 0, across which D curves by twice its lower eigenvalue.
+    """Steepest slope (N,) of D per cell at the outline D = 0, if D has its lower curvature on the way to the outline.
 
     d (N, 6): from `slopes_of`.
     """
@@ -101,8 +101,8 @@ def outline_slope(d: Array) -> Array:
 def outline_of(e: Equation, b: Array, c: Array, d: Array, soft: Array, most: Array) -> Outline:
     """Outline of a surface that lines meet twice or not at all.
 
-    b, c, d: from `slopes_of`; soft (N,): half width of the edge, in cells; h is divided by the whole width; most (N,):
-    cells to the farthest tap.
+    b, c, d: from `slopes_of`; soft (N,): half width of the edge in cells (h is divided by the whole width); most (N,):
+    distance to the farthest tap in cells.
     """
     under, (_, c_x, c_y, c_xx, c_xy, c_yy) = np.sqrt(e.C * e.F), c.T
     change = e.F * (np.hypot(c_x, c_y) + (np.abs(c_xx) + np.abs(c_xy) + np.abs(c_yy)) * most) * most
@@ -127,11 +127,11 @@ def outline_of(e: Equation, b: Array, c: Array, d: Array, soft: Array, most: Arr
 
 
 def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Array, most: Array) -> Outline:
-    """Outline of a disc of radius r about the third axis; arguments as for `outline_of`.
+    """Outline of a disc of radius r about the third axis; see `outline_of` for the arguments.
 
-    The line to the lens intersects the disc's plane at v = -p_z / o_z, within the radius if h = r |w o_z - p_z| - |p
-    o_z - p_z o|_xy >= 0, where p is the point times w, and o the lens point. o is linear in the tap, so h has the form
-    of other outlines.
+    The line to the lens intersects the disc's plane at v = -p_z / o_z. The intersection is within the radius if h = r
+    |w o_z - p_z| - |p o_z - p_z o|_xy >= 0, where p is the point times w, and o is the lens point. As o is linear in
+    the tap, h has the same form as for other surfaces.
     """
     radius, o, p = surface.canonical.radius, surface.offset, e.point
     ray = turned(surface.turn, points.rays)  # p = o w + ray
@@ -160,8 +160,9 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
 
 
 def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, extent: float) -> Mask:
-    """Mask of points (N,) that a surface cannot occlude: the line to lens point l moves in the image by lens_radius l
-    per inverse depth.
+    """Mask of points (N,) that a surface cannot occlude.
+
+    The test: with increasing inverse depth, the line to lens point l moves in the image by lens_radius l per 1/mm.
     """
     shift = lens.radius * extent * (surface.extent.w[1] - w)
     far = shift <= 0
@@ -176,13 +177,13 @@ def meet_occluder(
     """Compute how a surface hides the lens from N points.
 
     on_surface: True if the points are on the surface itself, another part of which may be between them and the lens.
-    Returns the state CLEAR, PARTLY or HIDDEN (N,), a mask (N,) of points behind the surface or at an outline that is
-    blurred by SHARP_EDGE px or less, the data for tests per tap, and `crossing_place` (N,).
+    Returns the state CLEAR, PARTLY or HIDDEN (N,); a mask (N,) of points that are behind the surface, or at an outline
+    that is blurred by SHARP_EDGE px or less; the `Occluder` for tests per tap; and `crossing_place` (N,).
     """
     rays, w = points.rays, points.w
     far = out_of_the_way(lens, surface, rays, w, division.extent)
     e = equation_of(lens, surface, rays, w, division.cells, on_surface)
-    # D is the same for all points of a ray; this form avoids the cancellation in B^2 - C F. On the surface F is 0.
+    # All points of a ray have equal D; this form avoids the cancellation in B^2 - C F. On the surface F is 0.
     d = e.B * e.B if on_surface else quarter_discriminant(surface, turned(surface.turn, rays))
     limits = _limits(surface, bounds, w, rays, e)
     with np.errstate(all="ignore"):  # with one intersection, terms for two are not used, and vice versa
@@ -221,8 +222,8 @@ def flatten_limits(
     """Turn conditions on the single intersection with a plane into edges that are linear in the tap.
 
     The intersection is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each, as in `Occluder`. Returns the
-    state of the lens (N,); for each condition h (constant, x, y; divided by the width of the edge) and a part of
-    `two_boxes` (N, 4); and for each condition a mask (N,), False for points that satisfy it all over the lens.
+    state of the lens (N,); the conditions of a plane (N, 4), as in `Occluder`; and for each condition a mask (N,),
+    False for points that satisfy it over the whole lens.
     """
     clear, conditions, needed = np.zeros(near.shape, dtype=bool), [], []
     side = -1.0 if far[0] < 0 else 1.0
@@ -230,11 +231,11 @@ def flatten_limits(
         base, x, y = (side * (limit[:, 0] * far[k] - near * limit[:, 1 + k]) for k in range(3))
         square = np.maximum(x * x + y * y, TINY)
         slope = np.sqrt(square)
-        # By how many cells the edge moves if the source moves by 1 px across it: as in `edge_width`, with 1 / v there.
+        # Cells by which the edge moves if the source moves by 1 px across it: as in `edge_width`, with v at the edge.
         over_v = sum(u * (far[0] * limit[:, 1 + k] - limit[:, 1] * far[k]) for k, u in ((1, x), (2, y)))
         shift = side * division.cells / lens.blur_scale * over_v / square
         moved = np.abs(shift - division.wide)
-        # By fewer cells if the source moves on a tilted surface, and by none if that surface ends at this limit.
+        # It moves by fewer cells if the source's surface is tilted, and by none if that surface ends at this limit.
         tilted = base / division.cells
         along = np.hypot(x - tilted * division.gradient[:, 0], y - tilted * division.gradient[:, 1])
         width = division.width * moved * np.minimum(along, slope)
@@ -255,7 +256,7 @@ def flatten_limits(
 
 
 def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
-    """`Occluder` of a plane; each of its `limits` is (N, 4), an h and a part of `two_boxes`."""
+    """`Occluder` of a plane; `limits` and `needed` are its fields of these names."""
     none, crossings = np.zeros((points, 6)), np.zeros(points, dtype=np.int64)
     zero, three = none[:, 0], none[:, :3]
     return Occluder(three, zero, none[:, :5], crossings, three, zero, none, none, zero, tuple(limits), needed)
@@ -263,10 +264,11 @@ def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> O
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A rim as M sources see it in the lens.
+    """A rim as seen from M sources, in the plane of the lens.
 
-    cuts (M,): True for sources whose light it cuts; x, y, radius (M,): center, right and down of the middle of the
-    lens, and radius, in px for weights by chords, else in cells; scale (M,): 2 / width of its edge.
+    cuts (M,): True for sources whose light the rim cuts. x, y (M,): center of the rim, right and down of the middle of
+    the lens. radius (M,): radius of the rim. These three are in px if weights are computed by chords, else in cells.
+    scale (M,): 2 / width of the rim's soft edge.
     """
 
     cuts: Mask
@@ -282,8 +284,9 @@ class Circle:
 def meet_rims(
     lens: Lens, psf: PointSpread, points: Points, division: Division
 ) -> tuple[NDArray[np.uint8], list[Circle]]:  # fmt: skip
-    """Compute how rims (`rim_circle`) cut the light from N points: HIDDEN, CLEAR or PARTLY (N,), and the data for tests
-    per tap.
+    """Compute how rims (`rim_circle`) cut the light from N points.
+
+    Returns the state HIDDEN, CLEAR or PARTLY (N,), and a `Circle` per rim for tests per tap.
     """
     state, circles = np.full(points.w.shape, CLEAR), []
     cells, margin = division.cells, RIM_MARGIN
@@ -306,18 +309,21 @@ def meet_rims(
 class Visibility:
     """Occluders of the lens for each source; create it with `check_visibility`.
 
-    row: (sources,) number of each source in the arrays (M,), -1 if it is fully visible or fully hidden. Arrays (M,):
-    radius: signed blur radius, px; wide: True to test each tap; point: True if smaller than a pixel; x, y: position of
-    the source in its pixel, px; limb: True at a limb; nearest: smallest `crossing_place` of partial occluders; behind:
-    True if fully hidden, judged by the blur's cells; near: True for a pixel's source near the focus; part: px per cell;
-    lean (M, 2): change of the tilt per cell of a narrow lens, if a part of the lens is behind the surface, else 0; bent
-    (M, 3): xx, xy, yy of the map from taps to an ellipse's disc, or from a narrow lens's cells to the ellipse, None for
-    discs; ray_numbers, ray_parts, ray_scale: from `RayMeans.around`, if there are `rays`. Common to all sources:
-    occluders: per surface, a mask (M,) of sources that it hides in part, and the data; extent: of the lens in lens
-    radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens, normal and distance, empty if
-    round; circles: rims that cut light; waves: True if light spreads beyond the geometric blur; signed: True if cells
-    are mirrored for R < 0; round: True for a circular aperture; pupil: None unless weights include the rims; rays: mean
-    lens points of wide lenses.
+    row: (sources,) number of each source in the arrays (M,) of partly visible sources, -1 if it is fully visible or
+    fully hidden. Arrays (M,): radius: signed blur radius, px; wide: True to test each tap; point: True if smaller than
+    a pixel; x, y: position of the source in its pixel, px; limb: True at a limb; nearest: smallest `crossing_place` of
+    partial occluders; behind: True if fully hidden in the test with the blur's cells; near: True for a pixel's source
+    near the focus; part: px per cell; ray_numbers, ray_parts, ray_scale: from `RayMeans.around`, if there are `rays`.
+
+    lean (M, 2): change of the tilt per cell of a narrow lens if a part of the lens is behind the source's own surface,
+    else 0; bent (M, 3): xx, xy, yy of the map from taps to an ellipse's disc, or from a narrow lens's cells to the
+    ellipse, None for discs.
+
+    Common to all sources: occluders: per surface, a mask (M,) of sources that it hides in part, and its `Occluder` for
+    these; extent: extent of the lens in lens radii; cells: weights (L, L) of the lens cells; mask: straight edges (n,
+    3) of the lens, normal and distance, empty if there are none; circles: rims that cut light; waves: True if light
+    spreads beyond the geometric blur; signed: True if cells are mirrored for R < 0; round: True for a circular
+    aperture; pupil: None unless weights include the rims; rays: mean lens points of wide lenses.
     """
 
     row: NDArray[np.int64]
@@ -366,10 +372,10 @@ def check_visibility(
 ) -> tuple[NDArray[np.uint8], Mask, Visibility]:  # fmt: skip
     """Visibility of the lens from N points.
 
-    surfaces, bounds: of all objects; group: the occlusion group, whose occluders are tested. Returns CLEAR, PARTLY or
-    HIDDEN (N,); a mask (N,), True for points behind an odd number of occluders, so that it changes where surfaces meet;
-    and the data for tests per tap. In the mask, a point at an outline that is blurred by SHARP_EDGE px or less counts
-    as behind that occluder.
+    surfaces, bounds: one per object of the scene; group: the occlusion group, whose occluders are tested. Returns the
+    state CLEAR, PARTLY or HIDDEN (N,); a mask (N,), True for points behind an odd number of occluders, so that it
+    changes where surfaces meet; and the `Visibility` for tests per tap. In the mask, a point at an outline that is
+    blurred by SHARP_EDGE px or less counts as behind that occluder.
     """
     lens = along_rays(lens, points.rays)
     meet = partial(_meet_occluders, lens, surfaces, bounds, group, points)
@@ -415,7 +421,7 @@ def _meet_occluders(
     lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
     points: Points, division: Division,
 ) -> tuple[NDArray[np.uint8], Mask, list[tuple[Mask, Occluder]], Array]:  # fmt: skip
-    """State of the lens (N,), a mask of edges (N,), the partial occluders, and their smallest `crossing_place` (N,)."""
+    """State of the lens (N,), mask (N,) of `check_visibility`, occluders, and their smallest `crossing_place` (N,)."""
     shape = points.w.shape
     state, edge, occluders, nearest = np.full(shape, CLEAR), np.zeros(shape, dtype=bool), [], np.full(shape, np.inf)
     for k, surface in enumerate(surfaces):
@@ -432,7 +438,10 @@ def _meet_occluders(
 
 
 def _by_rays(psf: PointSpread, points: Points, division: Division) -> tuple[Division, dict[str, Any]]:
-    """`division` with wide (or bent) lenses' cells at the scale of `RayMeans`, and the ray fields of `Visibility`."""
+    """`division` with the cells of wide lenses at the scale of `RayMeans`; with bent rays, of all lenses.
+
+    Also returns the fields of `Visibility` that concern rays.
+    """
     rays, count = ray_means(psf, ceil(float(np.abs(points.radius).max()))), len(points.w)
     places, shares = np.zeros((1, count), dtype=np.int64), np.ones((1, count))
     if psf.varying is not None and points.place is not None:

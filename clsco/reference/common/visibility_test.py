@@ -18,17 +18,17 @@ from clsco.reference.common.occluder import Cut, Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
 MOST_INWARDS = 0.7  # px, largest inward displacement of a tap along an axis, at the corners of a lens mask
-BEYOND = 0.5  # px outside of the blur's edge to which taps farther out are moved, for waves and whole pixels
+BEYOND = 0.5  # px outside of the blur's edge; with waves and whole pixels, taps farther out are moved to there
 DISC_NODES = 8  # number of nodes of integrals over the width of a disc (Gauss, Chebyshev)
 LEAST_CELL = 1e-3  # px, least width of a lens cell for sources that are whole pixels
 LEAST_PART = 1e-6  # share of a tap's light below which a sheet is ignored
 PIXEL_CORNER, PIXELS_CORNER = 0.7072, 1.4143  # px, distance of a pixel's corner from its middle, and twice this
 CELL_MIDDLES = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS  # along an axis, from the middle of the lens
-NARROW_MIDDLE = 7  # px along an axis; farther taps of a lens that is not wide see the same as taps at this distance
+NARROW_MIDDLE = 7  # px along an axis; taps of a narrow lens that are farther out see what a tap at this distance sees
 
 
 def bend_visibility(visibility: Visibility, shape: Array) -> Visibility:
-    """Visibility for sources whose blurs are ellipses; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
+    """Copy of `visibility` for sources with elliptic blurs; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
     across = across_of(shape)
     bent = np.where(visibility.wide[:, None], across, across[:, ::-1] * (1.0, -1.0, 1.0))
     return replace(visibility, bent=bent, lean=np.stack(_bent(bent, *visibility.lean.T), axis=-1))
@@ -40,10 +40,11 @@ def _bent(by: Array, x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
 
 
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Visible fraction (M,) of the lens over the cells of taps x, y (M,), in px from sources; in cells if narrow.
+    """Visible fraction (M,) of the lens, averaged over the cell of one tap per source.
 
-    With a wide lens, a tap at the edge of the blur sees only the inner part of its cell, see `inwards_of`. With waves,
-    a tap beyond the edge is moved to it.
+    x, y (M,): position of the tap relative to its source, in px for wide lenses and in cells for narrow ones. A tap at
+    the edge of a wide lens's blur sees only the part of its cell inside the lens, see `inwards_of`. With waves but
+    without `rays`, a tap beyond the edge of the blur is moved to that edge.
     """
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     if visibility.bent is not None:
@@ -80,7 +81,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
-    """Fraction of the lens that all occluders leave free, with taps moved to the middle of their visible part."""
+    """Fraction (M,) of the lens left free by occluders and rims; x, y: taps, at the middle of their visible part."""
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         free = Part(share[mask], across[mask], down[mask])
@@ -91,12 +92,13 @@ def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
 
 
 def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
-    """Displacement (M,) in px from taps to the mean of the visible part of their response, and the reduction (M,) of
-    its variance.
+    """Displacement (M,) in px of the mean of a response inwards, if its outer part is cut off, and reduction of its
+    variance.
 
-    The response is cut off s (M,) px farther out than the tap. The response to a pixel's source is a tent: mean -(1 -
-    s)^2 / 3 and variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) / 3 and (1 + s)^2 / 18. For a point it is a box:
-    -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
+    The aperture's edge cuts off the response of a tap s (M,) px farther out than the tap. The reduction (M,) is 0 for
+    none to 1. The response to a pixel's source is a tent, whose visible part has the mean -(1 - s)^2 / 3 and the
+    variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) / 3 and (1 + s)^2 / 18. The response to a point is a box: -(1/2 -
+    s) / 2 and (1/2 + s)^2 / 12.
     """
     t, b = np.clip(s, -1.0, 1.0), np.clip(s, -0.5, 0.5)
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
@@ -105,10 +107,10 @@ def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
 
 
 def near_focus(visibility: Visibility, t: Array) -> Array:
-    """For pixels' sources near the focus: numbers (4, M) along one axis of the light at taps t (M,) px.
+    """Description (4, M) of the light at taps t (M,) px along one axis, for pixels' sources near the focus.
 
-    They are the mean lens position in cells, and the entries of `Cut` for this axis: xx or yy, trail and aside. Light
-    that arrives at v px has the weight max(0, 1 - |t - v|).
+    The rows are the mean lens position in cells and three entries of `Cut` for this axis: xx or yy, trail and aside.
+    Light that arrives at v px has the weight max(0, 1 - |t - v|).
     """
     assert visibility.part is not None
     size = np.abs(visibility.radius) * visibility.extent
@@ -123,9 +125,10 @@ def near_focus(visibility: Visibility, t: Array) -> Array:
 
 
 def response(t: Array, width: Array) -> Array:
-    """Response of a pixel, up to a factor, to light through a lens cell that arrives t px from its middle.
+    """Response of a pixel, up to a factor, to light through a lens cell that arrives t px from the pixel's middle.
 
-    width: of this light in px for point sources; 1 px for a pixel's source, with light through the middle of a cell.
+    width: width of this light in px for point sources, which fills the cell's image; 1 px for a pixel's source, of
+    which only light through the middle of a cell is considered.
     """
     return np.clip(0.5 * (1.0 + width) - np.abs(t), 0.0, width)
 
@@ -133,7 +136,8 @@ def response(t: Array, width: Array) -> Array:
 def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """Visible fraction (M,) of cells x, y (M,) of narrow lenses, times the tilt of surfaces that partly face away.
 
-    A round edge at the distance s from the middle of a cell leaves a part whose mean is (s - 1/2) / 2 from the middle.
+    A round edge at the distance s from the middle of a cell leaves a part of the cell whose mean is (s - 1/2) / 2 from
+    the cell's middle.
     """
     if visibility.round:
         away = np.hypot(x, y)
@@ -144,8 +148,9 @@ def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Fraction (M,) of the light of taps that passes the rims, with an edge as soft as the response of a pixel; 1 if
-    `cut_weights` includes the rims.
+    """Fraction (M,) of the light of taps that passes the rims; 1 if `cut_weights` includes the rims.
+
+    The edge of a rim is as soft as the response of a pixel.
     """
     share = np.ones_like(x)
     for circle in visibility.circles * (visibility.pupil is None):
@@ -156,7 +161,7 @@ def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def _free_by_sheets(visibility: Visibility, x: Array, y: Array) -> Array:
-    """`free_share` with bent rays: sum over their sheets, each with its share of the taps' light."""
+    """`free_share` with bent rays: the sum over the sheets of rays, each weighted by its share of the tap's light."""
     assert visibility.rays is not None
     second, *planes = visibility.rays.lens_points(visibility.ray_numbers, visibility.ray_parts, x, y)
     scale, free = visibility.ray_scale, np.zeros_like(x)
@@ -170,7 +175,8 @@ def _free_by_sheets(visibility: Visibility, x: Array, y: Array) -> Array:
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
     """Weights (M,) of the tap (dx, dy) px from each source's pixel, for the part of the opening inside the rims.
 
-    weight: (M,), of the whole opening, returned unless rims cut by chords; point: True for point sources.
+    weight (M,): weights of the whole opening, which are returned unless the rims are cut by chords; point: True for
+    point sources.
     """
     pupil, cut = visibility.pupil, np.any([circle.cuts for circle in visibility.circles], axis=0)
     if pupil is None or not cut.any():
@@ -195,7 +201,7 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
-    """Taps of wide lenses, moved to the mean of the part that each edge of the lens mask leaves, and xx, xy, yy of a
+    """Taps of wide lenses moved to the mean of the part that each edge of the lens mask leaves, and xx, xy, yy of a
     `Cut`.
     """
     right, down, xx, xy, yy = np.zeros((5, *x.shape))
@@ -209,9 +215,7 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
 
 
 def cell_visibility(visibility: Visibility) -> Array:
-    """Visible fraction (N, L, L) of each cell of the lens, for the N sources with a narrow lens, times the tilt
-    according to `lean`.
-    """
+    """Visible fraction (N, L, L) of each lens cell for the N sources with a narrow lens, times the tilt by `lean`."""
     narrow, side = np.flatnonzero(~visibility.wide), len(CELL_MIDDLES)
     share = np.ones((narrow.size, side, side))
     if narrow.size:
@@ -227,7 +231,8 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
     """Visible fraction (M,) of the lens for the tap (dx, dy) px from each source's pixel.
 
     cells: (N, L, L) from `cell_visibility`. With a narrow lens, cells are weighted by the tap's response. With waves, a
-    tap beyond the blur's edge is moved to the edge, or for a pixel's source to BEYOND px outside of it.
+    tap beyond the blur's edge is moved to that edge, or for a narrow lens's pixel source to BEYOND px outside of the
+    edge.
     """
     limit = NARROW_MIDDLE if visibility.waves or visibility.bent is not None else np.inf
     share, narrow = np.ones_like(visibility.x), ~visibility.wide
@@ -261,7 +266,7 @@ def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: lis
     """Visible fraction (N,) of narrow lenses with elliptic blurs, for one tap of each of N sources.
 
     cells: (N, L, L) from `cell_visibility`; bent (N, 3): map from cells to px; away: px from sources to taps, right and
-    down, (N,) each; width (N,): of `response`.
+    down, (N,) each; width (N,): argument of `response`.
     """
     places = _bent(bent[:, None, None], CELL_MIDDLES, CELL_MIDDLES[:, None])
     pairs, widths = zip(places, away, strict=True), width[:, None, None]

@@ -10,8 +10,10 @@ from clsco.reference.inpainting.neighbors import Mask
 
 
 def median_of_known(near: Array, near_known: Mask) -> Array:
-    """Median (N, K), over the first axis, of the known values among `near` (8, N, K); for an even number, the mean of
-    the middle two. near_known: (8, N), at least one True per pixel.
+    """Median (N, K), over the first axis, of the known values among `near` (8, N, K).
+
+    For an even number of known values, it is the mean of the middle two. near_known: (8, N), one or more True per
+    pixel.
     """
     ordered, count = np.sort(np.where(near_known[..., None], near, np.inf), axis=0), near_known.sum(axis=0)
     pixel = np.arange(count.size)
@@ -19,7 +21,7 @@ def median_of_known(near: Array, near_known: Mask) -> Array:
 
 
 def _mean_of_known(near: Array, near_known: Mask) -> Array:
-    """Mean (N, K), over the first axis, of the values `near` (8, N, K) known by `near_known` (8, N), at least one."""
+    """Mean (N, K), over the first axis, of the known values among `near` (8, N, K); near_known: (8, N)."""
     total = np.zeros_like(near[0])
     for value, used in zip(near, near_known, strict=True):  # one after another: sum() may take another order
         total += np.where(used[:, None], value, 0.0)
@@ -27,9 +29,10 @@ def _mean_of_known(near: Array, near_known: Mask) -> Array:
 
 
 def estimate(near: Array, near_known: Mask, median_wins: Mask) -> Array:
-    """Mean or median (N, K), over the first axis, of the known values among `near` (8, N, K), at least one.
+    """Mean or median (N, K), over the first axis, of the known values among `near` (8, N, K).
 
-    near_known: (8, N); median_wins: (9,), by number of known values, True for the median; below 4 the mean is used.
+    near_known: (8, N), at least one True per pixel; median_wins: (9,), True to use the median, indexed by the number of
+    known values. Below 4 known values the mean is used.
     """
     take_median = (median_wins & (np.arange(9) >= COUNTS.start))[near_known.sum(axis=0)]
     return np.where(take_median[:, None], median_of_known(near, near_known), _mean_of_known(near, near_known))

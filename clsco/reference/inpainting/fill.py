@@ -1,11 +1,11 @@
-"""Missing pixels: their definition, adaptive interpolation (thesis, 4.3.5), and complete fillings by either method.
+"""Missing pixels: their definition, adaptive interpolation (thesis, 4.3.5), and complete filling by either method.
 
-Values are arrays (H, W, K) with any channels, for radiance and inverse depth. A pixel filled in a sweep is used for
-others from the next sweep on, so the order of pixels within a sweep does not matter.
+Values are arrays (H, W, K) of any number of channels: the radiance, then the inverse depth. A pixel filled in a sweep
+is used for others from the next sweep on, so the order of pixels within a sweep does not matter.
 
 A moving edge uncovers the surface behind it. If a scene has surfaces at several depths, a hole is therefore filled from
-its farther side only: every missing pixel has a bound on the inverse depth of neighbors that it may be filled from
-(`far_bounds`).
+its farther side only: for every missing pixel, `far_bounds` gives the largest inverse depth of the neighbors that may
+be used.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ KNOWN, FILLED, UNFILLED = np.uint8(0), np.uint8(1), np.uint8(2)
 
 @dataclass(frozen=True)
 class FillReport:
-    """Counts of missing pixels within the frame: all, filled, left, filled in the first sweep; and number of sweeps."""
+    """Counts of missing pixels in the frame: all, filled, unfilled, filled in the first sweep; and number of sweeps."""
 
     missing_pixels: int = 0
     filled_pixels: int = 0
@@ -43,7 +43,7 @@ class FillReport:
 
 
 def find_spans(known: Mask) -> NDArray[np.int64]:
-    """First and last known pixel (H + W, 2) of each row, then of each column; (H + W, -1) for none."""
+    """First and last known pixel (H + W, 2) of each row, then of each column; H + W and -1 for a line without any."""
 
     def ends(lines: Mask) -> NDArray[np.int64]:
         occupied = lines.any(axis=1)
@@ -55,9 +55,9 @@ def find_spans(known: Mask) -> NDArray[np.int64]:
 
 
 def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
-    """Mask of missing pixels (H, W): unknown, between the first and last known pixel of their row or column.
+    """Mask of missing pixels (H, W): unknown ones between the first and last known pixel of their row or column.
 
-    allowed: (H, W), only these may be missing (domain "surface"), or None (domain "span").
+    allowed: (H, W), mask of the pixels that may be missing (domain "surface"), or None for all (domain "span").
     """
     (rows, columns), spans = known.shape, find_spans(known)
     i, j = np.arange(rows)[:, None], np.arange(columns)[None, :]
@@ -70,13 +70,13 @@ def mark_missing(known: Mask, allowed: Mask | None) -> Mask:
 def far_bounds(w: Array, known: Mask, pixels: Mask) -> NDArray[np.float32]:
     """Largest inverse depth (H, W) in 1/mm of neighbors that `pixels` may be filled from; infinite elsewhere.
 
-    w: (H, W) 1/mm. From each of `pixels`, known ones are searched in both directions of its row, its column and both
-    diagonals. The line that finds both within the fewest steps is used, of equal lines the first: the bound is 1.02
-    times the smaller inverse depth of its two pixels. Beside an edge that has moved away, this is the inverse depth of
-    the far side; in a gap that a growing surface leaves, at most WIDEST_GAP px to each side, it is that of the surface
-    itself. A wider hole with equally deep sides may lie between two near objects: then the line is used whose inverse
-    depth, interpolated between its ends, is the farthest at the pixel, if the difference exceeds the slack. Compared in
-    float32 on every device.
+    w: (H, W) 1/mm. From each of `pixels`, known pixels are searched in both directions of the row, the column and both
+    diagonals. The first of these four lines that finds a known pixel on both sides within the fewest steps is used: the
+    bound is 1.02 times the smaller inverse depth of its two known pixels. Beside an edge that has moved away, this is
+    the inverse depth of the far side; in a gap that a growing surface leaves, at most WIDEST_GAP px to each side, it is
+    the inverse depth of the surface itself. A wider hole whose sides are equally deep may lie between two near objects.
+    For such a hole, the line is used whose inverse depth, interpolated at the pixel between its ends, is the farthest,
+    if it differs by more than the slack. Inverse depths are compared in float32, as on every device.
     """
     height, width = known.shape
     bound = np.full(known.shape, np.inf, dtype=np.float32)
@@ -109,9 +109,9 @@ def far_bounds(w: Array, known: Mask, pixels: Mask) -> NDArray[np.float32]:
 
 
 def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, Pixels]:
-    """Linear interpolation along each row between the nearest known pixels on both sides, a mask of pixels that have
-    both, and the column of the left one.
+    """Linear interpolation along each row between the nearest known pixels on both sides.
 
+    Also returns a mask of pixels that have known pixels on both sides, and the column of the first known pixel used.
     far: True to copy the known pixel at the greater depth instead if the depths differ by more than the slack.
     """
     (row, column), width = np.indices(known.shape), known.shape[1]
@@ -129,13 +129,14 @@ def _between_known(values: Array, known: Mask, far: bool) -> tuple[Array, Mask, 
 
 
 def fill_ait(values: Array, known: Mask, missing: Mask, bounds: Bounds = None) -> tuple[Array, Mask, Pixels]:
-    """One sweep of AIT: values (H, W, K) with newly filled pixels, the mask of these (H, W), and their source pixels.
+    """One sweep of AIT: values (H, W, K) with newly filled pixels, a mask (H, W) of these, and source pixels (H, W).
 
-    values: inverse depth last; known: before the sweep; bounds: on the inverse depth of neighbors. Inside: the mean of
-    the first opposite pair of known neighbors (horizontal, vertical, the two diagonals), else a copy of the first known
-    neighbor. On the outermost rows and columns: linear between the nearest known pixels of the row, else of the column;
-    with bounds, a copy of the deeper one if their depths differ by a factor above 1.02. Source pixels: (H, W), number
-    of the first neighbor used, for other pixels their own number.
+    values: with the inverse depth last; known: before the sweep; bounds: on the inverse depth of neighbors. Inside the
+    image, a pixel is the mean of the first opposite pair of known neighbors (horizontal, vertical, the two diagonals),
+    or else a copy of the first known neighbor. On the outermost rows and columns, it is interpolated linearly between
+    the nearest known pixels of the row, or else of the column; with bounds, the deeper of the two is copied if their
+    depths differ by a factor above 1.02. Source pixels: for a filled pixel, the number of the first neighbor used; for
+    others, their own number.
     """
     inside = missing.copy()
     inside[[0, -1], :] = inside[:, [0, -1]] = False
@@ -170,12 +171,12 @@ def fill_objects(
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint8], FillReport]:  # fmt: skip
     """Fill pixels that a forward warp left missing: values (H, W, K), objects and status (H, W), and the report.
 
-    values: radiance, then inverse depth; objects: number of the visible object, copied from the first source pixel;
-    allowed: as for `mark_missing`; guard: px of the padded grid not counted in the report; far: fill holes from their
-    farther side (`far_bounds`, computed when a pixel becomes missing), and if that fills no more pixels, allow nearer
-    ones for one sweep; brightest: largest radiance, for scores. Status: 0 known or outside, 1 filled, 2 missing but not
-    filled. "mean_median" is scored on the radiance and fills inverse depth by the same rule. Sweeps that fill nothing
-    do not count.
+    values: radiance, then inverse depth; objects: number of the visible object, which a filled pixel copies from its
+    source pixel; allowed: as for `mark_missing`; guard: px of the padded grid not counted in the report; far: True to
+    fill holes from their farther side (`far_bounds`, computed when a pixel becomes missing); if that fills no more
+    pixels, nearer neighbors are allowed for one sweep; brightest: largest radiance, for scores. Status: 0 known or
+    outside, 1 filled, 2 missing but not filled. "mean_median" computes its scores from the radiance, and uses the same
+    estimator for inverse depth. Sweeps that fill nothing do not count.
     """
     holes, valid = mark_missing(known, allowed), known
     frame = (slice(guard, known.shape[0] - guard), slice(guard, known.shape[1] - guard))

@@ -1,7 +1,7 @@
 """Mean/median filling of warped frames (thesis, chapter 5); mean_median.py fills images with a mask.
 
-Values are arrays (H, W, K) with any channels, for radiance and inverse depth, in float32 or float64; all computation is
-in this type, and in float32 every step is rounded as on a device.
+Values are arrays (H, W, K) of any number of channels, for radiance and inverse depth, in float32 or float64. The type
+of the values is used for all computation; in float32 every step is rounded as on a device.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from clsco.reference.inpainting.neighbors import Bounds, Mask, Pixels, known_nei
 def fill_mean_median(
     values: Array, known: Mask, missing: Mask, median_wins: Mask, minimum: int, bounds: Bounds = None
 ) -> tuple[Array, Mask, Pixels]:
-    """Stage 1: one sweep; values (H, W, K) with newly filled pixels, the mask of these (H, W), and their source pixels.
+    """Stage 1, one sweep: values (H, W, K) with newly filled pixels, a mask (H, W) of these pixels, and source pixels.
 
-    values: (H, W, K), inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), True to use the
-    median, by number of known neighbors (below 4 always the mean); minimum: known neighbors that a pixel needs; bounds:
-    on their inverse depth. Source pixels: (H, W), number of the first neighbor used, for other pixels their own.
+    values: (H, W, K), with the inverse depth last; known, missing: (H, W), before the sweep; median_wins: (9,), True to
+    use the median, indexed by the number of known neighbors (below 4 the mean is always used); minimum: number of known
+    neighbors that a pixel needs; bounds: on the inverse depth of neighbors. Source pixels (H, W): for a filled pixel,
+    the number of the first neighbor used; for others, their own number.
     """
     row, column = np.nonzero(missing)
     near, near_known = known_neighbors(values, known, row, column, bounds)
@@ -36,10 +37,10 @@ def fill_mean_median(
 
 
 def smooth_median(values: Array, filled: Mask, valid: Mask, bounds: Bounds = None) -> Array:
-    """Stage 2: one round of the 3x3 median without the center over the filled pixels.
+    """Stage 2: one round of the 3x3 median, without the middle pixel, over the filled pixels.
 
-    values: (H, W, K), inverse depth last; filled: (H, W), pixels to change; valid: (H, W), known or filled pixels to
-    read, with bounds on their inverse depth. All pixels read the previous round.
+    values: (H, W, K), with the inverse depth last; filled: (H, W), pixels to change; valid: (H, W), known or filled
+    pixels, which may be read; bounds: on the inverse depth of pixels that are read. All pixels read the previous round.
     """
     row, column = np.nonzero(filled)
     near, near_known = known_neighbors(values, valid, row, column, bounds)

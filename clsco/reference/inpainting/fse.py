@@ -15,8 +15,9 @@ from clsco.reference.inpainting.neighbors import Mask, Pixels
 
 
 def fill_texture(image: Array, missing: Mask) -> Array:
-    """Fill the holes (H, W) of an image (H, W, K) with values of about 0 to 1; not clipped. At least one pixel must be
-    known.
+    """Fill the holes (H, W) of an image (H, W, K) whose values are about 0 to 1; results are not clipped.
+
+    At least one pixel must be known.
     """
     if not missing.any():
         return image
@@ -35,8 +36,8 @@ def fill_texture(image: Array, missing: Mask) -> Array:
 def extrapolate_blocks(value: Array, weight: Array, blocks: Pixels) -> Array:
     """Values (N, FSE_BLOCK, FSE_BLOCK, K) of blocks from the windows around them.
 
-    value: (H, W, K), about 0 to 1; weight: (H, W), 0 for unknown pixels; blocks: (N, 2), row and column of their first
-    pixels.
+    value: (H, W, K), about 0 to 1; weight: (H, W), 0 for unknown pixels; blocks: (N, 2), row and column of each block's
+    first pixel.
     """
     table = [t.astype(np.float64) for t in tables()[:2]]
     padding = ((FSE_BEFORE, FSE_SIDE), (FSE_BEFORE, FSE_SIDE))
@@ -49,7 +50,7 @@ def extrapolate_blocks(value: Array, weight: Array, blocks: Pixels) -> Array:
 
 
 def settle_blocks(filled: Array, blocks: Pixels, value: Array, weight: Array) -> tuple[Array, Array]:
-    """Values (H, W, K) and weights (H, W) after unknown pixels were set from blocks."""
+    """Values (H, W, K) and weights (H, W) after unknown pixels have been set to the values `filled` of blocks."""
     value, weight = value.copy(), weight.copy()
     for block, (row, column) in zip(filled, blocks, strict=True):
         at = np.s_[row : row + FSE_BLOCK, column : column + FSE_BLOCK]
@@ -62,7 +63,7 @@ def settle_blocks(filled: Array, blocks: Pixels, value: Array, weight: Array) ->
 def _extrapolated(f: Array, w: Array, preference: Array) -> Array:
     """Extrapolated middle (FSE_BLOCK, FSE_BLOCK, K) of a window with values f (FSE_SIDE, FSE_SIDE, K).
 
-    w: its weights (FSE_SIDE, FSE_SIDE).
+    w: weights of the window's pixels (FSE_SIDE, FSE_SIDE).
     """
     total = w.sum()
     mean, square = ((w[..., None] * f**power).sum(axis=(0, 1)) / total for power in (1, 2))

@@ -22,7 +22,7 @@ def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: 
     """Stage 1: sweeps until no pixel is missing; values (H, W, K), and the number of sweeps that filled pixels.
 
     Arguments as for `fill_mean_median`; every missing pixel must be connected to a known one. If a sweep fills nothing,
-    the minimum is reduced by one until a sweep fills pixels; after `most_sweeps` it is one.
+    the minimum is reduced by one until a sweep fills pixels; after `most_sweeps` sweeps, the minimum is one.
     """
     sweeps, least, limit = 0, minimum, most_sweeps(*missing.shape)
     while missing.any():
@@ -37,7 +37,8 @@ def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: 
 def blend_border(values: Array, border: Mask) -> tuple[Array, Array]:
     """Stage 3: squared magnitude of Sobel's gradient (N,), the largest over channels, and 3x3 medians (N, K).
 
-    values: (H, W, K), border: (H, W), mask of N pixels, row by row. Edge pixels are repeated beyond the image.
+    values: (H, W, K), border: (H, W), mask of N pixels, row by row. Beyond the image, its outermost pixels are
+    repeated.
     """
     row, column = np.nonzero(border)
     padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
@@ -50,8 +51,9 @@ def blend_border(values: Array, border: Mask) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Inpainted:
-    """Images (H, W, K) after stages 1, 2 and 3, and intermediate results; border: (H, W), known pixels beside holes;
-    histogram: None without such pixels.
+    """Images (H, W, K) after stages 1, 2 and 3, and intermediate results.
+
+    border: (H, W), mask of known pixels beside holes; histogram: None if there are no such pixels.
     """
 
     filled: Array

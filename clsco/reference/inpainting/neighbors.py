@@ -9,7 +9,7 @@ from clsco.reference.common.geometry import Array
 
 Mask = NDArray[np.bool_]
 Bounds = NDArray[np.float32] | None
-"""Largest inverse depth (H, W) in 1/mm of neighbors that may serve a pixel, from `clsco.reference.inpainting.fill`."""
+"""Largest inverse depth (H, W) in 1/mm of neighbors that may fill a pixel, from `far_bounds`; None for no limit."""
 Pixels = NDArray[np.int64]
 
 # Rows down, columns right: W E, N S, NW SE, NE SW. Opposite neighbors are pairs.
@@ -17,7 +17,7 @@ NEIGHBORS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (1, 1), (-1, 1), (1, -1
 
 
 def count_neighbors(mask: Mask) -> NDArray[np.uint8]:
-    """Number (H, W) of the neighbors of each pixel that are True; none are outside of the array."""
+    """Number (H, W) of each pixel's neighbors that are True; neighbors outside of the array are not counted."""
     padded, (rows, columns) = np.pad(mask.astype(np.uint8), 1), mask.shape
     return np.sum([padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBORS], 0, np.uint8)
 
@@ -27,7 +27,7 @@ def known_neighbors(
 ) -> tuple[Array, Mask]:
     """Values (8, N, K) of the neighbors of N pixels, and a mask (8, N) of known ones within the array and the bounds.
 
-    values: (H, W, K), inverse depth last; bounds: on the neighbors' inverse depth.
+    values: (H, W, K), with the inverse depth last; bounds: on the neighbors' inverse depth.
     """
     padded_values, padded_known = np.pad(values, ((1, 1), (1, 1), (0, 0))), np.pad(known, 1)
     at = [(row + 1 + i, column + 1 + j) for i, j in NEIGHBORS]

@@ -12,10 +12,10 @@ from clsco.reference.inpainting.neighbors import Mask, count_neighbors, known_ne
 
 
 def score_mean_median(values: Array, known: Mask, scale: float) -> Score:
-    """Stage 0: squared errors of mean and of median of k neighbors as estimates of the center.
+    """Stage 0: squared errors of the mean and of the median of k neighbors as estimates of the pixel between them.
 
-    values: (H, W, K), multiplied by `scale` and rounded to integers; known: (H, W). Summed over all known pixels whose
-    8 neighbors exist and are known, all channels and all 163 subsets of k = 4..8 neighbors.
+    values: (H, W, K), which are multiplied by `scale` and rounded to integers; known: (H, W). Errors are summed over
+    all known pixels whose 8 neighbors exist and are known, all channels, and all 163 subsets of k = 4..8 neighbors.
     """
     row, column = np.nonzero(known & (count_neighbors(known) == 8))
     near, _ = known_neighbors(values, known, row, column)

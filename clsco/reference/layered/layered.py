@@ -1,7 +1,8 @@
 """Layered occlusion in NumPy float64: depth layers, each blurred with its coverage, composited front to back.
 
-The input is only the pinhole image: radiance and signed blur radius of each pixel of the padded grid (H, W). A smaller
-signed radius is nearer. A depth layer is a range of radii; layers are numbered from 1, the nearest; 0 means no surface.
+The only input is the pinhole image: radiance and signed blur radius of each pixel of the padded grid (H, W). Of two
+surfaces, the one with the smaller signed radius is nearer. A depth layer is a range of radii; layers are numbered from
+1, the nearest; 0 means no surface.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ def _bin(coc: Array, low: float, bins: int) -> Integers:
 
 
 def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
-    """Discontinuities of the radius: (DISCONTINUITY_CLASSES, bins), 1 + the largest bin of the near side, 0 for none;
-    and the largest sum of the two |radii| at a discontinuity, px, rounded up.
+    """Find discontinuities of the radius: steps between two valid pixels of a line without a valid pixel between them.
 
-    coc: (H, W) px; valid: (H, W); low px, bins: from `bins_of`; far: px. A discontinuity is between two valid pixels of
-    a row or column, at most `far` px apart, with no valid pixel between them. Entry (k, b): discontinuities of class
-    k, larger than DISCONTINUITY 2^k px, whose far side is in bin b.
+    Lines are rows and columns. coc: (H, W) px; valid: (H, W); low (px), bins: from `bins_of`; far: largest distance of
+    the two pixels, px. Returns an array (DISCONTINUITY_CLASSES, bins), and the largest sum of the two |radii| at a
+    discontinuity in px, rounded up. Entry (k, b) of the array is 1 + the largest bin of the near side, over the
+    discontinuities larger than DISCONTINUITY 2^k px (class k) whose far side is in bin b; 0 if there is none.
     """
     latest, largest_sum = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64), 0
     for radius, there in ((coc, valid), (coc.T, valid.T)):
@@ -57,7 +58,7 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
 
 
 def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
-    """Depth layer (H, W) of every pixel. Arguments as for `find_discontinuities`; bounds: from `layer_bounds`."""
+    """Depth layer (H, W) of every pixel. bounds: from `layer_bounds`; other arguments as for `find_discontinuities`."""
     layer = 1 + np.searchsorted(np.asarray(bounds, np.int64), _bin(coc, low, bins), side="right")
     return np.where(valid, layer, 0).astype(np.uint8)
 
@@ -87,13 +88,12 @@ def column_seeds(seed: Labels) -> Integers:
 
 
 def reach_hidden(layer: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:
-    """The depth layer extrapolated behind each pixel, that of its nearest seed, 0 for none; and a mask of pixels near
-    edges.
+    """The depth layer (H, W) extrapolated behind each pixel, 0 for none; and a mask (H, W) of pixels near edges.
 
-    Both (H, W). offset: (H, W) from `column_seeds`; deep: px, largest distance of a seed. Of seeds at the same
-    distance, the one in the nearest column is used, of two such columns the left one. Only layers behind the pixel's
-    own one are used. Pixels up to 2 `deep` px from an edge, in rows and in columns, count as near: sources beyond do
-    not reach pixels where the hidden surface may be visible.
+    It is the layer of the pixel's nearest seed, if that is behind the pixel's own layer. offset: (H, W) from
+    `column_seeds`; deep: largest distance of a seed, px. Of seeds at the same distance, the one in the nearest column
+    is used; of two such columns, the left one. Pixels up to 2 `deep` px from an edge, in rows and in columns, count as
+    near: sources farther away do not reach pixels where the hidden surface may be visible.
     """
     columns, wide = layer.shape[1], 2 * deep
     best, labels = np.full(layer.shape, deep * deep + 1), np.zeros_like(layer)
@@ -163,10 +163,9 @@ def pull(fine: Array, coarse: Array) -> Array:
 def take_depth_layer(
     radiance: Array, coc: Array, layer: Labels, hidden: Labels, coarse: Array, which: int
 ) -> tuple[Array, Array, Mask]:
-    """One depth layer for the blur: radiance with coverage (H, W, C + 1), radius (H, W), and a mask of its pixels (H,
-    W).
+    """One depth layer for the blur: radiance with coverage (H, W, C + 1), radius (H, W), and mask of its pixels (H, W).
 
-    coarse: the second level of the layer's pyramid, filled, which gives the hidden part.
+    coarse: the second level of the layer's pyramid, already filled, from which the hidden part is interpolated.
     """
     behind, _ = _around(coarse, layer.shape)
     visible, extended = layer == which, hidden == which
@@ -177,7 +176,7 @@ def take_depth_layer(
 
 
 def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
-    """Keep only the sources near edges (`near_edges` is True), or only the others. edge: (H, W) from `reach_hidden`."""
+    """Keep only the sources near edges if `near_edges`, else only the others; edge: (H, W) from `reach_hidden`."""
     return replace(sources, lit=sources.lit & (edge == near_edges))
 
 
@@ -185,8 +184,8 @@ def composite(total: Array, covered: Array, blurred: Array, most: Array | float 
     """Frame (m, n, C) and coverage so far (m, n), with one more depth layer composited behind the previous ones.
 
     blurred: (m, n, C + 1), irradiance and coverage of the layer; most (m, n): fraction of the light that passes rims.
-    The layer is weighted by the coverage that nearer layers leave: at a cut through a continuous surface the two
-    coverages sum to that of the whole, and no light is lost.
+    The layer is weighted by the coverage that nearer layers leave. Where two layers cut a continuous surface, their
+    coverages sum to the coverage of the whole, so that no light is lost.
     """
     coverage = blurred[..., -1]
     visible = np.maximum(np.minimum(coverage, np.maximum(coverage, most) - covered), 0.0)
@@ -197,10 +196,10 @@ def composite(total: Array, covered: Array, blurred: Array, most: Array | float 
 def extend_depth_layer(
     radiance: Array, coc: Array, layer: Labels, hidden: Labels, which: int, deep: int
 ) -> tuple[Array, Array, Mask]:
-    """One depth layer extended by its hidden part; result as for `take_depth_layer`.
+    """One depth layer extended by its hidden part; see `take_depth_layer` for the result.
 
-    Push-pull over a pyramid (Gortler et al. 1996), with just enough levels that each pixel depends on pixels deep + 1
-    px away: hidden pixels are no farther from their layer. So strips of a frame need only nearby rows.
+    Push-pull over a pyramid (Gortler et al. 1996). It has just enough levels that each pixel depends on pixels up to
+    deep + 1 px away, because hidden pixels are no farther from their layer. So strips of a frame need only nearby rows.
     """
     levels, count = [open_depth_layer(radiance, coc, layer, which)], level_count(deep)
     for level in range(1, count + 1):
@@ -217,17 +216,19 @@ def layered(
     """Defocused image (m, n, C) with occlusion derived from the pinhole image, and its number of depth layers.
 
     radiance: (H, W, C) on the padded grid, linear; coc: (H, W) signed blur radius in px; valid: (H, W) mask of
-    surfaces; shape: (m, n) of the frame; guard: px; |coc| must not exceed `spec.largest`. Without a discontinuity it
-    equals `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge in front of a plane matches
-    its closed form, constant brightness is preserved, and against the ray tracer.
+    surfaces; shape: (m, n) of the frame; guard: px; |coc| must not exceed `spec.largest`. Without a discontinuity, the
+    image equals that of `blur.scatter`. Validated against the ray tracer and the closed form of an edge in front of a
+    plane; a cut through a slanted plane leaves no seam, and constant brightness is preserved.
     """
     labels, deep = cluster(spec, coc, valid)
     return spread_depth_layers(spec, radiance, coc, labels, shape, guard, deep)
 
 
 def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> tuple[Labels, int]:
-    """Depth layers (H, W) of an image by its radii, and the distance in px behind an edge within which surfaces may be
-    visible; arguments as for `layered`.
+    """Depth layers (H, W) of an image, from its radii, and the width in px of the strip behind an edge that may be
+    visible.
+
+    See `layered` for the arguments.
     """
     low, bins = bins_of(spec.largest)
     latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(spec.largest) + 1)
@@ -241,7 +242,7 @@ def spread_depth_layers(
 ) -> tuple[Array, int]:  # fmt: skip
     """`layered` for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge.
 
-    rims: function that cuts the light of sources by rims; and `most` of `composite`.
+    rims: a function that lets rims cut the light of sources, and the argument `most` of `composite`; None without rims.
     """
     behind_rims, most = rims or (lambda sources: sources, 1.0)
 

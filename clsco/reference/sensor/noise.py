@@ -1,5 +1,7 @@
-"""Random numbers of a sensor's pixels in NumPy float32, with the bits of kernels/sensor/noise.clh: the same operations
-in the same order, each rounded by IEEE 754. Words are uint32, results float32 and int64.
+"""Random numbers of a sensor's pixels in NumPy float32, with the bits of kernels/sensor/noise.clh.
+
+The operations and their order are the same, and each is rounded by IEEE 754. Random words are uint32; results are
+float32 or int64.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ HALF, LOW = 32, np.uint64(0xFFFFFFFF)
 MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 KEY_STEPS = 0x9E3779B9, 0xBB67AE85
 ROUNDS = 10
-# Coefficients from the highest power on: of 2^x and ln(1 + x) / x for x in [0, 1), and of z in sqrt(-ln p) - 2.75.
+# Coefficients of polynomials, highest power first: 2^x and ln(1 + x) / x for x in [0, 1), and z of sqrt(-ln p) - 2.75.
 EXP2 = (0.00187758, 0.00898934, 0.05582632, 0.24015362, 0.69315307, 0.99999993)
 LOG = (0.01078772, -0.05522881, 0.13479359, -0.22598266, 0.32827333, -0.49947725, 0.99998148)
 NORMAL = (
@@ -69,7 +71,7 @@ def minus_log(x: Floats) -> Floats:
 
 
 def exp_minus(x: Floats) -> Floats:
-    """exp(-x) for x in [0, 80], with relative error 2e-7 at small x and, because x is rounded, 1e-6 at 30."""
+    """exp(-x) for x in [0, 80]. The relative error is 2e-7 at small x, and 1e-6 at 30 because x is rounded."""
     y = x * np.float32(-1.44269504)
     integer = np.floor(y).astype(np.int32)
     fraction = y - integer.astype(np.float32)
@@ -86,8 +88,9 @@ def _polynomial(coefficients: tuple[float, ...], x: Floats) -> Floats:
 
 
 def normal_of(word: Words) -> Floats:
-    """Standard normal number by the inverse distribution function, to 4e-5: a polynomial in sqrt(-ln p), where p <= 1/2
-    is the tail probability. |z| < 6.4.
+    """Standard normal number from a random word, by the inverse distribution function, to 4e-5.
+
+    It is a polynomial in sqrt(-ln p), where p <= 1/2 is the tail probability; |z| < 6.4.
     """
     word = np.asarray(word, np.uint32)
     upper = word >= np.uint32(2**31)
@@ -97,9 +100,10 @@ def normal_of(word: Words) -> Floats:
 
 
 def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
-    """Poisson count for a small mean, by the inverse distribution function.
+    """Poisson count for a small mean, by the inverse distribution function, with u from a random word.
 
-    The number of k = 0, 1, ... with P(count > k) > u; reciprocals: 1 / k for k < FEW_ELECTRONS, entry 0 is unused.
+    The count is the number of k = 0, 1, ... with P(count > k) > u. reciprocals: 1 / k for k < FEW_ELECTRONS; entry 0 is
+    unused.
     """
     u = uniform_of(word)
     term = exp_minus(mean)
@@ -114,13 +118,14 @@ def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
         count += above_count
         term = term * (mean * reciprocals[k])
         above = above - term
-    # A bound, needed if rounding leaves more than u after all terms.
+    # This bound is needed if rounding leaves `above` greater than u after all terms.
     return np.minimum(count, (np.float32(12.0) + np.float32(2.2) * mean).astype(np.int64))
 
 
 def many_electrons(mean: Floats, word: Words) -> Counts:
     """Poisson count for a large mean: a normal number with the first correction of Cornish and Fisher for skewness.
-    Integer and fractional part of the mean are separate, as float32 has no halves beyond 2^23.
+
+    The integer and the fractional part of the mean are added separately, as float32 has no halves beyond 2^23.
     """
     z = normal_of(word)
     integer = mean.astype(np.int64)

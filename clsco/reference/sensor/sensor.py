@@ -16,13 +16,13 @@ from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poiss
 
 
 def photoelectrons(light: Floats, scale: Floats) -> Floats:
-    """Mean photoelectrons of pixels, without dark electrons; negative light and NaN count as 0."""
+    """Mean number of photoelectrons of pixels, without dark electrons; negative light and NaN count as 0."""
     with np.errstate(over="ignore", invalid="ignore"):  # pixels whose light overflows are full
         return np.where(light > 0, light * scale, np.float32(0.0))
 
 
 def codes_of(electrons: Floats, added: Floats, sensor: Any) -> NDArray[np.int64]:
-    """Codes for collected electrons, plus the electrons that the read-out adds."""
+    """Codes for the collected electrons plus those that the read-out adds."""
     code = sensor["gain"] * (electrons + added) + (sensor["black"] + np.float32(0.5))
     return np.clip(code, np.float32(0.0), sensor["largest"]).astype(np.int64)
 
@@ -41,10 +41,10 @@ def sensor_outputs(
 def sense(
     sensor_model: SensorModel, light: NDArray[np.floating], camera: int
 ) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Codes (m, n, planes) of a frame for its irradiance (m, n, C), and a mask of pixels at the full well or the
-    largest code.
+    """Codes (m, n, planes) of a frame for its irradiance (m, n, C), and a mask of saturated pixels.
 
-    light: rounded to float32 at the beginning; camera: `clsco.optics.sensor.camera_word` of the frame.
+    A pixel is saturated if it is at the full well or at the largest code. light: rounded to float32 at the beginning;
+    camera: `clsco.optics.sensor.camera_word` of the frame.
     """
     sensor = filled("sensor_t", "float", sensor_values(sensor_model))
     rows, columns = light.shape[:2]
@@ -72,9 +72,7 @@ def sense(
 
 
 def _patterned(mean: Floats, word: tuple[Words, ...], sensor: Any) -> tuple[Floats, Floats, Floats]:
-    """Mean electrons of pixels with individual differences, their dark electrons, and the electrons added at the
-    read-out.
-    """
+    """Mean electrons of pixels that differ in response, their dark electrons, and electrons added by the read-out."""
     response: Floats = np.float32(1.0) + sensor["prnu"] * normal_of(word[0])
     with np.errstate(over="ignore", invalid="ignore"):
         mean = np.where(response > 0, mean * response, np.float32(0.0))

@@ -15,7 +15,7 @@ from clsco.reference.trace.footprint import blended_images, sharpening
 from clsco.reference.trace.mapping import MappedTexture
 from clsco.scene.model import Camera
 
-REACHING = 2.0  # how fast the exchange between parts begins as the blur grows
+REACHING = 2.0  # slope with which the exchange of light between parts begins as the blur grows
 
 
 def detailed_texture(
@@ -24,7 +24,8 @@ def detailed_texture(
 ) -> Array:  # fmt: skip
     """Values (n, parts, parts, channels) of the parts of pixels whose rays (n, 3) hit a surface.
 
-    w: (n,), inverse depths; radius: (n,) signed, px; samples: sub-pixel sources per axis; parts: number per axis.
+    w: (n,), inverse depths; radius: (n,), signed, px; samples: number of sub-pixel sources per axis; parts: number of
+    parts per axis.
     """
     values = np.zeros((len(w), parts, parts, texture.levels[0].shape[3]))
     size = texture.spread * np.abs(radius)
@@ -40,10 +41,10 @@ def detailed_texture(
 
 
 def is_shared(radius: Array, extent: float, gradient: Array) -> NDArray[np.bool_]:
-    """True (N,) if all sub-pixel sources of one surface in a pixel can share the visibility test at its middle: their
-    blur radius changes little, and the lens is narrow for all of them.
+    """True (N,) if all sub-pixel sources of one surface in a pixel can share the visibility test at the pixel's middle.
 
-    radius (N,), px, and gradient (N, 2) of the pixel, px per px.
+    This requires that their blur radius changes little, and that the lens is narrow for all of them. radius (N,), px,
+    and gradient (N, 2), px per px: of the pixel.
     """
     most = (np.abs(radius) + 0.5 * np.abs(gradient).sum(axis=-1)) * extent
     return np.asarray((most < WIDE_LENS) & (np.hypot(*gradient.T) * extent <= 1.0))

@@ -1,6 +1,6 @@
 """Textures on surfaces, averaged over the footprints of pixels, in NumPy float64.
 
-The head of kernels/trace/footprint.clh explains how the mean over a pixel is computed, and what detail means.
+The head of kernels/trace/footprint.clh explains how the mean over a pixel is computed, and what "detail" means.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ GAUSS_PLACE = 0.5 / np.sqrt(3.0)  # distance from the middle of the two Gauss no
 
 
 def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
-    """Indices of stored texels along an axis, -1 for none."""
+    """Indices of stored texels along an axis for texel numbers `i`; -1 where there is no texel."""
     if wrap == WRAP_MIRROR:
         return mirror_index(i, count)
     inside = {WRAP_REPEAT: i % count, WRAP_CLAMP: np.clip(i, 0, count - 1)}
@@ -63,9 +63,10 @@ def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class Taps:
-    """Weights (n, taps) of texels from `first` (n,) on along an axis, for n widths.
+    """Weights (n, taps) of the texels from number `first` (n,) on along an axis, for n intervals.
 
-    mean: weights for the mean over the width; slope: their derivatives by the position of its middle, per texel.
+    mean: weights for the mean over the interval; slope: their derivatives by the position of the interval's middle, per
+    texel.
     """
 
     first: Indices
@@ -74,8 +75,9 @@ class Taps:
 
 
 def taps_of(middle: Array, width: Array, texture_filter: Filter) -> Taps:
-    """Weights for means over widths (n,) around positions (n,), in texels; the filter is a polynomial between texels,
-    so one or two points give the exact mean of each piece.
+    """Weights for means over intervals of `width` (n,) around `middle` (n,), in texels.
+
+    The filter is a polynomial between texels, so two Gauss nodes give the exact mean over each piece.
     """
     low, high = middle - 0.5 * width, middle + 0.5 * width
     begin, last = np.floor(low), (np.floor(high) - np.floor(low)).astype(np.intp)
@@ -94,9 +96,9 @@ def taps_of(middle: Array, width: Array, texture_filter: Filter) -> Taps:
 
 
 def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps, columns: Taps, skew: Array) -> Array:
-    """Means (n, channels) over cells of a mipmap level (sides, rows, columns, channels), on its sides (n,).
+    """Means (n, channels) over cells of a mipmap level (sides, rows, columns, channels).
 
-    skew: covariance (n,) of columns and rows in a cell.
+    side: (n,), side on which each cell is; skew: (n,), covariance of columns and rows in a cell.
     """
     total = np.zeros((len(side), level.shape[3]))
     for a in range(rows.mean.shape[1]):
@@ -110,9 +112,9 @@ def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps,
 
 
 def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
-    """Number of cells (n,) into which an axis of a pixel's footprint is cut; even if bent, but 1 if small.
+    """Number of cells (n,) into which an axis of a pixel's footprint is cut; even if bent, but 1 for a small footprint.
 
-    square, shear (n,): squared length of the axis in texels, and product of the columns and rows that it spans.
+    square (n,): squared length of the axis in texels; shear (n,): product of the columns and rows that the axis spans.
     """
     widest = np.where(bent, BENT_TEXELS, CELL_TEXELS) ** 2
     enough = np.maximum(square / widest, np.where(bent, 0.0, np.abs(shear) / MOST_SHEAR)) / APART
@@ -123,7 +125,7 @@ def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
 
 
 def _places(cells: int, bent: bool) -> Array:
-    """Middles (cells,) of an axis' cells, relative to the middle of a part, in parts; Gauss nodes of pairs if bent."""
+    """Middles (cells,) of an axis' cells relative to the middle of a part, in parts; if bent, Gauss nodes of pairs."""
     at = np.arange(cells)
     aside = (2.0 * GAUSS_PLACE - 0.5) * np.where(at % 2, 1.0, -1.0) * (bent and cells > 1)
     return np.asarray((at + 0.5 + aside) / cells - 0.5)
@@ -133,8 +135,8 @@ def _places(cells: int, bent: bool) -> Array:
 class Footprint:
     """Texture reads for n pixels or their parts.
 
-    kinds (n, 4): mipmap level, cells to the right and down, 1 if bent; changes: of (column, row) per part to the right,
-    and down.
+    kinds (n, 4): mipmap level, number of cells to the right and down, and 1 if bent. changes: change of column and row
+    in texels per part to the right, then per part down.
     """
 
     kinds: Indices
@@ -144,7 +146,7 @@ class Footprint:
 def footprint_of(
     texture: MappedTexture, changes: tuple[tuple[Array, Array], tuple[Array, Array]], bent: NDArray[np.bool_]
 ) -> Footprint:
-    """Footprints: the mipmap level and the cells in it, from changes of column and row."""
+    """Footprints of pixels: the mipmap level and the cells in it, from the changes of column and row."""
     (rc, rr), (dc, dr) = changes
     across, along = rc * rc + rr * rr, dc * dc + dr * dr
     narrow, total = 2.0 * (rc * dr - rr * dc) ** 2, across + along
@@ -165,8 +167,9 @@ def footprint_of(
 def mean_texture(
     texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, aside: float = 0.0, below: float = 0.0
 ) -> Array:
-    """Means (n, channels) of a texture over parts of pixels, displaced by `aside` parts to the right and `below` parts
-    down from the footprints.
+    """Means (n, channels) of a texture over parts of pixels.
+
+    The parts are `aside` parts to the right of the footprints and `below` parts down.
     """
     result = np.zeros((len(footprint.kinds), texture.levels[0].shape[3]))
     for kind in np.unique(footprint.kinds, axis=0):
@@ -180,7 +183,7 @@ def _cell_means(
     texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, selected: Indices,
     shift: tuple[float, float],
 ) -> Iterator[Array]:  # fmt: skip
-    """Parts of `mean_texture` by cell, for pixels `selected`, which share one level and number of cells."""
+    """The terms of `mean_texture`, one per cell, for pixels `selected`, which share one level and number of cells."""
     level, cells_x, cells_y, bent = footprint.kinds[selected[0]].tolist()
     texture_map, stored = texture.map, texture.levels[level]
     border = CUBE_BORDER if texture_map.kind == MAP_CUBE else 0
@@ -217,7 +220,7 @@ def sharpening(texture: MappedTexture, radius: Array) -> Array:
 def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int) -> Indices:
     """Number of parts per axis for pixels (n,), 0 if one source is enough.
 
-    texels: squared number of texels; radius: signed, px; samples: sub-pixel sources per axis.
+    texels: squared number of texels; radius: signed, px; samples: number of sub-pixel sources per axis.
     """
     spread = (texture.spread * np.abs(radius)).astype(np.float32)
     return cut_parts(texels.astype(np.float32), spread, samples, texture.least)
@@ -226,8 +229,10 @@ def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int)
 def surface_texture(
     texture: MappedTexture, surface: PlacedSurface, camera: Camera, rays: Array, w: Array, sources: int
 ) -> tuple[Array, Array]:
-    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,), and squared
-    numbers (n,) of texels along the wider axes of their footprints; sources: per axis of a pixel.
+    """Means (n, channels) of the texture on a surface where rays (n, 3) hit it at inverse depths w (n,).
+
+    Also returns the squared number (n,) of texels along the longer axis of each footprint. sources: number per axis of
+    a pixel.
     """
     mean, texels = np.zeros((len(w), texture.levels[0].shape[3])), np.zeros(len(w))
     for mask, share, footprint, mean_of in blended_images(texture, surface, camera, rays, w, sources, 1):
@@ -241,8 +246,8 @@ def blended_images(
 ) -> Iterator[tuple[NDArray[np.bool_], Array, Footprint, Callable[..., Array]]]:
     """The images that a texture consists of at hits (n,): three for a triplanar mapping, else one.
 
-    For each: mask (n,) of the hits that show it, and for these its share, their footprints, and `mean_texture`, a
-    function of `aside` and `below`. sources: per axis of a pixel; parts: per axis of a source.
+    Yields for each image: a mask (n,) of the hits that show it; the share of the image at these hits; their footprints;
+    and `mean_texture` as a function of `aside` and `below`. sources: per axis of a pixel; parts: per axis of a source.
     """
     point, three = mapped_point(surface, texture.map, camera, rays, w), texture.map.kind == MAP_TRIPLANAR
     shares = blend_shares(own_normal(surface, rays, w)) if three else np.ones((len(w), 1))

@@ -10,10 +10,9 @@ from clsco.reference.common.geometry import Array, surface_normal
 
 
 def shade(light: PlacedLight, surface: PlacedSurface, number: int, rays: Array, w: Array) -> Array:
-    """Fraction (...) of a texture's radiance at hits on an object, on the side facing the lens; 1 for objects that the
-    light does not affect.
+    """Fraction (...) of a texture's radiance at hits on object `number`, for the side that faces the lens.
 
-    w: (...) 1/mm, 0 without a hit.
+    It is 1 for objects that the light does not affect. w: (...) 1/mm, 0 without a hit.
     """
     if not light.members >> number & 1:
         return np.ones(w.shape)

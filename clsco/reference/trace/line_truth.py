@@ -15,13 +15,14 @@ from clsco.reference.trace.truth import Points, Truth, followed, nearest_at, out
 from clsco.reference.trace.view import Texture
 from clsco.scene.model import Scene
 
-NEARER = 1.0 + 1e-5  # ratio of depths from which on the nearer one belongs to another point (clsco.optics.line_truth)
+NEARER = 1.0 + 1e-5  # ratio of depths above which the nearer depth is that of another point (clsco.optics.line_truth)
 
 
 def line_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:
-    """Ground truth (rows, columns[, ...]) of a frame, as `ground_truth`, with each line at the middle of its exposure.
+    """Ground truth (rows, columns[, ...]) of a frame, as `ground_truth`, but each line is at the middle of its
+    exposure.
 
-    Flow ends on the line that shows the point in the other frame; inf if no single line does.
+    Flow ends on the line of the other frame that shows the point; it is inf if no single line shows the point.
     """
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     times, axis = line_times(scene, frame), int(scene.sequence.by_columns)
@@ -38,9 +39,9 @@ class LinePoints(Points):
     """Surface points in pixels (m, n), each at the time of its line."""
 
     def follow(self, frame: int, eye: Eye) -> tuple[Array, NDArray[np.bool_]]:
-        """`Follow` to the lines of a frame, inf if no single line shows a point, by a search through all lines.
+        """`Follow` to the lines of a frame, by a search through all lines; inf if no single line shows a point.
 
-        A point lies between the first line that is at or beyond it when exposed, and the previous line.
+        A point lies between the first line that, when exposed, is at or beyond the point, and the previous line.
         """
         scene, axis, surface = self.scene, int(self.scene.sequence.by_columns), self.number >= 0
         views = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in line_times(scene, frame).tolist()]

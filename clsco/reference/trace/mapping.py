@@ -21,7 +21,7 @@ from clsco.reference.common.geometry import Array, Filter, canonical_gradient, s
 from clsco.scene.model import Camera
 
 BENT = 256.0  # squared distance from a pole, in pixels, within which coordinates are far from linear
-FARTHEST_TEXEL = 1e6  # to which positions are clamped
+FARTHEST_TEXEL = 1e6  # positions are clamped to this
 TINY = 1e-12
 Indices = NDArray[np.intp]
 
@@ -30,8 +30,8 @@ Indices = NDArray[np.intp]
 class MappedTexture:
     """An image on a surface.
 
-    levels: of its mipmap, (sides, rows, columns, channels) float64; map: mapping to the surface; spread: from
-    `texture_spread`, px; least: from `detail_least`, px; texture_filter: interpolation between texels.
+    levels: levels of the image's mipmap, (sides, rows, columns, channels) float64; map: mapping to the surface; spread:
+    from `texture_spread`, px; least: from `detail_least`, px; texture_filter: interpolation between texels.
     """
 
     levels: tuple[Array, ...]
@@ -44,14 +44,14 @@ class MappedTexture:
 def mapped_texture(
     images: Sequence[NDArray[np.float32]], texture_map: TextureMap, psf: PointSpread, texture_filter: Filter
 ) -> MappedTexture:
-    """A `MappedTexture` from images (rows, columns, channels): one, or the six of a cube map."""
+    """A `MappedTexture` from images (rows, columns, channels): a single image, or the six of a cube map."""
     levels = tuple(level.astype(np.float64) for level in mipmap(images))
     return MappedTexture(levels, texture_map, texture_spread(psf), detail_least(psf), texture_filter)
 
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """q of hits (n, 3) in the frame of a texture, and its derivatives per pixel to the right and down."""
+    """Positions q (n, 3) of hits in the frame of a texture, and derivatives of q per pixel to the right and down."""
 
     at: Array
     right: Array
@@ -60,7 +60,7 @@ class Mapped:
 
 @dataclass(frozen=True, eq=False)
 class Texel:
-    """Column and row (n,) in texels, with texel edges at integers, and side of a cube map."""
+    """Column and row (n,) in texels, with texel edges at integers, and the side of a cube map."""
 
     column: Array
     row: Array
@@ -84,7 +84,7 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
 
 
 def on_side(q: Array, side: Indices) -> Array:
-    """Vectors (n, 3) in the axes of sides (n,) of a cube: right, up and out."""
+    """Vectors (n, 3) in the axes right, up and out of the cube sides `side` (n,)."""
     axes, signs = np.moveaxis(np.array(SIDES)[:, [1, 2, 0]], -1, 0)  # SIDES: out, right, up
     return np.asarray(np.take_along_axis(q, axes[side], -1) * signs[side])
 
@@ -96,7 +96,7 @@ def texels_of(texture_map: TextureMap, x: Array, y: Array) -> tuple[Array, Array
 
 
 def wrapped_position(position: Array, count: int, wrap: int) -> Array:
-    """Positions reduced to one period for repeating textures, and clamped near the image for others."""
+    """Positions reduced to one period for repeating textures; all positions are clamped to FARTHEST_TEXEL."""
     if wrap in (WRAP_REPEAT, WRAP_MIRROR):
         period = 2.0 * count if wrap == WRAP_MIRROR else float(count)
         position = position - period * np.floor(position / period)
@@ -177,7 +177,7 @@ def along_axis(q: Array, axis: int) -> Array:
 def texture_coordinates(surface: PlacedSurface, texture: MappedTexture, camera: Camera, rays: Array, w: Array) -> Array:
     """Texture coordinates (n, 2), right and up from the lower left corner, in units of the image's size.
 
-    For a cube map, the image is a row of its six images.
+    For a cube map, "the image" is the row of its six images.
     """
     texture_map = texture.map
     at = mapped_point(surface, texture_map, camera, rays, w).at

@@ -16,7 +16,7 @@ from clsco.reference.common.geometry import Array, blur_radius, both_roots, pixe
 from clsco.reference.trace.view import View
 
 UNMARKED = 255  # the label of cells without sources of their own
-SHARP_OUTLINE = 1.5  # px, blur radius below which squares between pixels are cut at outlines
+SHARP_OUTLINE = 1.5  # px, blur radius below which the squares between cells of several pixels are cut at outlines
 LEAST_PART = 1e-6  # least covered share of a square for which an empty cell becomes a source
 Labels = NDArray[np.uint8]
 Index = NDArray[np.intp]
@@ -26,9 +26,10 @@ Index = NDArray[np.intp]
 class Coverage:
     """Coverage of the cells of M pixels, arrays (M, S + 2, S + 2), complete only for the pixels' own cells.
 
-    covered: area that a source represents, in cells; right, down: position from the cell's middle, in cells, where its
-    radius, tilt and radiance are evaluated; label: of each cell, including empty cells that a surface covers in part.
-    For these cells, part: covered area; step_x, step_y: displacement to the middle of a full cell.
+    covered: area that a source represents, in cells; right, down: position relative to the cell's middle, in cells,
+    where the source's radius, tilt and radiance are evaluated; label: label of each cell, also of empty cells that a
+    surface covers in part. For the latter cells, part: covered area; step_x, step_y: displacement to the middle of a
+    full cell.
     """
 
     covered: Array
@@ -41,8 +42,9 @@ class Coverage:
 
 
 def root_margins(view: View, label: int, rays: Array) -> tuple[Array, Array]:
-    """Inverse depth (n,) of a root along rays (n, 3), and the conditions of its visibility (conditions, n), negative
-    where violated. If a ray misses the surface, the values at the closest approach.
+    """Inverse depth (n,) of a root along rays (n, 3), and the conditions of its visibility (conditions, n).
+
+    A condition is negative where it is violated. If a ray misses the surface, values are those at the closest approach.
     """
     number = (label - 1) // 2
     surface, box = view.surfaces[number], view.bounds[number]
@@ -68,8 +70,9 @@ def is_curved(view: View, label: int) -> bool:
 
 
 def is_at_limb(view: View, label: int, rays: Array, samples: int) -> Array:
-    """True (n,) for rays (n, 3) that hit the front of a curved surface less than half a cell from where it turns away
-    from the lens, by the discriminant and its slopes; samples: cells per pixel along each axis.
+    """True (n,) for rays (n, 3) that hit the front of a curved surface less than half a cell from its limb.
+
+    The distance is estimated from the discriminant and its slopes. samples: cells per pixel along each axis.
     """
     surface = view.surfaces[(label - 1) // 2]
     if not is_curved(view, label) or (label % 2 == 1) != (surface.constant > 0.0):
@@ -81,7 +84,9 @@ def is_at_limb(view: View, label: int, rays: Array, samples: int) -> Array:
 
 
 def end_of_root(view: View, label: int, start: Array, stop: Array) -> Array:
-    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends, or 1."""
+    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends; 1 for
+    none.
+    """
     at_start, at_stop = (root_margins(view, label, rays)[1] for rays in (start, stop))
     inside, fails = np.maximum(at_start, 0.0), at_stop < 0.0
     return np.asarray(np.where(fails, inside / np.where(fails, inside - at_stop, 1.0), 1.0).min(axis=0))
@@ -120,7 +125,8 @@ def labels_around(row: Index, column: Index, label: Labels, shape: tuple[int, in
 def crossing_between(view: View, row: Index, column: Index, label: Labels, first: Index, second: Index) -> Array:
     """Fractions (M, sides) of the way from `first` to `second` cells at which there is an outline, -1 for none.
 
-    row, column: (M,) of the pixels; first, second: (sides,), indices of cells.
+    row, column: (M,) of the pixels; label: (M, S + 2, S + 2) of their cells; first, second: (sides,), flat indices of
+    cells.
     """
     side = label.shape[1]
     flat = label.reshape(len(label), side * side)
@@ -138,15 +144,17 @@ def crossing_between(view: View, row: Index, column: Index, label: Labels, first
 
 
 def mean_above(first: Array, last: Array) -> Array:
-    """Mean (n,) of the positive parts of lines from `first` to `last` (n,)."""
+    """Mean (n,) of max(0, y) along lines on which y goes from `first` to `last` (n,)."""
     low, high = np.minimum(first, last), np.maximum(first, last)
     above = 0.5 * high * high / np.maximum(high - low, 1e-30)
     return np.where(low >= 0.0, 0.5 * (low + high), np.where(high <= 0.0, 0.0, above))
 
 
 def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-    """Area (n,) of a quarter of a unit square, in row and column 0 or 1 (n,), left of a straight line from x = top (n,)
-    on the upper side to x = bottom (n,) on the lower side.
+    """Area (n,) of the part of a unit square's quarter that is left of a straight line.
+
+    row, column: 0 or 1 (n,), the quarter. The line goes from x = top (n,) on the upper side to x = bottom (n,) on the
+    lower.
     """
     step = 0.5 * (bottom - top)
     first = top + row * step - 0.5 * column
@@ -154,10 +162,10 @@ def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDA
 
 
 def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, surface_label: Labels) -> None:
-    """Assign the area that a surface covers in squares (n,), inside the pixel, to its cells there, or to empty cells.
+    """Assign the area that a surface covers in squares (n,) to its cells in the same pixel, or to empty cells.
 
-    label: (n, S + 2, S + 2); i, j: the upper left cell; place: (4, n), where an outline crosses the sides, top, bottom,
-    left and right; surface_label: (n,), the surface's label, 0 to skip a square.
+    label: (n, S + 2, S + 2); i, j: the upper left cell of the square; place: (4, n), where an outline crosses the top,
+    bottom, left and right sides; surface_label: (n,), label of the surface, 0 to skip a square.
     """
     side, index = label.shape[1], np.arange(len(surface_label))
     along = (place[2] >= 0.0) & (place[3] >= 0.0)
@@ -191,9 +199,9 @@ def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, 
 
 
 def cut_label(view: View, corners: Labels, rays: Array) -> Labels:
-    """Labels (n,) of surfaces near the focus whose squares are cut, 0 without one or if there is another surface.
+    """Labels (n,) of the surfaces near the focus for which squares are cut; 0 for no cut, as with two surfaces.
 
-    corners: (n, 2, 2), labels of the cells; rays: (n, 3), through the centers of the squares.
+    corners: (n, 2, 2), labels of the cells at the squares' corners; rays: (n, 3), through the centers of the squares.
     """
     labels = corners.max(axis=(1, 2))
     alone = ((corners == 0) | (corners == labels[:, None, None])).all(axis=(1, 2))
@@ -207,10 +215,10 @@ def cut_label(view: View, corners: Labels, rays: Array) -> Labels:
 def share_square(
     coverage: Coverage, curved: NDArray[np.bool_], i: int, j: int, place: Array, cut: NDArray[np.bool_]
 ) -> None:
-    """Add to a surface's cells what it covers of squares (n,) between four cells, minus their own quarters.
+    """Add to a surface's cells the area that it covers in squares (n,) between four cells, minus the cells' quarters.
 
-    curved: (n, S + 2, S + 2), True if a cell's surface is curved; place: as for `cut_square`, -1 for sides without an
-    outline, which crosses two; cut: (n,), squares that `cut_square` handles.
+    curved: (n, S + 2, S + 2), True if a cell's surface is curved; place: as for `cut_square`, -1 for a side that no
+    outline crosses (an outline crosses two sides); cut: (n,), squares that `cut_square` handles.
     """
     top, bottom, left, right = place
     corners = ((i, j), (i, j + 1)), ((i + 1, j), (i + 1, j + 1)), ((i, j), (i + 1, j)), ((i, j + 1), (i + 1, j + 1))

@@ -29,14 +29,14 @@ from clsco.reference.common.geometry import (
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.view import Cast, View
 
-LINES, END_LINES = 8, 2  # lines in a pixel; and at each end, if sides of a card end there
-CLEARLY, SMALL_REACH = 1.001, 2.0  # factor above rounding errors; px from an occluder's image
+LINES, END_LINES = 8, 2  # number of lines in a pixel; number of these at each end if sides of a card end there
+CLEARLY, SMALL_REACH = 1.001, 2.0  # factor that exceeds rounding errors; distance from an occluder's image, px
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 
 def conditions(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> list[Array]:
-    """Values (...) along rays (..., 3) that are >= 0 where rays hit a surface, for conditions of second degree."""
+    """Values (...) along rays (..., 3), one array per condition of second degree; >= 0 where rays hit a surface."""
     shape, d = surface.canonical, turned(surface.turn, rays)
     if shape.q.any():
         return [quarter_discriminant(surface, d)]
@@ -52,7 +52,7 @@ def conditions(surface: PlacedSurface, bounds: Bounds | None, rays: Array) -> li
 
 
 def conics_of(view: View, k: int, row: Index, column: Index) -> Array:
-    """Conics (conditions, 6, ...) of object k relative to pixels, rows and columns (...)."""
+    """Conics (conditions, 6, ...) of object k, relative to the pixels in rows and columns (...)."""
     places = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0), (1, 1))
     middle, left, right, above, below, corner = (
         np.stack(conditions(view.surfaces[k], view.bounds[k], pixel_ray(view.camera, row + down, column + aside)))
@@ -87,8 +87,9 @@ def is_small(view: View, k: int, row: Index, column: Index, reach: float = 0.5) 
 
 
 def small_members(view: View, group: OcclusionGroup, row: Index, column: Index) -> Mask:
-    """Mask (objects, ...) of the members of an occlusion group whose images are small at pixels; rows and columns
-    broadcast.
+    """Mask (objects, ...) of the members of an occlusion group that have small images at pixels.
+
+    Rows and columns of the pixels broadcast.
     """
     mask = np.zeros((len(view.surfaces), *np.broadcast(row, column).shape), dtype=bool)
     for k in range(len(mask)):
@@ -98,8 +99,10 @@ def small_members(view: View, group: OcclusionGroup, row: Index, column: Index) 
 
 
 def hidden_by_small(view: View, group: OcclusionGroup, row: Index, column: Index, inverse_depth: Array) -> Mask:
-    """Mask (...) of pixels that contain a small occluder of their sources, or are so near one that whole pixels would
-    see its edge; inverse_depth (...): of the sources, 0 without one, 1/mm.
+    """Mask (...) of pixels that have a small occluder of their sources inside, or so near that whole pixels would show
+    its edge.
+
+    inverse_depth (...): of the sources, 1/mm, 0 for no source.
     """
     rays, mask = pixel_ray(view.camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
@@ -110,7 +113,7 @@ def hidden_by_small(view: View, group: OcclusionGroup, row: Index, column: Index
 
 
 def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Intervals low..high, narrowed to the x with a + 2 b x + c x^2 >= 0 if these form one interval."""
+    """Intervals low..high, narrowed to those x with a + 2 b x + c x^2 >= 0 if these x form one interval (c < 0)."""
     square, bent = b * b - a * c, c < 0.0
     root, c = np.sqrt(np.maximum(square, 0.0)), np.where(bent, c, -1.0)
     begin = np.maximum(low, (root - b) / c)
@@ -119,10 +122,10 @@ def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array
 
 
 def small_cover(view: View, group: OcclusionGroup, k: int, place: tuple[Index, Index], samples: int) -> Array:
-    """Area of the cells of pixels (M,) that the image of member k covers, and moments of it: (M, S, S, 4).
+    """Area of the cells of pixels (M,) that the image of member k covers, and moments of this area: (M, S, S, 4).
 
-    place: rows and columns (M,). For each cell: the area in cells, the area times the position right and down of the
-    pixel's middle in px, and the area times the shaded fraction of the texture.
+    place: rows and columns (M,). For each cell: the area in cells; the area times its position to the right and down
+    from the pixel's middle in px; and the area times the shaded fraction of the texture.
     """
     row, column = place
     conics = conics_of(view, k, row, column)
@@ -212,10 +215,10 @@ def cast_behind(
 def with_small(
     cast: Callable[..., Cast], view: View, group: OcclusionGroup, hit: Cast, small: Mask, place: tuple[Index, Index]
 ) -> tuple[Cast, Index]:  # fmt: skip
-    """Hits of cells (M, S, S), reduced by the area that small surfaces cover, followed by the hits of each small
-    surface in each of its pixels: (N, S, S), and the pixel number (N,) of each.
+    """Hits (N, S, S) of the cells of M pixels, including small surfaces, and the pixel number (N,) of each entry.
 
-    small: (objects, M); place: rows and columns (M,).
+    The first M entries are `hit`, reduced by the area that small surfaces cover; the hits of each small surface in each
+    of its pixels follow. small: (objects, M); place: rows and columns (M,).
     """
     pixels, free, hits, samples = [np.arange(small.shape[1])], np.ones(hit.label.shape), [], hit.label.shape[1]
     for k in np.flatnonzero(small.any(axis=1)).tolist():

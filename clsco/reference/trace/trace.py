@@ -1,6 +1,6 @@
 """Rays cast at surfaces: sources, and sub-pixel sources at silhouettes.
 
-The padded grid has `guard` rows and columns on each side of the frame: surfaces there contribute light to the frame.
+The padded grid has `guard` rows and columns on each side of the frame, because surfaces there contribute light to it.
 """
 
 from __future__ import annotations
@@ -56,11 +56,12 @@ class Sources:
     """Sources, one per pixel of the padded grid (H, W).
 
     radiance: (H, W, C), linear. inverse_depth: (H, W), 1/mm. label: (H, W), 0 for no source, else root and object; the
-    highest bit changes where two surfaces meet. radius: (H, W), signed blur radius in px. gradient: (H, W, 2), of the
-    radius, px per px, right and down. lit: (H, W), True if any of its radiance reaches the lens. visibility: occluders
-    of the sources, None if there are none. parts: (H, W), number of parts per axis that the texture needs, 0 for none.
-    share: (H, W), sharpening coefficient of the texture, see `sharpen`. shape: (H, W, 3), of elliptic blurs, None for
-    discs. widening: (H, W, 2), relative change of their size per px, right and down.
+    highest bit changes where two surfaces meet. radius: (H, W), signed blur radius in px. gradient: (H, W, 2), gradient
+    of the radius, px per px, right and down. lit: (H, W), True if any of the source's radiance reaches the lens.
+    visibility: occluders of the sources, None if there are none. parts: (H, W), number of parts per axis that the
+    texture needs, 0 for none. share: (H, W), sharpening coefficient of the texture, see `sharpen`. shape: (H, W, 3),
+    shapes of elliptic blurs, None for discs. widening: (H, W, 2), relative change of the ellipse's size per px, right
+    and down.
     """
 
     radiance: Array
@@ -80,11 +81,12 @@ class Sources:
 class SubpixelSources:
     """S x S sources in each of M pixels, which replace the pixel's own source; each has the weight 1/S^2.
 
-    row, column (M,): padded-grid pixel; hit (M, S, S): True for a surface visible from the lens; visibility: the
-    occluders of these, in order, None if there are none; radius (M, S, S) px; gradient (M, S, S, 2) px per px; radiance
-    (M, S, S, C), times the covered area in cells; limb (M, S, S): True at a limb, None if there is none. shape (M, 3),
-    of the pixels, and widening (M, S, S, 2): as for `Sources`. Source (i, j) is blurred from its cell,
-    `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
+    row, column (M,): pixel of the padded grid. hit (M, S, S): True for a surface visible from the lens. visibility:
+    occluders of the sources with `hit`, in order, None if there are none. radius (M, S, S): px. gradient (M, S, S, 2):
+    px per px. radiance (M, S, S, C): multiplied by the covered area in cells. limb (M, S, S): True at a limb, None if
+    there is none. shape (M, 3), of the pixels, and widening (M, S, S, 2): as for `Sources`. Source (i, j) is blurred
+    from the middle of its cell, which is `subpixel_offsets(S)[i]` rows and `subpixel_offsets(S)[j]` columns off the
+    pixel's center.
     """
 
     row: NDArray[np.int64]
@@ -110,7 +112,7 @@ def view_at(
     scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None,
     color: int | None = None,
 ) -> View:  # fmt: skip
-    """The objects and the lens at `time` seconds, for light of one color or all; other arguments as for `View`."""
+    """Objects and lens at `time` seconds; color: number of a single color, or None; other arguments as for `View`."""
     reference, lens, lenses = reference_camera(scene), lens_at(scene, time, color), lenses_at(scene, time)
     shifted = scene.shifts_colors and color is not None
     if scene.lens is not None and (scene.lens.moves or scene.lens.distorts or shifted):
@@ -131,9 +133,10 @@ def cast(
     view: View, group: OcclusionGroup, row: NDArray[Any], column: NDArray[Any],
     texel: tuple[NDArray[Any], NDArray[Any]], sources: int = 1,
 ) -> Cast:  # fmt: skip
-    """The nearest surface of an occlusion group along rays through (row, column) px, 0 without a hit.
+    """The nearest surface of an occlusion group along rays through (row, column) px; all values are 0 without a hit.
 
-    texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel.
+    texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: number of sources per
+    axis of a pixel.
     """
     scene, rays = view.scene, pixel_ray(view.camera, row, column)
     w, label, number = view.nearest(group, rays)
@@ -196,7 +199,7 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
 
 
 def _tilted(view: View, radius: Array, gradient: Array, widening: Array | None) -> Array:
-    """Gradient (N, 2) of the blur radius of whole pixels for visibility tests, 0 if tilt is ignored."""
+    """Gradient (N, 2) of the blur radius of whole pixels, as visibility tests use it; 0 if tilt is ignored."""
     tilt, _ = pixel_tilt(gradient, radius, view.psf.diffracted)
     tilt = tilt if widening is None else tilt + widening
     size = pixel_reach(radius, view.psf.diffracted) * np.where(radius < 0.0, -1.0, 1.0)
@@ -214,7 +217,7 @@ def _ellipses(view: View, row: NDArray[Any], column: NDArray[Any]) -> tuple[Arra
 
 
 def spread_sources(sources: Sources) -> Sources:
-    """Sources with the radius and gradient that `scatter` uses: those of whole pixels, see `pixel_tilt`."""
+    """Sources with the radius and gradient that `scatter` uses for whole pixels, see `pixel_tilt`."""
     tilt, radius = pixel_tilt(sources.gradient, sources.radius)
     return replace(sources, radius=radius, gradient=signed_size(radius)[..., None] * tilt)
 
@@ -231,8 +234,9 @@ def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
-    """Sharpen the sources of textures on surfaces by differences to neighbors, so that they represent squares, see
-    kernels/trace/footprint.clh; marked (H, W): pixels with sub-pixel sources, which are excluded.
+    """Sharpen the sources of textures on surfaces by differences to neighbors, so that each source represents a square.
+
+    See kernels/trace/footprint.clh. marked (H, W): pixels with sub-pixel sources, which are excluded.
     """
     assert sources.share is not None
     share = np.where(marked, 0.0, sources.share)
@@ -251,9 +255,9 @@ def trace_subpixels(
 ) -> SubpixelSources:
     """Sub-pixel sources for the marked pixels (H, W) of the padded grid, and for pixels of `sources` with parts.
 
-    Their number per axis is psf.silhouette_samples; at outlines each represents the area that its surface covers. In
-    the reference pose, those of marked pixels share their pixel's texel, otherwise each interpolates the texture at its
-    own position.
+    Their number per axis is psf.silhouette_samples. At outlines, each source represents the area that its surface
+    covers. In the reference pose, the sources in a marked pixel share the pixel's texel; otherwise each interpolates
+    the texture at its own position.
     """
     psf, samples = view.scene.psf, view.scene.psf.silhouette_samples
     parts = np.zeros(marked.shape, np.intp)
@@ -311,9 +315,10 @@ def _from_middles(
     view: View, points: Points, sources: Sources, pixel: tuple[Indices, Indices], cut: Indices, slot: Indices,
     guard: int,
 ) -> Points:  # fmt: skip
-    """Points for visibility tests; in pixels cut into parts, replaced by the pixel's middle if `is_shared`.
+    """Points for visibility tests; in pixels cut into parts, they are replaced by the pixel's middle if `is_shared`.
 
-    pixel: rows and columns (M,); cut: parts (M,) per axis; slot: number of the pixel of each of the `points`.
+    pixel: rows and columns (M,); cut: number of parts (M,) per axis; slot: for each of the `points`, the index of its
+    pixel in `pixel`.
     """
     radius, gradient = sources.radius[pixel], sources.gradient[pixel]
     shared = (cut > 0) & is_shared(radius, view.psf.extent, gradient)
@@ -336,8 +341,8 @@ def _cover(
 ) -> tuple[Cast, NDArray[np.bool_]]:
     """Replace radius, gradient and radiance of ray hits (M, S, S) at outlines by those of the areas that they cover.
 
-    Returns hits, and a mask of those at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns (M,); pixels that
-    are not marked keep their hits.
+    Also returns a mask of hits at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns (M,). Pixels that are
+    not marked keep their hits.
     """
     samples = view.scene.psf.silhouette_samples
     label = np.where(marked[pixel][:, None, None], hit.label, UNMARKED).astype(np.uint8)
@@ -370,9 +375,9 @@ def _cover(
 def _with_parts(
     view: View, hit: Cast, sources: Sources, pixel: tuple[Indices, Indices], cut: Indices, guard: int
 ) -> Cast:
-    """Replace ray hits (M, S, S) in pixels cut into parts: all values except the texture are linear within the pixel.
+    """Replace ray hits (M, S, S) in pixels cut into parts; all values except the texture are linear within the pixel.
 
-    pixel: rows and columns (M,); cut: parts (M,) per axis, 0 to keep `hit`.
+    pixel: rows and columns (M,); cut: number of parts (M,) per axis, 0 to keep `hit`.
     """
     camera, samples = view.camera, view.scene.psf.silhouette_samples
     below, right = np.meshgrid(*2 * (subpixel_offsets(samples),), indexing="ij")
@@ -401,7 +406,7 @@ def _with_parts(
         hit.w[selected] = w[:, None, None] + right * x[:, None, None] - below * y[:, None, None]
         x, y = (gradient[:, k, None, None] for k in range(2))
         hit.radius[selected] = radius[:, None, None] + right * x + below * y
-        # In its own pixel a source is visible from all of the lens until its disc reaches over the border.
+        # A source's own pixel gets light from all of the lens until the source's disc extends beyond that pixel.
         reached = np.minimum(np.abs(hit.radius[selected]), 1.0)
         hit.gradient[selected] = gradient[:, None, None] * reached[..., None]
     return hit

@@ -54,12 +54,13 @@ class Truth:
 
 
 Follow = Callable[[int, Eye], tuple[Array, NDArray[np.bool_]]]
-"""Shift (m, n, 2) in px, right and down, of points to their positions in a frame, and a mask of points hidden there."""
+"""Function of a frame and an eye: returns the shift (m, n, 2) in px, right and down, of points to their positions in
+that view, and a mask of points that are hidden in it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Surface points in pixels (m, n): object, -1 for none; inverse depth, 0 for none; and `body_point`."""
+    """Surface points in pixels (m, n): object number, -1 for none; inverse depth, 0 for none; and `body_point`."""
 
     scene: Scene
     number: NDArray[np.int32]
@@ -67,9 +68,9 @@ class Points:
     body: Array
 
     def places(self, camera: Camera, poses: tuple[Pose, ...]) -> Array:
-        """Row, column and ratio of depths, new to present (3, m, n), of all points in other poses relative to a camera.
+        """Row, column and ratio of the depths of all points in other poses, relative to a camera: (3, m, n).
 
-        All are 0 for points behind the lens.
+        The ratio is the new depth divided by the present one. All three are 0 for points behind the lens.
         """
         places = np.zeros((3, *self.w.shape))
         for k, (item, pose) in enumerate(zip(self.scene.objects, poses, strict=True)):
@@ -80,7 +81,7 @@ class Points:
         return places
 
     def at_middle(self, frame: int, eye: Eye) -> tuple[Array, NDArray[np.bool_]]:
-        """`Follow` to the middle of a frame's shutter; no shift for points behind the lens."""
+        """`Follow` to the middle of a frame's shutter; the shift of points behind the lens is 0."""
         scene, time = self.scene, middle_of(self.scene, frame)
         camera, poses = camera_at(scene, time), poses_at(scene, time, eye)
         row, column, ratio = self.places(camera, poses)
@@ -97,7 +98,7 @@ def middle_of(scene: Scene, frame: int) -> float:
 
 
 def nearest_at(scene: Scene, camera: Camera, poses: tuple[Pose, ...], row: Array, column: Array) -> Array:
-    """Inverse depth (...) of the nearest surface in pixels of a camera, 1/mm."""
+    """Inverse depth (...) in 1/mm of the nearest surface in pixels of a camera."""
     surfaces = [place(item, pose) for item, pose in zip(scene.objects, poses, strict=True)]
     bounds = [cutting_bounds(item) for item in scene.objects]
     return nearest_surface(surfaces, bounds, everything(scene), pixel_ray(camera, row, column))[0]
@@ -171,9 +172,9 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
     """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
 
     textures: as for `View`. `flow` goes from a pixel to the position of its surface point at the middle of the next
-    frame's shutter; 0 if that is behind the lens. `hidden`: in the reference pose the point is outside of the frame, or
-    another point of its object hides it there (nearer by more than 1e-6 of its depth); always False for a texture on a
-    surface.
+    frame's shutter; it is 0 if that position is behind the lens. `hidden` is True if, in the reference pose, the point
+    is outside of the frame, or is hidden by another point of its object (nearer by more than 1e-6 of the point's
+    depth). It is always False for a texture on a surface.
     """
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     view = view_at(scene, textures, middle_of(scene, frame), eye, scene.is_displaced or shifts_view(scene, eye))
@@ -184,7 +185,7 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
 def followed(
     arrays: dict[str, Any], follow: Follow, scene: Scene, frame: int, eye: Eye, row_time: Array | None = None
 ) -> Truth:
-    """Ground truth with flow and stereo by `follow`."""
+    """Ground truth to which flow and stereo are added by `follow`."""
     (flow, flow_occluded), (backward, _) = (follow(k, eye) for k in (frame + 1, frame - 1))
     disparity, occluded = None, None
     if scene.stereo is not None:

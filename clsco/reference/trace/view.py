@@ -1,4 +1,4 @@
-"""Surfaces to cast rays at, and the hits."""
+"""The surfaces that rays are cast at, and hits of rays."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from clsco.reference.trace.mapping import MappedTexture
 from clsco.scene.model import Camera, Scene
 
 Texture = Array | MappedTexture
-"""(rows, columns, channels) of the frame's size, or an image on a surface."""
+"""An array (rows, columns, channels) of the frame's size, or an image on a surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
     """All objects at one time, in the frame of the camera.
 
-    surfaces: one per object; textures: one per object, with equal channels; moved: True if an object or the camera is
-    not exactly in its reference pose, or the lens zooms; light: of the scene, if it has one; psf: of the lens;
-    reference: the camera in its reference pose; lens: for the selected color; lenses: one, or one per color.
+    surfaces: one per object; textures: one per object, all with the same number of channels; moved: True if an object
+    or the camera is not exactly in its reference pose, or the lens zooms; light: the scene's light, if it has one; psf:
+    PSF of the lens; reference: the camera in its reference pose; lens: the lens for the selected color; lenses: one, or
+    one per color.
     """
 
     scene: Scene
@@ -63,9 +64,9 @@ class View:
 class Cast:
     """Hits of rays (...).
 
-    w: inverse depth, 1/mm; label: root and object, 0 for none; number: object, -1 for none; radius: signed blur radius,
-    px, and its gradient; radiance; parts: number per axis of the parts that the texture needs, 0 for none; share:
-    sharpening coefficient of the texture.
+    w: inverse depth, 1/mm; label: root and object, 0 for none; number: object number, -1 for none; radius: signed blur
+    radius, px; gradient: gradient of the radius; radiance: radiance of the texture, shaded; parts: number per axis of
+    the parts that the texture needs, 0 for none; share: sharpening coefficient of the texture.
     """
 
     w: Array

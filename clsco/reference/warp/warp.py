@@ -1,4 +1,4 @@
-"""Forward warp: moves the pixels of the reference pose and projects them to the nearest pixel (4.3.3)."""
+"""Forward warp (4.3.3): moves the pixels of the reference pose and projects each to the nearest pixel."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from clsco.scene.model import Camera, Scene
 
 NO_OBJECT = np.uint8(255)
 SAME_DEPTH = np.float32(1.02)  # ratio of depths below which neighbors in the reference pose are one surface
-EDGE_PX = 1  # px from the frame's edge in the reference pose, within which a surface continues outside the frame
-SNAP = 4096  # snapping steps per px, so that rounding errors cannot move a position across a pixel's edge
+EDGE_PX = 1  # px; a surface this close to the frame's edge in the reference pose is assumed to continue outside
+SNAP = 4096  # snapping steps per px; snapping keeps rounding errors from moving a position across a pixel's edge
 
 Surfaces = Sequence[PlacedSurface | None]
 Maps = Sequence[Array | None]
@@ -29,9 +29,9 @@ Maps = Sequence[Array | None]
 class Reprojected:
     """Pixels of the padded grid (H, W) after a move.
 
-    known: True if a source was moved there; radiance (H, W, C); inverse_depth (H, W) 1/mm; object (H, W): number of the
-    visible object. All 0, and object 255, in unknown pixels. entered: (H, W), for scenes with a depth map, from
-    `mark_entered`.
+    known (H, W): True if a source was moved to the pixel; radiance (H, W, C); inverse_depth (H, W): 1/mm; object (H,
+    W): number of the visible object. In unknown pixels, object is 255 and all others are 0. entered (H, W): for scenes
+    with a depth map, from `mark_entered`; else False.
     """
 
     known: NDArray[np.bool_]
@@ -51,10 +51,11 @@ def nearest_pixel(position: Array) -> NDArray[np.int64]:
 
 
 def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array, NDArray[np.uint8]]:
-    """Inverse depth (rows, columns) in 1/mm and object of the pixels of the frame, the sources of the warp.
+    """Inverse depth (rows, columns) in 1/mm and object number of the frame's pixels, which are the sources of the warp.
 
-    surfaces: of every object at t = 0, None for a depth map; maps: its inverse depth (rows, columns) in 1/mm, None for
-    other objects. The nearest object is used, of equal ones the first. Both are 0 without a surface.
+    surfaces: of every object at t = 0, None for a depth map; maps: inverse depths (rows, columns) in 1/mm of depth
+    maps, None for other objects. The nearest object is used, of equally near ones the first. Both results are 0 without
+    a surface.
     """
     rays, depths = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0)), []
     for item, surface, depth in zip(scene.objects, surfaces, maps, strict=True):
@@ -67,10 +68,11 @@ def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array,
 def reproject_targets(
     scene: Scene, poses: Sequence[Pose], w: Array, whose: NDArray[np.uint8], guard: int, camera: Camera | None = None
 ) -> tuple[NDArray[np.int64], Array]:
-    """Target (sources,) on the padded grid and inverse depth (sources,) in 1/mm after the objects' move to `poses`.
+    """Target (sources,) on the padded grid, and inverse depth (sources,) in 1/mm, after objects have moved to `poses`.
 
-    w, whose: from `reproject_rest`; camera: by default the scene's. Targets are pixel numbers, row by row; -1, and
-    inverse depth 0, for sources without a target: no surface, behind the lens, or outside.
+    w, whose: from `reproject_rest`; camera: by default the scene's. Targets are pixel numbers, row by row. A source
+    without a surface, or that is moved behind the lens or outside of the grid, has the target -1 and the inverse depth
+    0.
     """
     rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
     point = rays / np.where(w > 0.0, w, 1.0)[..., None]
@@ -88,10 +90,10 @@ def reproject_targets(
 
 
 def reproject_depth(target: NDArray[np.int64], key: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
-    """Largest inverse depth (pixels,) in 1/mm of the sources moved to each target, 0 without one.
+    """Largest inverse depth (pixels,) in 1/mm of the sources moved to each target, 0 for a target without sources.
 
-    target: (sources,) pixel number, -1 for none; key: (sources,) inverse depth > 0, rounded to float32, in which every
-    device compares it.
+    target: (sources,) pixel number, -1 for none; key: (sources,) inverse depth > 0, rounded to float32, because every
+    device compares inverse depths in float32.
     """
     depth, used = np.zeros(pixels, dtype=np.float32), target >= 0
     np.maximum.at(depth, target[used], key[used])
@@ -101,7 +103,7 @@ def reproject_depth(target: NDArray[np.int64], key: NDArray[np.float32], pixels:
 def reproject_winner(
     target: NDArray[np.int64], key: NDArray[np.float32], depth: NDArray[np.float32]
 ) -> NDArray[np.int64]:
-    """Lowest number (pixels,) of the sources with the largest inverse depth at each target, or NO_WINNER.
+    """For each target, the lowest number (pixels,) of its sources with the largest inverse depth, or NO_WINNER.
 
     depth: from `reproject_depth`.
     """
@@ -115,7 +117,7 @@ def reproject_winner(
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels with a winner, except those visible only through a gap of a surface that has grown.
 
-    depth: (H, W), of each winner; columns: number of columns of the frame.
+    depth: (H, W), inverse depth of each winner, 1/mm; columns: number of columns of the frame.
     """
     (height, width), bound = winner.shape, SAME_DEPTH * depth
 
@@ -140,7 +142,7 @@ def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], column
 
 
 def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Mark targets (pixels,) with a winner, and gather its `values` (sources, channels), 0 where there is none."""
+    """Mask of targets (pixels,) with a winner, and the winner's `values` (sources, channels), 0 without a winner."""
     known = winner != NO_WINNER
     return known, np.where(known[:, None], values[np.where(known, winner, 0)], 0.0)
 
@@ -152,8 +154,8 @@ def reproject(
     """Forward warp: move the pixels of the reference pose to `poses` on the padded grid.
 
     textures: (rows, columns, C) of the frame's size, one per object. Sources are the pixels of the frame itself, with
-    its pinhole image; the nearest wins, of equal ones the first, row by row. With several objects, or a depth map,
-    pixels visible only through gaps of a surface that has grown are unknown.
+    its pinhole image. Of several sources at a target, the nearest is used, of equally near ones the first, row by row.
+    With several objects, or a depth map, pixels visible only through gaps of a surface that has grown are unknown.
     """
     rows, columns, channels = textures[0].shape
     height, width = rows + 2 * guard, columns + 2 * guard
@@ -178,11 +180,11 @@ def reproject(
 
 
 def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int) -> NDArray[np.bool_]:
-    """Mask (H, W) of the frame's pixels that show surfaces from outside of it in the reference pose.
+    """Mask (H, W) of the frame's pixels that show surfaces from outside of the frame in the reference pose.
 
     In each row, these are the pixels beyond the outermost known pixel of the frame, if the source of that pixel was
-    within EDGE_PX of the frame's edge on that side. Then columns are treated in the same way; there, pixels marked in
-    rows count as known, with the source of that outermost pixel.
+    within EDGE_PX of the frame's edge on that side. Then columns are treated in the same way; for columns, pixels
+    marked in rows count as known, with the source of the outermost known pixel of their row.
     """
     rows, columns = (n - 2 * guard for n in known.shape)
     inside = (slice(guard, guard + rows), slice(guard, guard + columns))
@@ -196,10 +198,10 @@ def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int
 
 
 def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Mask of pixels beyond the first or last known pixel of each line (L, N), if that pixel's source was at this end.
+    """Mask of pixels beyond the first or last known pixel of each line (L, N), if that pixel's source was at that end.
 
-    lines: (L, N), known; place: (L, N), px, source position of each pixel along its line. Also returns the number (L,
-    N) in its line of the nearer of these two known pixels.
+    lines: (L, N), known; place: (L, N), px, source position of each pixel along its line. Also returns, for each pixel,
+    the position in its line of the nearer of these two known pixels (L, N).
     """
     length = lines.shape[1]
     at, occupied = np.arange(length), lines.any(axis=1)
@@ -213,11 +215,11 @@ def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[ND
 def fill_entered(
     values: Array, objects: NDArray[np.uint8], valid: NDArray[np.bool_], entered: NDArray[np.bool_], guard: int
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:
-    """Values (H, W, K), objects (H, W) and validity (H, W) with the image mirrored into pixels that have entered the
-    frame.
+    """Fill pixels that have entered the frame from the mirrored image; returns values, objects and validity.
 
-    entered: (H, W), from `mark_entered`. Each pixel takes the mirror image about the outermost valid pixel of its row
-    in the frame, else of its column; without one it stays unchanged.
+    values: (H, W, K); objects, valid: (H, W); entered: (H, W), from `mark_entered`. Each pixel is copied from its
+    mirror image about the outermost valid pixel of its row in the frame, or else of its column. If there is none, it
+    stays unchanged.
     """
     values, objects, valid = values.copy(), objects.copy(), valid.copy()
     rows, columns = (n - 2 * guard for n in valid.shape)
@@ -238,9 +240,10 @@ def fill_entered(
 
 
 def extend_border(values: Array, valid: NDArray[np.bool_], guard: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Values (H, W, K) and validity (H, W) of the padded grid with the frame mirrored into its guard band.
+    """Mirror the frame into the guard band of the padded grid: values (H, W, K) and validity (H, W).
 
-    A depth map has no data there; its image continues as its mirror image, as textures do. Only invalid pixels change.
+    A depth map has no data in the guard band. There, its image is continued by its mirror image, as textures are. Only
+    invalid pixels change.
     """
     row, column = (mirror_index(np.arange(-guard, n - guard), n - 2 * guard) + guard for n in valid.shape)
     take = ~valid & valid[np.ix_(row, column)]
