@@ -10,9 +10,8 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Choice(Generic[T]):
-    """A value that a plan decided on, with the reason for reports, and the scene's keys that have no effect with it.
-
-    value: False, 0, empty or "none" if a part of the pipeline is left out.
+    """A value that a plan decided on, the reason for it in reports, and the keys of the scene that have no effect with
+    it. value: False, 0, empty or "none" if a part of the pipeline is left out.
     """
 
     value: T

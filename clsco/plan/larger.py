@@ -27,9 +27,9 @@ SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differentl
 class SourceStatistics:
     """Statistics of a frame's sources, measured on the device."""
 
-    smallest: float  # range of |R| in px; largest is 0 without sources
-    largest: float
-    beyond: bool  # a ray hit an object outside of its extent, where one may hide it that is no occluder of its group
+    smallest: float  # smallest |R|, px
+    largest: float  # largest |R|, px; 0 without sources
+    beyond: bool  # a ray hit an object outside of its extent, where others than its group's occluders may hide it
 
     @classmethod
     def parse(cls, values: NDArray[np.int32]) -> Self:
@@ -56,7 +56,9 @@ def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan 
 
 
 def _for_any_place(plan: Plan) -> Plan:
-    """The plan with occlusion groups that are valid wherever objects are, and a blur that supports visibility tests."""
+    """The plan with occlusion groups that are valid wherever objects are, and with a blur that supports visibility
+    tests.
+    """
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
     if plan.blur == "tiles":
         choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))
