@@ -26,9 +26,7 @@ class _Key:
 
 
 class Cache:
-    """Values by key, of up to `limit` bytes together; if they exceed it, the least recently used are evicted. Threads
-    may share a cache.
-    """
+    """Values by key, up to `limit` bytes in all; evicts the least recently used. Threads may share a cache."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit

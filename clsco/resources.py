@@ -191,8 +191,10 @@ def remove_left(folder: Path, prefix: str = "") -> None:
 
 
 def process_began(process: int) -> float | None:
-    """Start time of a process, to compare with others on this machine; None if no such process is running. On Linux it
-    is in ticks since boot, which clock changes do not affect (proc(5)); on other systems in seconds of the clock.
+    """Start time of a process, to compare with others on this machine; None if no such process is running.
+
+    On Linux it is in ticks since boot, which clock changes do not affect (proc(5)); on other systems in seconds of the
+    clock.
     """
     if (PROC / "self").exists():
         try:

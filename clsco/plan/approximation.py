@@ -116,7 +116,7 @@ def fewer_samples(
         time_error = partial(_time_error, scene, *_cycles(plan.psf, parts), outlines.coverage_error(exact[1]), exact[0])
         source_errors = {exact[1]: 0.0}
         if not keeps_silhouettes:
-            # At least 2 for fine textures: one source for a pixel reaches farther, and has more taps than 2 x 2 sources.
+            # At least 2 for fine textures: one source for a pixel reaches farther, and has more taps than 2 x 2 parts.
             fewer = [count for count in STEEP if max(least[1], 1 + fine) <= count < exact[1]]
             source_errors |= {count: outlines.source_error(exact[1], count) for count in fewer}
             if fine:

@@ -11,7 +11,9 @@ T = TypeVar("T")
 @dataclass(frozen=True)
 class Choice(Generic[T]):
     """A value that a plan decided on, the reason for it in reports, and the keys of the scene that have no effect with
-    it. value: False, 0, empty or "none" if a part of the pipeline is left out.
+    it.
+
+    value: False, 0, empty or "none" if a part of the pipeline is left out.
     """
 
     value: T

@@ -56,9 +56,7 @@ def larger_plan(plan: Plan, statistics: SourceStatistics, limit: Limit) -> Plan 
 
 
 def _for_any_place(plan: Plan) -> Plan:
-    """The plan with occlusion groups that are valid wherever objects are, and with a blur that supports visibility
-    tests.
-    """
+    """The plan with occlusion groups that are valid wherever objects are, and a blur that supports visibility tests."""
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
     if plan.blur == "tiles":
         choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))

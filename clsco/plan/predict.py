@@ -119,8 +119,10 @@ def hides_nothing(scene: Scene) -> bool:
 
 
 def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
-    """The PSF of a view of a scene: `psf`, or by default the PSF that the scene specifies. If distortion makes the
-    discs of the PSF ellipses, and the method supports ellipses, `stretched` is set to their margin.
+    """The PSF of a view of a scene: `psf`, or by default the PSF that the scene specifies.
+
+    If distortion makes the discs of the PSF ellipses, and the method supports ellipses, `stretched` is set to their
+    margin.
     """
     psf = psf or scene_point_spread(scene)
     off = ellipticity_of(scene)

@@ -66,9 +66,7 @@ class Prepared:
 
     @cached_property
     def color(self) -> Color:
-        """Color space of the frames: that of the image files if all have the same and it fits the number of channels;
-        else sRGB.
-        """
+        """Color space of the frames: that of the image files if all share it and it suits the channels, else sRGB."""
         spaces = set(self.colors.values())
         color = spaces.pop() if len(spaces) == 1 else SRGB
         colored = self.plan.channels - self.plan.alpha == 3
