@@ -111,11 +111,11 @@ NO_WINNER = 2**31 - 1  # stands for the number of the nearest source in a pixel 
 FILL_LANES = 8  # pixels in a vector
 FILL_CHUNK = 64  # pixels per work-item of kernels that count pixels, so that atomics are rare
 # Indices of the counters of a filling, which are ints.
-COUNTER_LEFT = 0  # pixels that are still missing, in frame and guard band
+COUNTER_LEFT = 0  # pixels that are listed as missing, in frame and guard band
 COUNTER_LEFT_INSIDE = 1  # those of them in the frame
 COUNTER_FILLED = 2  # pixels that a sweep filled, in frame and guard band
 COUNTER_FILLED_INSIDE = 3  # those of them in the frame
-COUNTER_DONE = 4  # pixels that all sweeps filled
+COUNTER_DONE = 4  # pixels that all sweeps so far filled
 
 # Sum of time samples (kernels/blur/accumulate.cl).
 SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
@@ -123,7 +123,7 @@ SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
 # Sensor (kernels/sensor).
 NOISE_LANES = 16  # pixels in a vector
 SENSED_PIXELS = 128  # pixels of a row that a work-item reads out, whole vectors
-LEAST_NORMAL = 30  # mean number of electrons from which on a corrected normal distribution approximates theirs
+LEAST_NORMAL = 30  # mean of electrons from which on a corrected normal distribution approximates their distribution
 FEW_ELECTRONS = 80  # largest number of electrons if their mean is below LEAST_NORMAL: no random word gives more
 # Streams of random words, and number of streams per plane.
 SHOT_STREAM = 0

@@ -107,9 +107,9 @@ def defocus(
     Parameters
     ----------
     image : array (rows, columns) or (rows, columns, 1 to 16)
-        Linear radiance as floats, or sRGB codes as uint8 or uint16, which are decoded, blurred and encoded again. The
-        last of 2 or 4 channels of codes is alpha: it is linear, and colors should be premultiplied by it. The arrays
-        are NumPy arrays, or pyopencl arrays of one queue, which are copied through the host.
+        Linear radiance as floats, or sRGB codes as uint8 or uint16, which are decoded, blurred and encoded again. If
+        codes have 2 or 4 channels, the last one is alpha: it is linear, and colors should be premultiplied by it. All
+        arrays are NumPy arrays, or pyopencl arrays of one queue, which are copied through the host.
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
     psf : Psf, mapping or str, optional
@@ -130,11 +130,11 @@ def defocus(
         or of a GPU's memory.
     outside : {"mirror", "black"}
         Light from beyond the image's border: by default that of the mirror image, so that uniform radiance stays
-        uniform; "black" darkens the border. With psf.border = "renormalize" no light comes from there.
+        uniform; "black" darkens the border. With psf.border = "renormalize" no such light is added.
     soft_edges : {"assign", "keep"}
         Treatment of pixels at the edge between two surfaces whose radius lies between those of the surfaces, as in
-        averaged or blurred depth maps: by default each is assigned to one of the surfaces; "keep" leaves them as they
-        are.
+        averaged or blurred depth maps: by default each pixel is assigned to one of the surfaces; "keep" leaves the
+        radii as they are.
     return_report : bool
         Also return a `DefocusReport`.
 

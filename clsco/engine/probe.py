@@ -18,7 +18,7 @@ from clsco.plan.prepare import Prepared
 
 SECONDS = 0.5  # time in s after which no further step is run
 BY_HEIGHT: frozenset[Kind] = frozenset({"trace", "silhouettes"})
-"""Passes whose time is proportional to the rows of a strip's source grid; that of others is to the strip's rows."""
+"""Passes whose time grows with the rows of a strip's source grid; the time of others grows with the strip's rows."""
 
 GOLDEN = 0.618034  # multiples of this number modulo 1 are spread evenly
 

@@ -1,5 +1,7 @@
-"""Files of ground truth: named arrays, file formats, and number types. The JSON file of a frame records such a file as
-FORMAT+OPTION:ARRAY,..., for example "npz", "npz:depth,coc", "npz+compressed" or "npy+depth=float16:depth,mask".
+"""Files of ground truth: named arrays, file formats, and number types.
+
+The JSON file of a frame records such a file as FORMAT+OPTION:ARRAY,..., for example "npz", "npz:depth,coc",
+"npz+compressed" or "npy+depth=float16:depth,mask".
 """
 
 from __future__ import annotations
@@ -52,7 +54,9 @@ class TruthFile:
 
 
 def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
-    """Convert floats, except times (one axis), to float16; FileError, beginning with `where`, beyond its range."""
+    """Convert floats to float16, except times, which have one axis. Raises FileError for values beyond the range of
+    float16; where: start of the message.
+    """
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
     with np.errstate(over="ignore"):  # values that become infinite are rejected next
@@ -63,10 +67,10 @@ def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Content of a file of ground truth. views: a frame, both views of a stereo pair, or () for a file of a whole
-    scene.
+    """Content of a file of ground truth.
 
-    scene: one with a resolution, if known; color: color space of the radiance.
+    views: one frame, both views of a stereo pair, or () for a file of a whole scene; scene: one with a resolution, if
+    known; color: color space of the radiance.
     """
 
     views: tuple[Frame, ...]

@@ -159,8 +159,8 @@ def write_folder_clip(
 
 
 def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
-    """The array `name` of each frame; of blur radii for each color, that of green. Blur radii are +inf in pixels
-    without a surface, if the folder has the depth.
+    """The array `name` of each frame; if blur radii differ by color, those of green. Blur radii are +inf in pixels
+    without a surface if the folder has the depth.
     """
     arrays = frames.arrays(name, eye)
     if name == "coc":
@@ -182,7 +182,9 @@ def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]
 
 
 def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
-    """Two images side by side: linear radiance on the left, encoded like the codes on the right, and these codes."""
+    """Two images side by side: on the left linear radiance, encoded in the bits and the curve of the codes on the
+    right.
+    """
     if left.shape[:2] != right.shape[:2]:
         raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     left = encode(left, 8 * right.dtype.itemsize, transfer)

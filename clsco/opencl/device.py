@@ -101,7 +101,7 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
 
 
 def choose(name: str | None = None, source: str = "device") -> Device:
-    """The first device that there is of: `name`, CLSCO_DEVICE, PYOPENCL_CTX, a GPU, PoCL, another processor, any
+    """Choose a device by `name`, else by CLSCO_DEVICE or PYOPENCL_CTX, else a GPU, PoCL, another processor, or any
     device.
 
     Never prompts. Case does not matter in `name`. It is first compared with the kind of devices ("gpu" or "cpu") and

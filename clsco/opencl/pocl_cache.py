@@ -84,8 +84,7 @@ def has_room(folder: Path | None = None) -> bool:
 
 
 def check() -> int:
-    """Remove each program of which a file is missing, unreadable, not recorded, or not as recorded; returns their
-    number.
+    """Remove programs of which a file is missing, unreadable, unrecorded or not as recorded; returns their number.
 
     A cache above its size limit is emptied. Does nothing in a folder that the user has set.
     """
@@ -197,7 +196,7 @@ def _program(name: str) -> str:
 
 
 def _state(path: str, recorded: list[int] | None = None) -> list[int]:
-    """Size, modification time and checksum of a file: `recorded` if size and time are as recorded."""
+    """Size, modification time and checksum of a file; `recorded` itself if it has the size and time of the file."""
     handle = os.open(path, os.O_RDONLY | _AT_ONCE)
     try:
         status = os.fstat(handle)

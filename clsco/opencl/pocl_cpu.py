@@ -89,7 +89,8 @@ def known_name(flags: set[str]) -> bytes | None:
 def name_in(address: int) -> int | None:
     """Address of the pointer to the name "generic" in the device's structure at `address`; None if there is none.
 
-    The pointer must follow the pointer to the kind of machine, because memory behind the structure must not change.
+    Only a pointer that follows the one to the kind of machine counts, so that memory behind the structure is never
+    changed.
     """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))

@@ -99,8 +99,8 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
 class Image:
     """An image with guard band on the device, float (channels, height, width), and its blur radii.
 
-    maps: signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); only R as
-    float if all pixels have a known R; empty for an image with a single radius.
+    maps: signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R, as
+    float, if it is known in all pixels; empty for an image with a single radius.
     """
 
     value: cl.Buffer

@@ -66,8 +66,7 @@ class HostImage(ABC):
 
 
 class StaticMap(HostImage):
-    """Image and depth map of a static scene, whose pixels are the pinhole image, as it is seen from the map's
-    viewpoint.
+    """Image and depth map of a static scene, whose pixels are the pinhole image from the viewpoint of the map.
 
     radiance: (rows, columns[, channels]); inverse_depth: (rows, columns), 1/mm, 0 without a surface. Validated against
     `clsco.reference.render`, which moves every pixel.

@@ -30,8 +30,7 @@ R = TypeVar("R", PsfTable, WeightBlock)
 
 
 class TableStore:
-    """PSF tables of this process, and the blocks of weights that they consist of, also on `disk`. Threads may share a
-    store.
+    """PSF tables of this process, and their blocks of weights, which are also on `disk`. Threads may share a store.
 
     limit: memory limit of the tables in bytes; the least recently used tables are evicted, except the latest two.
     """

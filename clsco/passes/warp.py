@@ -114,9 +114,7 @@ class ForwardWarp:
         return counters
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
-        """Enqueue the depth test: the target of each pixel of the reference pose, and the nearest of a target's
-        sources.
-        """
+        """Enqueue the depth test, which finds the target of each reference pixel and each target's nearest source."""
         scene, real = self.plan.scene, self.scene.real
         if scene.lens_moves or self.plan.only is not None:
             self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)

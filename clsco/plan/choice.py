@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Choice(Generic[T]):
-    """A value that a plan decided on, the reason for it in reports, and the keys of the scene that have no effect with
+    """A value that a plan decided on, the reason in reports, and the keys of the scene that have no effect because of
     it.
 
     value: False, 0, empty or "none" if a part of the pipeline is left out.

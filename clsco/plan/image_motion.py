@@ -42,7 +42,7 @@ MOST_SUBFRAMES = 8192  # time samples of a frame
 RAYS = 17  # rays along each axis of the visible part of an object
 LOOKS = 5  # times of an exposure at which rays are cast at an object
 FIRST_STEPS, MOST_STEPS = 32, 512  # steps of an exposure; a path is evaluated at the ends of steps
-# Steps are short enough if halving them makes a path at most this factor, plus this number of px, as long.
+# Steps are short enough if, when they are halved, a path gets at most this factor times as long, plus this many px.
 SETTLED = 1.05, 0.25
 # Irregularity of times, in steps: an object that rotates in phase with regular times would seem to stand still.
 UNEVEN = 0.5
@@ -188,8 +188,7 @@ def sampled_frames(scene: Scene) -> list[int]:
 
 
 def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[ImagePath]:
-    """Paths of all objects in the image while the shutter of a frame is open; the paths of still objects have no
-    points.
+    """Paths of all objects in the image while the shutter of a frame is open; those of still objects have no points.
 
     Poses are evaluated at FIRST_STEPS + 1 times, and steps are halved as long as this makes a path longer. 8 steps per
     rotation or oscillation give 0.97 of its path length, so up to MOST_STEPS / 8 rotations are detected. An object that
