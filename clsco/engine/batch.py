@@ -76,7 +76,7 @@ def _require_inside(folder: Path, out: Path, where: Path) -> None:
 
 
 def frame_range(scene: Scene, span: Span, where: str) -> range:
-    """Numbers of the frames from span[0] up to but not including span[1]; None stands for the first or last frame.
+    """Numbers of the frames from span[0] up to but not including span[1]; None means the start or the end.
 
     Raises SceneError if the scene does not have these frames.
     """

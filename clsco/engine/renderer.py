@@ -166,7 +166,7 @@ class Renderer:
         return truth
 
     def enlarge(self) -> bool:
-        """Switch to a larger plan if the latest frame needed more than predicted; returns True if it did."""
+        """Switch to a larger plan if the latest frame needed more than predicted; returns True if the plan changed."""
         if self.plan.static_map or not self.plan.color:
             return False
         statistics = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)

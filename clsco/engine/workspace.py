@@ -54,7 +54,7 @@ if TYPE_CHECKING:  # imported at run time only for plans that need them
     from clsco.passes.vignetting import Vignetting
 
 Pixels = ForwardWarp | StaticMap | None
-"""What supplies the pixels of the reference pose: a forward warp or a static map; None if rays are cast."""
+"""Supplier of the pixels in the reference pose: a forward warp or a static map; None if rays are cast."""
 Outputs = tuple[Any, ...]
 """Outputs of a pass, in the order of `Pass.gives`."""
 

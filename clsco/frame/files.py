@@ -251,7 +251,7 @@ def write_frame(
 
 
 def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Sequence[TruthFile]) -> None:
-    """Write the ground-truth files that cover all frames of a scene; it must have a resolution. Raises FileError."""
+    """Write the ground-truth files that cover all frames of a scene; scene: one with a resolution. Raises FileError."""
     for file in truth:
         known = TRUTH_FORMATS[file.format]
         if known.per == "scene":

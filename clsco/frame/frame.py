@@ -16,7 +16,7 @@ from clsco.frame.channels import exr_channels
 from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
 from clsco.frame.outputs import FILE_NAMES
 
-GREEN = 1  # channel that stands for all colors where a single one is used
+GREEN = 1  # number of the channel that stands for all colors where a single channel is used
 
 
 @dataclass(frozen=True, eq=False, repr=False)

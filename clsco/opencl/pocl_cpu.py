@@ -37,9 +37,9 @@ _BY_FLAGS = (
 
 
 def ensure_known(device: cl.Device) -> None:
-    """Replace the processor's name of a PoCL device by one that LLVM knows if it is "generic".
+    """If a PoCL device gives its processor the name "generic", replace the name by one that LLVM knows.
 
-    Changes nothing if PoCL builds anyway and CLSCO_POCL_CPU is not 1. If no name fits, or PoCL's structure is not as
+    Nothing changes if PoCL builds anyway and CLSCO_POCL_CPU is not 1. If no name fits, or PoCL's structure is not as
     expected, nothing changes either, and the first build raises an error. Tested on a Zen 5 with the wheel of PoCL 3.0.
     """
     if not _is_nameless(device):

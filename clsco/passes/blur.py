@@ -83,7 +83,7 @@ class Target:
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
         origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue a kernel by `clsco.opencl.program.launch`, and append its name with each event to `events`."""
+        """Enqueue a kernel by `clsco.opencl.program.launch`; append pairs of its name and an event to `events`."""
         for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
             events.append((name, event))
 

@@ -105,7 +105,7 @@ class StaticMap(HostImage):
         return (ends[0] | ends[1]) & ~valid
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Outputs of ground truth that depend on single pixels only, like those of `ForwardWarp.truth`."""
+        """Outputs of ground truth that depend on single pixels only, like those of the method `truth` of a warp."""
         w, valid = self.inverse_depth, self.inverse_depth > 0
         mask = valid if self.radiance.ndim == 2 else valid[..., None]
         radii = self._radii(w, 0)

@@ -109,7 +109,7 @@ def shared_tables() -> TableStore:
 
 
 def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | None]:
-    """Tables of weights for pixels, and for sub-pixel sources or None if there are none. Raises CanceledError."""
+    """Tables of weights for pixels, and for sub-pixel sources, None without such sources. Raises CanceledError."""
 
     def table(subpixel: int) -> PsfTable:
         return shared_tables().table(spec.psf, spec.smallest, spec.largest, subpixel, session.go_on)

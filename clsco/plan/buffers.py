@@ -55,7 +55,7 @@ MOST_IN_ONE_SUM = 256  # taps that `gather` adds up in one float before it adds 
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # number of counters of a filling, ints
 STATISTICS = STATISTIC_BEYOND + 1  # number of statistics of a frame, ints
-# Buffers that several passes share; every other buffer belongs to one pass.
+# Buffers that several passes share; only one pass uses each of the other buffers.
 SHARED = (
     "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
     "sub_depth", "share", "sharper",
@@ -216,7 +216,7 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
 
 
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
-    """Specification of the blur of a depth layer with its coverage; spec: that of the frame's blur."""
+    """Specification of the blur of a depth layer with its coverage; spec: specification of the frame's blur."""
     brightest = max(spec.brightest, 1.0)
     return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
 

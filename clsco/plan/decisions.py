@@ -212,8 +212,8 @@ def choose_silhouettes(view: ResolvedScene, rays: bool) -> Choice[int]:
 def choose_occlusion(
     view: ResolvedScene, rays: bool
 ) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
-    """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which they
-    are valid, empty if they always are. rays: True if rays are cast.
+    """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which the
+    groups are valid, which are empty if the groups are always valid. rays: True if rays are cast.
     """
     scene, key = view.scene, ("psf.occlusion",)
     one_group, method = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), scene.psf.occlusion

@@ -60,7 +60,7 @@ class ImagePath:
 
     @cached_property
     def steps(self) -> Array:
-        """Displacements (n - 1, 2, points) of points in each step along x and y, px; 0 where not visible."""
+        """Displacements (n - 1, 2, points) of points in each step along x and y, px; 0 in invisible steps."""
         return np.asarray(np.diff(self.places[:, :2], axis=0) * self.visible[:, None])
 
     @property

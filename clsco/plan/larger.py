@@ -29,7 +29,7 @@ class SourceStatistics:
 
     smallest: float  # smallest |R|, px
     largest: float  # largest |R|, px; 0 without sources
-    beyond: bool  # a ray hit an object outside of its extent, where others than its group's occluders may hide it
+    beyond: bool  # True if a ray hit an object outside of its extent, so that its group may lack occluders
 
     @classmethod
     def parse(cls, values: NDArray[np.int32]) -> Self:

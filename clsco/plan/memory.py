@@ -88,7 +88,7 @@ def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
 
 
 def fit_strips(plan: P, limit: Limit) -> P:
-    """The plan in as few strips as fit within the limit, in one if possible. Raises as `rows_that_fit`."""
+    """The plan in as few strips as fit within the limit, in one if possible. Raises the errors of `rows_that_fit`."""
 
     @cache  # passes are costly to list, and each plan caches its own
     def in_strips(rows: int) -> P:

@@ -45,8 +45,9 @@ def close_focus_note(camera: Camera) -> str | None:
 
 @dataclass
 class _Sight:
-    """What is visible of each body at the times examined so far. A body is an object, or a box with all its faces. lit:
-    True if the light reaches a visible side of any body.
+    """Visibility of each body at the times examined so far. A body is an object, or a box with all its faces.
+
+    lit: True if the light reaches a visible side of any body.
     """
 
     visible: dict[Hashable, bool] = field(default_factory=dict)
@@ -157,7 +158,7 @@ def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Arra
 
 
 def _rays_around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, Array] | None:
-    """Rays within the bounds of an object's image; None if these are outside of the frame."""
+    """Rays within the bounds of an object's image; None if the bounds are outside of the frame."""
     ends = []
     for slopes, bounds in zip(frame, (surface.extent.x, surface.extent.y), strict=True):
         low, high = max(float(slopes.min()), bounds[0]), min(float(slopes.max()), bounds[1])

@@ -80,7 +80,7 @@ class Plan:
     choices: Choices
     groups: tuple[OcclusionGroup, ...]  # blurred one after the other
     taps: float  # predicted number of weights that the blur of a frame computes
-    spreads: tuple[PointSpread, ...] = ()  # of red, green and blue, if each color is blurred separately
+    spreads: tuple[PointSpread, ...] = ()  # PSFs of red, green and blue, if each color is blurred separately
     only: int | None = None  # color that this plan is for, 0 to 2; None for all
     alpha: bool = False  # True if the last channel is coverage
     strip_rows: int = 0  # rows of the tallest strip, 0 for all rows of the frame

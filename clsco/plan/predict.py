@@ -92,7 +92,7 @@ def _slopes(cameras: Sequence[Camera], guard: int) -> list[Slopes]:
 
 
 def shifts_view(scene: Scene, eye: Eye) -> bool:
-    """True if a view of a stereo pair is not the one from which textures are projected."""
+    """True if the viewpoint of a view of a stereo pair is not the one from which textures are projected."""
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
 

@@ -111,7 +111,7 @@ def prepare_sweep(
 
     def channels_of(scene: Scene) -> int:
         names = scene.separates_colors, *(tuple(item.inputs().items()) for item in scene.objects)
-        if names not in channels:  # all scenes of a sweep have the same files and arrays
+        if names not in channels:  # scenes of a sweep mostly have the same files and arrays
             channels[names] = _channels(scene, files)
         return channels[names]
 
