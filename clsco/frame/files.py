@@ -213,7 +213,7 @@ def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[TruthFile] = (),
     about: Mapping[str, Any] | None = None, scene: Scene | None = None, color: Color = SRGB,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write the files of a frame; frame_0000.json comes last and makes the frame complete. Returns its content.
+    """Write the files of a frame; the JSON file comes last and makes the frame complete. Returns the JSON's content.
 
     views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
     EXR holds both. Sub-frames are frame_0000_sample_00.png and so on. bits: bits of the textures, 8, 16 or 32; the PNG
