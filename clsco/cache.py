@@ -26,7 +26,7 @@ class _Key:
 
 
 class Cache:
-    """Values by key, up to `limit` bytes in all; evicts the least recently used. Threads may share it."""
+    """Values by key, up to `limit` bytes in all; evicts the least recently used. Threads may share a cache."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
@@ -35,9 +35,10 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
-        """The value of a key, which callers must not change; if it is not cached, `make` computes it.
+        """Return the value of a key, which callers must not change; if it is not cached, `make` computes it.
 
-        size: returns the bytes of a value; one above the limit is not cached. Threads that call `make` at once get one.
+        size: returns the size of a value in bytes; a value larger than the limit is returned without being cached. If
+        threads compute the same value at the same time, all of them get the one that was cached first.
         """
         place = _Key(key)
         with self._lock:

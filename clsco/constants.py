@@ -6,8 +6,8 @@ A constant that only kernels use is a `#define` there; a value that differs from
 
 from __future__ import annotations
 
-# Indices of a frame's statistics, ints: largest and smallest |R| as the bits of a float, and number of slots of
-# sub-pixel sources used at a time sample (kernels/common/geometry.clh, kernels/trace/trace.cl).
+# Indices of a frame's statistics, which are ints (kernels/common/geometry.clh, kernels/trace/trace.cl). The largest and
+# the smallest |R| are stored as the bits of a float; the slots are those of sub-pixel sources used at a time sample.
 STATISTIC_LARGEST = 0
 STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
@@ -19,8 +19,8 @@ CURVED_FIELD = 1
 CURVED_SPHERE = 2
 CURVED_IMAGE = 4
 
-# Kinds of coordinates that map a texture to its surface (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh),
-# and continuations of an image beyond its edges.
+# MAP: kinds of coordinates that map a texture to its surface (clsco/optics/texture_mapping.py,
+# kernels/trace/mapping.clh). WRAP: continuations of an image beyond its edges.
 MAP_PROJECTED = -1
 MAP_PLANE = 0
 MAP_CYLINDER = 1
@@ -32,7 +32,7 @@ WRAP_REPEAT = 0
 WRAP_MIRROR = 1
 WRAP_CLAMP = 2
 WRAP_NONE = 3
-CUBE_BORDER = 2  # texels of neighbors around a face of a cube map at each level, for a bicubic filter
+CUBE_BORDER = 2  # texels of the neighboring faces around a face of a cube map at each level, for a bicubic filter
 
 # Footprints of pixels on textures that lie on surfaces (kernels/trace/footprint.clh).
 FOOTPRINT_CELLS = 8  # largest number of cells along an axis of a pixel
@@ -40,16 +40,16 @@ LEAST_TEXELS = 2  # least number of texels across the narrow side of a footprint
 CELL_TEXELS = 11  # largest number of texels along an axis of a cell, unless cells would be too many
 MOST_CELL = 16  # largest width of a cell along an axis of the image, texels
 NARROWEST = 64  # cells are at least 1 / NARROWEST texels wide
-MOST_SHEAR = 1  # largest product of the texels along columns and those along rows that an axis of a cell spans
+MOST_SHEAR = 1  # an axis of a cell spans texels along columns and along rows; largest product of both numbers
 MOST_TEXELS = 24  # largest number of texels along an axis of a pixel; if there are more, the level is a coarser one
 BENT_CELLS = 32  # as FOOTPRINT_CELLS, near a pole, where the footprint is bent and cells are points
 BENT_TEXELS = 0.75  # as CELL_TEXELS, near a pole
 MOST_BENT_TEXELS = 64  # as MOST_TEXELS, near a pole
 DETAILED_TEXELS = 0.54  # texels per pixel, along the wider axis, above which a pixel may need sub-pixel sources
-DETAILED_MOST = 4.5  # px, |R| from which on it needs none
+DETAILED_MOST = 4.5  # px, |R| from which on a pixel needs no sub-pixel sources for its texture
 FINE_TEXELS = 1.17  # texels per pixel above which a pixel is cut into smaller parts
-FINE_MOST = 9.0  # px, as DETAILED_MOST, for such a pixel
-NEAR_FOCUS = 0.3  # px, |R| below which smaller parts are needed as well
+FINE_MOST = 9.0  # px, as DETAILED_MOST, for a pixel that is cut into smaller parts
+NEAR_FOCUS = 0.3  # px, |R| below which a pixel is also cut into smaller parts
 # Factor on the limits of squared numbers of texels: images often have a whole number of texels per pixel, for which
 # rounding would decide the comparison.
 APART = 1.17
@@ -90,30 +90,32 @@ LONGEST_RUN = 8  # largest number of weights in a run, which a kernel keeps in r
 DROPPED_BITS = 26  # number of lower bits of a sum over a disc that 32-bit sums omit
 
 # Layered occlusion (kernels/layered/layered.cl).
-# px, least |R1 - R2| of two neighbors at which one can hide a pixel behind it: their relative shift over the lens.
+# px, least |R1 - R2| of two neighboring pixels at which one can hide a pixel behind it. From the middle of the lens to
+# its edge, the two shift by this distance relative to each other.
 DISCONTINUITY = 1.0
 LAYER_BIN = 0.25  # px; depth layers end at multiples of this radius
 NO_SEED = 1 << 14  # px, an offset for "no seed", larger than any blur
-DISCONTINUITY_CLASSES = 10  # number of size classes: beyond 1, 2, 4 ... times DISCONTINUITY
+DISCONTINUITY_CLASSES = 10  # number of size classes, for sizes above 1, 2, 4 ... times DISCONTINUITY
 REACH_PIXELS = 64  # pixels of a row for which a work-item finds the nearest edge
 SEED_COLUMNS = 16  # columns that a work-item processes from top to bottom
 PUSH_PIXELS = 4  # pixels of a coarser level that a work-item computes
 
 # Forward warp (kernels/warp/warp.cl).
 OWNED_PIXELS = 64  # sources of a row that a work-item moves, if work-items own bands of the image
-WIDEST_GAP = 3  # px to each side in a gap of a surface that grows in the image, by up to a factor of four
-NO_WINNER = 2**31 - 1  # number of the source in a pixel to which no source is moved
+# px: a surface that grows in the image gets gaps between its moved pixels. In a gap, the surface is searched for up to
+# this distance to each side, which suffices for a growth by a factor of four.
+WIDEST_GAP = 3
+NO_WINNER = 2**31 - 1  # stands for the number of the nearest source in a pixel to which no source is moved
 
 # Filling of missing pixels (kernels/inpainting/fill.cl, fill_mean_median.cl, mean_median.cl).
 FILL_LANES = 8  # pixels in a vector
 FILL_CHUNK = 64  # pixels per work-item of kernels that count pixels, so that atomics are rare
-# Indices of the counters of a filling, ints: missing pixels listed; missing pixels in the frame; pixels filled by a
-# sweep; pixels in the frame filled by a sweep; and entries of the list of pixels filled by all sweeps.
-COUNTER_LEFT = 0
-COUNTER_LEFT_INSIDE = 1
-COUNTER_FILLED = 2
-COUNTER_FILLED_INSIDE = 3
-COUNTER_DONE = 4
+# Indices of the counters of a filling, which are ints.
+COUNTER_LEFT = 0  # pixels that are listed as missing, in frame and guard band
+COUNTER_LEFT_INSIDE = 1  # those of them in the frame
+COUNTER_FILLED = 2  # pixels that a sweep filled, in frame and guard band
+COUNTER_FILLED_INSIDE = 3  # those of them in the frame
+COUNTER_DONE = 4  # pixels that all sweeps so far filled
 
 # Sum of time samples (kernels/blur/accumulate.cl).
 SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
@@ -121,8 +123,8 @@ SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
 # Sensor (kernels/sensor).
 NOISE_LANES = 16  # pixels in a vector
 SENSED_PIXELS = 128  # pixels of a row that a work-item reads out, whole vectors
-LEAST_NORMAL = 30  # mean of electrons from which on their distribution is approximated by a corrected normal one
-FEW_ELECTRONS = 80  # limit of counts whose mean is below LEAST_NORMAL; no random word gives a larger count
+LEAST_NORMAL = 30  # mean of electrons from which on a corrected normal distribution approximates their distribution
+FEW_ELECTRONS = 80  # largest number of electrons if their mean is below LEAST_NORMAL: no random word gives more
 # Streams of random words, and number of streams per plane.
 SHOT_STREAM = 0
 PATTERN_STREAM = 1
@@ -139,7 +141,7 @@ DOT_SEGMENT = 256  # number of products of a dot product that a work-item sums
 # Frequency-selective extrapolation (kernels/inpainting/fse.cl).
 FSE_SIDE = 32  # px, side of a window
 FSE_BLOCK = 2  # px, side of the block in the middle of a window, which is filled from the window
-FSE_BEFORE = (FSE_SIDE - FSE_BLOCK) // 2  # px of a window before its block, along an axis
+FSE_BEFORE = (FSE_SIDE - FSE_BLOCK) // 2  # px from the start of a window to its block, along an axis
 
 
 def definitions() -> dict[str, int | float]:

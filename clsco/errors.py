@@ -62,7 +62,7 @@ class KernelError(ClscoError):
 
 
 def import_extra(where: object, module: str, extra: str) -> Any:
-    """Import a module of an extra, or raise MissingDependencyError; where: file or option that needs it."""
+    """Import a module of an extra, or raise MissingDependencyError; where: file or option to name in the error."""
     try:
         return import_module(module)
     except ImportError as error:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 Real = Literal["double", "float"]
 Struct = np.void
-MOST_RIMS = 4  # largest number of rims before and behind a lens
-START = 7  # number of coefficients of the first guess of undistorted slopes
+MOST_RIMS = 4  # largest number of rims of a lens, those before and behind it together
+START = 7  # number of coefficients of the polynomial that first guesses undistorted slopes
 REAL: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype("f4")}
-REAL_BYTES = 8  # size planned for a number on the device, in either precision
+REAL_BYTES = 8  # bytes that plans reserve for a real number on the device, also in single precision
 
 
 @cache
@@ -22,18 +22,21 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     """Dtype of every struct by its C name, in order of declaration.
 
     grid_t: rows, columns: size of the frame, or of a strip (`clsco.frame.strips`); frame_rows: rows of the whole frame;
-    top: first row of the strip; guard: width of the apron; above: rows of the grid above the strip; width, height: size
-    of the grid with apron; step: slope between neighboring rays on the axis; rest_step: `step` in the reference pose;
-    radial, tangential, reach: see `clsco.optics.distortion.Distortion`; start, newton: first guess of the inverse
-    distortion, and number of Newton steps.
+    top: first row of the strip; guard: width of the guard band; above: rows of the source grid above the strip; width,
+    height: size of the source grid; step: slope between neighboring rays on the axis; rest_step: that slope in the
+    reference pose; radial, tangential, reach: see `clsco.optics.distortion.Distortion`; start, newton: first guess of
+    the inverse distortion, and number of Newton steps.
+
     lens_t: see `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: number of the
     object's texture. texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see
     `clsco.optics.light.PlacedLight`. pose_t: see `clsco.optics.motion.Pose`; step: slope between neighboring rays at
     the pose's time. group_t: see `clsco.optics.visibility.OcclusionGroup`; count: number of objects in the scene.
-    psf_t: see `clsco.optics.psf_tables.PsfTable` for first, count, low, end, reach, stride, and, with the prefix sub_,
-    those of sub-pixel sources; key to sub_steps: conversion of a blur radius to a table coordinate; lens_extent: radius
-    of the pupil in lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column,
+
+    psf_t: first, count, low, end, reach, stride: see `clsco.optics.psf_tables.PsfTable`; with the prefix sub_: those of
+    sub-pixel sources; key to sub_steps: conversion of a blur radius to a table coordinate; lens_extent: radius of the
+    pupil in lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column,
     per_row: number of cells of `clsco.optics.field.SeidelField`, and cells per px.
+
     sensor_t: see `clsco.optics.sensor.sensor_values`.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
@@ -66,7 +69,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
 
 
 def _reals(real: Real, **shapes: tuple[int, ...]) -> list[Any]:
-    """Struct fields for real numbers, and for arrays (n,) of real numbers."""
+    """Struct fields for real numbers; shapes: shape of each field by its name, () for a single number."""
     return [(name, REAL[real], shape) for name, shape in shapes.items()]
 
 

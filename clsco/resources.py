@@ -29,9 +29,9 @@ _RUN = secrets.token_hex(4)  # distinguishes this process from earlier ones with
 PROC = Path("/proc")  # Linux's folder with information on processes
 ABANDONED_S = 24 * 3600.0  # time in s without changes after which another machine's temporary folder is abandoned
 
-# Without the second flag, opening a pipe would block forever; Windows has neither flag.
+# Without O_NONBLOCK, opening a pipe could block forever. Windows has neither this flag nor O_NOFOLLOW.
 _SAFELY = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-DEVICE = "a device or a pipe"  # in errors, name for a file that is neither regular nor a folder
+DEVICE = "a device or a pipe"  # how errors name a file that is neither regular nor a folder
 
 
 Kind = Literal["cache", "state"]
@@ -40,8 +40,8 @@ _PLACES = {"cache": ("XDG_CACHE_HOME", ".cache"), "state": ("XDG_STATE_HOME", ".
 
 @cache
 def folder(name: str) -> Traversable:
-    """The shipped folder `name` ("kernels" or "examples"): beside the package in a source tree, which has priority, or
-    installed as `clsco.<name>`. Raises FileNotFoundError if it is in neither place.
+    """The shipped folder `name`, "kernels" or "examples". In a source tree it is the folder beside the package,
+    otherwise the installed folder `clsco/<name>`. Raises FileNotFoundError if neither exists.
     """
     beside = Path(__file__).resolve().parent.parent / name
     if (beside.parent / "pyproject.toml").is_file() and beside.is_dir():
@@ -73,10 +73,10 @@ class ExposedFolderError(Exception):
 def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: Kind = "cache") -> Path:
     """A folder in the user's cache or state folder that nobody else can write to, created if necessary.
 
-    names: of nested folders. kind: "cache", or "state" for data that cannot be computed again. The cache folder is
-    XDG_CACHE_HOME, by default ~/.cache, the state folder XDG_STATE_HOME, by default ~/.local/state. Raises
-    ExposedFolderError if another user owns or may write to the folder or one of its parents created here; OSError or
-    RuntimeError if the folder cannot be created, or the user has no home.
+    names: names of nested folders, the outermost first. kind: "cache", or "state" for data that cannot be computed
+    again. The cache folder is XDG_CACHE_HOME, by default ~/.cache; the state folder is XDG_STATE_HOME, by default
+    ~/.local/state. Raises ExposedFolderError if another user owns or may write to one of the nested folders, or could
+    replace them; OSError or RuntimeError if the folder cannot be created, or the user has no home.
     """
     variable, default = _PLACES[kind]
     root = Path(environ.get(variable) or Path.home() / default)
@@ -90,7 +90,7 @@ def private_folder(*names: str, environ: Mapping[str, str] = os.environ, kind: K
 
 
 def _exposed(root: Path, *ours: Path) -> Path | None:
-    """The topmost folder in which another user could put files, or None; ours: created in `root`, outermost first."""
+    """The topmost folder in which another user could put files, or None; ours: folders in `root`, outermost first."""
     if not hasattr(os, "geteuid"):
         return None
     user = os.geteuid()
@@ -106,11 +106,12 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 
 
 def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False) -> BufferedReader:
-    """Open a regular file for reading; any other file is opened only briefly, to determine its kind.
+    """Open a regular file for reading; a file of another kind is rejected as soon as its kind is known.
 
-    most: size limit in bytes; for a file that may grow while it is read, use `read_regular`. follow: True to allow a
-    symbolic link, for names from users; links among the parent folders are always followed. Raises OSError if the file
-    cannot be opened, is not regular, or is too large; `strerror` names its kind, such as "a device or a pipe".
+    most: size limit in bytes; for a file that may grow while it is read, use `read_regular`. follow: True to allow
+    `path` to be a symbolic link, for names from users; links among the parent folders are always followed. Raises
+    OSError if the file cannot be opened, is not regular, or is too large; `strerror` names the kind of file, such as "a
+    device or a pipe".
     """
     flags = _SAFELY & ~getattr(os, "O_NOFOLLOW", 0) if follow else _SAFELY
     try:
@@ -149,7 +150,9 @@ def _too_large(path: str | os.PathLike[str], size: int, most: int) -> OSError:
 
 
 def temporary_folder(name: str) -> Path:
-    """A new private folder for this process and its children, removed at its end, or after a kill by the next call."""
+    """A new private folder for this process and its children. It is removed when the process ends; if the process is
+    killed, the next call in any process removes it.
+    """
     base = Path(tempfile.gettempdir())
     remove_left(base, f"clsco-{name}")
     first, last = work_name(f"clsco-{name}").split(".", 1)
@@ -159,14 +162,17 @@ def temporary_folder(name: str) -> Path:
 
 
 def work_name(prefix: str, more: str = "") -> str:
-    """Name for a temporary file or folder of this process, see `remove_left`; more: hexadecimal digits."""
+    """Name for a temporary file or folder of this process, by which `remove_left` recognizes it. more: hexadecimal
+    digits that distinguish names with the same prefix.
+    """
     return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}{more and '-'}{more}.part"
 
 
 def remove_left(folder: Path, prefix: str = "") -> None:
-    """Remove temporary files and folders (`work_name`) of ended processes, or of another machine after ABANDONED_S.
+    """Remove temporary files and folders (`work_name`) in a folder that ended processes have left.
 
-    prefix: start of the names; by default any name that begins with a dot.
+    Those of another machine are removed if they have not changed for ABANDONED_S. prefix: start of the names; by
+    default, all names that begin with a dot are examined.
     """
     for path in folder.glob(f"{prefix}.*.part"):
         with suppress(OSError, ValueError):
@@ -185,9 +191,10 @@ def remove_left(folder: Path, prefix: str = "") -> None:
 
 
 def process_began(process: int) -> float | None:
-    """Start time of a process, comparable with others on this machine; None if no such process is running.
+    """Start time of a process, to compare with others on this machine; None if no such process is running.
 
-    On Linux in ticks since boot, which clock changes do not affect (proc(5)); on other systems in seconds of the clock.
+    On Linux it is in ticks since boot, which clock changes do not affect (proc(5)); on other systems in seconds of the
+    clock.
     """
     if (PROC / "self").exists():
         try:
@@ -218,7 +225,7 @@ def process_is_gone(process: int) -> bool:
 
 
 def read_at(file: BinaryIO, size: int, place: int) -> bytes:
-    """Up to `size` bytes of a file from an offset, fewer at its end."""
+    """Read up to `size` bytes of a file from the offset `place` on; fewer if the file ends before."""
     file.seek(place)
     return file.read(size)
 
@@ -253,7 +260,8 @@ def machine_bytes(*, free: bool = False) -> int:
 def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")) -> int:
     """Number of processors that this process may use: limited by its affinity and the quotas of its control groups.
 
-    groups: file in which Linux lists these; mounted: folder of their settings (version 1 or 2).
+    groups: file in which Linux lists the control groups of the process; mounted: folder with the settings of all
+    control groups (version 1 or 2).
     """
     if hasattr(os, "process_cpu_count"):  # Python 3.13
         bound = os.process_cpu_count()
@@ -265,7 +273,7 @@ def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/
 
 
 def _quotas(groups: Path, mounted: Path) -> list[int]:
-    """Number of processors, rounded up, that each control group and each of its parents allows."""
+    """Numbers of processors, rounded up, that quotas of each control group and of its parents allow."""
     found = []
     with suppress(OSError, ValueError):
         for line in groups.read_text("utf-8").splitlines():

@@ -38,8 +38,8 @@ TOGETHER, PIXELS_TOGETHER = 16, 2**24  # most scenes of a sweep on the device at
 class Job:
     """One scene to render.
 
-    record: entries for its JSON files; folder: where to write; frames: numbers of the frames that are still to render;
-    files: files to write besides PNG and JSON.
+    record: entries for the JSON files of its frames; folder: where to write; frames: numbers of the frames that are
+    still to render; files: files to write besides PNG and JSON.
     """
 
     prepared: Prepared
@@ -48,7 +48,7 @@ class Job:
     frames: tuple[int, ...]
     files: tuple[TruthFile, ...]
     before: Mapping[int, int | None] = field(default_factory=dict)
-    """Time in ns at which each frame in the folder was written; None if there is no such frame."""
+    """Time in ns at which each frame to render was last written; None if the folder does not have the frame."""
 
 
 def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
@@ -76,7 +76,7 @@ def _require_inside(folder: Path, out: Path, where: Path) -> None:
 
 
 def frame_range(scene: Scene, span: Span, where: str) -> range:
-    """Numbers of the frames from span[0] up to but not including span[1]; None stands for the first or last frame.
+    """Numbers of the frames from span[0] up to but not including span[1]; None means the start or the end.
 
     Raises SceneError if the scene does not have these frames.
     """
@@ -95,12 +95,12 @@ def prepare(
     resume: bool,
     digests: Mapping[str, str] | None = None,
 ) -> Job:
-    """Make the folder; with `resume`, skip frames that are in it, complete and of this scene.
+    """Make the folder; with `resume`, skip the frames of this scene that are in the folder and complete.
 
     digests: SHA-256 of the scene's input files (`provenance.file_digests`), if known. A frame is complete if its JSON
     file, which is written last, has the scene's hash, this version, the requested tolerance and precision, all
     requested files and arrays, and the SHA-256 that each file has now. Raises FileError if a texture or depth map
-    cannot be read or the folder is not writable.
+    cannot be read, or the folder is not writable.
     """
     scene, request = prepared.scene, prepared.request
     entries = record(scene, digests)
@@ -134,9 +134,8 @@ def prepare(
 def prepare_all(
     planned: Sequence[PreparedFile], out: Path, files: tuple[TruthFile, ...], span: Span, resume: bool
 ) -> list[Job]:  # fmt: skip
-    """`prepare` for every scene of several files, each file in its folder of `folders`.
-
-    Raises as `prepare`, `folders` and `frame_range`, and SceneError if `files` name arrays that a scene does not have.
+    """`prepare` for every scene of several files, each file in its folder of `folders`. Raises the errors of `prepare`,
+    `folders` and `frame_range`, and SceneError if `files` name arrays that a scene does not have.
     """
     _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
@@ -167,8 +166,8 @@ def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile])
 
 
 def _required(file: TruthFile) -> list[str]:
-    """Arrays that a scene must have for a file: those requested by name, else the first one that its format can hold if
-    the format has a file per array.
+    """Names of the arrays that a scene must have for a file. These are the arrays that are requested by name. If there
+    are none, and the format has a file per array, it is the first array that the format can hold.
     """
     truth_format = TRUTH_FORMATS[file.format]
     names = file.names or (truth_format.arrays[:1] if truth_format.per == "array" else ())
@@ -184,7 +183,7 @@ def _write_time(folder: Path, index: int) -> int | None:
 
 
 def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
-    """Render the frames of jobs, write each one, and then yield its job and the frame, or both views of a stereo pair.
+    """Render and write the frames of jobs; yields for each its job, and the frame or both views of a stereo pair.
 
     jobs: in rendering order; jobs of one sweep follow each other, and up to `TOGETHER` of them share their rays if
     possible; check: True to compare frames with rays, and add the result to their metadata. Files that a scene has only

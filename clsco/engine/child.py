@@ -13,17 +13,18 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 ORPHAN_S = 10.0  # s after which a process whose parent was killed is ended by force
-_LARGEST = 31 << 20  # bytes, about the largest block size to which glibc adapts
+_LARGEST = 31 << 20  # bytes, about the largest size of blocks that glibc can learn to reuse
 _end_actions: list[Callable[[], object]] = []
 
 
 class Child:
     """A child process that calls a function, connected to this process by a pipe.
 
-    Ctrl-C reaches only this process, which decides about its children. A child ends with its parent, even if the parent
-    is killed: the child then sends itself SIGTERM, and after ORPHAN_S seconds it exits by force.
-    work: module-level function, called with the child's end of the pipe and `arguments`, which can be pickled; environ:
-    additional environment variables; pipe: receives messages from the child, and raises EOFError after it has ended.
+    Ctrl-C reaches only this process, which decides when its children end. A child also ends when its parent ends, even
+    if the parent is killed: the child then sends itself SIGTERM, and after ORPHAN_S seconds it exits by force. work:
+    module-level function, called with the child's end of the pipe and `arguments`, which can be pickled; environ:
+    additional environment variables; pipe: receives messages from the child, and raises EOFError after the child has
+    ended.
     """
 
     def __init__(self, work: Callable[..., None], *arguments: Any, environ: Mapping[str, str] | None = None) -> None:
@@ -51,7 +52,7 @@ class Child:
         return self._process.is_alive()
 
     def send(self, message: Any) -> None:
-        """Send a message to the child; if it has ended, only the next receive raises an error."""
+        """Send a message to the child; if the child has ended, this raises no error, but the next receive does."""
         with suppress(OSError):
             self.pipe.send(message)
 

@@ -107,9 +107,9 @@ def defocus(
     Parameters
     ----------
     image : array (rows, columns) or (rows, columns, 1 to 16)
-        Linear radiance as floats, or sRGB codes as uint8 or uint16, which are decoded, blurred and encoded again. The
-        last of 2 or 4 channels of codes is alpha: it is linear, and colors should be premultiplied by it. The arrays
-        are NumPy arrays, or pyopencl arrays of one queue, which are copied through the host.
+        Linear radiance as floats, or sRGB codes as uint8 or uint16, which are decoded, blurred and encoded again. If
+        codes have 2 or 4 channels, the last one is alpha: it is linear, and colors should be premultiplied by it. All
+        arrays are NumPy arrays, or pyopencl arrays of one queue, which are copied through the host.
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
     psf : Psf, mapping or str, optional
@@ -130,11 +130,11 @@ def defocus(
         or of a GPU's memory.
     outside : {"mirror", "black"}
         Light from beyond the image's border: by default that of the mirror image, so that uniform radiance stays
-        uniform; "black" darkens the border. With psf.border = "renormalize" no light comes from there.
+        uniform; "black" darkens the border. With psf.border = "renormalize" no such light is added.
     soft_edges : {"assign", "keep"}
         Treatment of pixels at the edge between two surfaces whose radius lies between those of the surfaces, as in
-        averaged or blurred depth maps: by default each is assigned to one of the surfaces; "keep" leaves them as they
-        are.
+        averaged or blurred depth maps: by default each pixel is assigned to one of the surfaces; "keep" leaves the
+        radii as they are.
     return_report : bool
         Also return a `DefocusReport`.
 
@@ -205,7 +205,7 @@ def defocus(
 
 @dataclass(frozen=True)
 class DefocusReport:
-    """Report on how an image was blurred."""
+    """Report on the blurring of an image."""
 
     soft_edges: int  # pixels at the edge between two surfaces whose radius was assigned to one of them
 
@@ -239,7 +239,7 @@ def _check_inputs(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) ->
     for name, array in (("image", picture), ("blur_radius", radii)):
         if array.dtype.kind not in "fiu":
             raise ArgumentError(f"{name}: must hold real numbers; got {array.dtype}")
-        ends.append((float(array.min()), float(array.max())))  # not finite if any value is not; needs no mask array
+        ends.append((float(array.min()), float(array.max())))  # not finite if a value is not; needs no mask
         if not np.isfinite(ends[-1]).all():
             raise ArgumentError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
     if picture.dtype.kind != "f":
@@ -248,7 +248,7 @@ def _check_inputs(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) ->
     if largest > LARGEST_BLUR:
         raise ArgumentError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     low, high = ends[1]
-    smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # 0: a lower bound that is quickly found
+    smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # 0: lower bound without a search
     return _Inputs(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)
 
 
@@ -294,7 +294,7 @@ def _guard_px(inputs: _Inputs, spec: BlurSpec) -> int:
 
 
 def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
-    """Blur the image in as few strips as fit the limit."""
+    """Blur the image in as few strips as fit within the limit."""
     if spec.method == "none":
         return inputs.image.astype(np.float32)
     rows, columns = inputs.coc.shape
@@ -307,7 +307,7 @@ def _blur_strips(session: Session, inputs: _Inputs, plan: ImagePlan) -> NDArray[
     """Blur the image in the strips of a plan."""
     spec, shape = plan.spec, inputs.image.shape if plan.channels > 1 else inputs.coc.shape
     real: Real = "double" if session.device.has_fp64 else "float"
-    # If the image is blurred in one strip, kernels that do not write to its arrays read the caller's arrays.
+    # If the image is blurred in one strip, kernels read the caller's arrays, unless they would write to them.
     lends = len(plan.strips) == 1 and not plan.guard_px and spec.border == "lose"
     floats = lends and not spec.layered and np.can_cast(inputs.coc.dtype, np.float32)
     buffers = shared_buffers(session, plan, ("value", "coc", "valid") if floats else ("value", "coc") if lends else ())
@@ -323,7 +323,7 @@ def _blur_strips(session: Session, inputs: _Inputs, plan: ImagePlan) -> NDArray[
 
 
 class _Source(HostImage):
-    """Supplies strips of the image and its radii; dtype: type of the radii on the device."""
+    """Supplies strips of the image and of its radii; dtype: type of the radii on the device."""
 
     def __init__(self, session: Session, inputs: _Inputs, plan: ImagePlan, dtype: Any) -> None:
         super().__init__(session, inputs.image, plan.guard_px, "symmetric" if inputs.mirrored else "constant")

@@ -36,8 +36,8 @@ class Film:
         # columns are exposed in turn; the frame is the weighted sum of the planes.
         self.weights = exposure.line_weights(lines)
         self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
-        # For each strip, the part of it that each time sample renders, by the number of the time sample; those that do
-        # not affect the strip are absent.
+        # For each strip, the part of the strip that each time sample renders, by the number of the time sample; time
+        # samples that do not affect the strip are absent.
         self.strip_parts: dict[Strip, dict[int, Strip]] = {}
         for strip in plan.strips:
             parts = ((number, plan.part(strip, weights)) for number, weights in enumerate(self.weights))
@@ -47,7 +47,7 @@ class Film:
         self.code = np.empty((*shape, planes), np.uint16)
         self.saturated = np.empty((*shape, planes), np.bool_)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
-        self.missing = np.zeros(shape, np.bool_)  # at any time sample, filled or not
+        self.missing = np.zeros(shape, np.bool_)  # True if missing at any time sample, whether filled or not
         # Bounds of the depth layers by number of the time sample, if they were computed from all strips.
         self.bounds: dict[int, tuple[LayerBounds, ...] | None] = {}
         self.events: Events = []
@@ -58,8 +58,8 @@ class Film:
         self._needs_light = plan.needs_light
 
     def add(self, session: Session, strip: Strip, number: int, outputs: Mapping[str, Any]) -> None:
-        """Add the outputs of a time sample's passes for a strip; number: of the time sample; outputs: named as in
-        `Pass`.
+        """Add the outputs of a time sample's passes for a strip. number: number of the time sample; outputs: named as
+        in `Pass`.
         """
         report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING
         self.reports[number] = (
@@ -77,7 +77,7 @@ class Film:
             self._planes.append((outputs.get("frame", outputs["plane"]), self.color[strip.inside]))
 
     def read(self, session: Session) -> None:
-        """Read back the strips of which all time samples have been added; waits for the device."""
+        """Read back the strips to which all time samples have been added; waits for the device."""
         for plane, out in self._planes:
             plane.read(session, out)
         for codes, rows in self._codes:

@@ -32,7 +32,7 @@ class Live:
     device : str, pyopencl.Device, Context or CommandQueue, optional
         As for `clsco.render`.
     keep : int or str
-        Limit of the cache on the device, and of the one on the host, in bytes or like "1.5GiB"; the least recently used
+        Limit of each of two caches, on the device and on the host, in bytes or like "1.5GiB"; the least recently used
         entries are evicted.
 
     Raises

@@ -16,16 +16,16 @@ from clsco.plan.passes import ONCE_A_FRAME, Kind
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
 
-SECONDS = 0.5  # s, after which no further step is run
+SECONDS = 0.5  # time in s after which no further step is run
 BY_HEIGHT: frozenset[Kind] = frozenset({"trace", "silhouettes"})
-"""Passes whose time is proportional to the rows of a strip's source grid; for other passes, to the strip's rows."""
+"""Passes whose time grows with the rows of a strip's source grid; the time of others grows with the strip's rows."""
 
 GOLDEN = 0.618034  # multiples of this number modulo 1 are spread evenly
 
 
 @dataclass(frozen=True)
 class _FramePart:
-    """A step: a time sample on a strip, with its number and the part of the strip that it renders.
+    """A step of a measurement: time sample `number` on a strip, of which it renders `part`.
 
     last: True for the last step of the strip, whose result also goes through the passes in `ONCE_A_FRAME`.
     """
@@ -38,7 +38,7 @@ class _FramePart:
 
 @dataclass(frozen=True)
 class FrameTime:
-    """Predicted seconds that a frame takes, without compiling kernels and writing files."""
+    """Predicted seconds that a frame takes, without the compilation of kernels and the writing of files."""
 
     views: tuple[dict[Kind, float], ...]  # for each view, the seconds of its passes by kind
     share: float  # fraction of the frame's work that was measured
@@ -59,8 +59,8 @@ class FrameTime:
 def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
     """Render a part of a frame on the device that will render it, and scale the time by rows and time samples.
 
-    seconds: after which no further step of a view is run, without compiling; ground truth is always computed whole.
-    Validated against whole frames by benchmarks/speed/prediction.py.
+    seconds: a view runs no further step when its steps have taken this time, without compilation. Ground truth is
+    always computed for the whole frame. Validated against whole frames by benchmarks/speed/prediction.py.
     """
     with session.reporting():
         views, shares = zip(*(_measure_view(session, prepared, plan, seconds) for plan in prepared.plans), strict=True)
@@ -72,7 +72,7 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
     limit = limit_of(prepared.request.memory, session.device)
     strip_plan, index = fit_strips(plan, limit), plan.scene.sequence.frames // 2
     clock = _Clock(session, ceil(strip_plan.grid.rows / BAND))
-    # On a processor in the shortest strips, each rendered by one core, if the frame can be rendered in such strips.
+    # A processor renders the shortest strips, each on one core, if the frame can be rendered in such strips.
     indivisible = plan.forward or plan.spec.layered or plan.rows <= BAND or not clock.per_core
     plan = strip_plan if indivisible else replace(strip_plan, strip_rows=BAND)
     renderer = Renderer(session, plan, prepared, limit)
@@ -84,7 +84,7 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
     seconds_by_kind = {kind: time * _rows(all_steps, kind) / _rows(steps, kind) for kind, time in spent.items()}
     if renderer.plan.truth:
         clock.lap()
-        for _ in range(2):  # again if compiling the kernels may have taken much of the first run
+        for _ in range(2):  # twice if compilation may have taken much of the first run's time
             renderer.truth.compute(index, film.events)
             seconds_by_kind["ground truth"] = clock.lap()
             if seconds_by_kind["ground truth"] > SECONDS:
@@ -94,10 +94,9 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
 
 
 class _Clock:
-    """Measures the time between passes; on a processor as its CPU time divided by the number of cores, which other
-    processes do not affect.
+    """Measures the time between passes; on a processor, its CPU time divided by the number of cores.
 
-    most: number of cores that can work on a frame at the same time.
+    Other processes do not affect the CPU time. most: number of cores that can work on a frame at the same time.
     """
 
     def __init__(self, session: Session, most: int) -> None:
@@ -116,8 +115,8 @@ class _Clock:
 def _steps(film: Film) -> list[_FramePart]:
     """All steps of a frame on all strips, in the order in which they are measured.
 
-    First comes the last step of each strip, which runs all passes, then the others. In each round, the first few strips
-    are spread evenly over the frame.
+    The first round has the last step of each strip, which runs all passes; each later round has one more step of each
+    strip. However few strips of a round are measured, they are spread evenly over the frame.
     """
     strips = sorted(film.strip_parts.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
     rounds = list[list[_FramePart]]()

@@ -43,8 +43,8 @@ from clsco.records import Real, Struct
 class Renderer:
     """Renders the frames of one plan on one device.
 
-    plan: fits the limit, which is for a larger plan if this one is too small; hits: ray hits shared with the renderers
-    of other lenses, whose plans have the same guard band. Raises DeviceError and KernelError.
+    plan: a plan that fits the limit; limit: also applies to a larger plan, if this one is too small; hits: ray hits
+    shared with the renderers of other lenses, whose plans have the same guard band. Raises DeviceError and KernelError.
     """
 
     def __init__(
@@ -122,15 +122,15 @@ class Renderer:
         return self.grids[strip]
 
     def add(self, film: Film, strip: Strip, number: int, after: Callable[[Kind], None] | None = None) -> None:
-        """Run the passes of a time sample on a strip, and add the result to the film; number: of the time sample;
-        after: called with the kind of each pass after the pass.
+        """Run the passes of a time sample on a strip, and add the result to the film. number: number of the time
+        sample; after: called after each pass with the kind of the pass.
         """
         job = self._job(film, strip, number)
         passes = (step for step in self.plan.passes if step.kind != "ground truth")
         film.add(self.session, strip, number, self.space.run(passes, job, after))
 
     def finish(self, film: Film) -> Frame:
-        """The frame of a completed film; if the plan was too small, it is rendered again with a larger one."""
+        """The frame of a completed film; if the plan was too small, the frame is rendered again with a larger plan."""
         while self.enlarge():
             (film,) = expose([self], film.index)
         truth = self._truth(film)
@@ -166,7 +166,7 @@ class Renderer:
         return truth
 
     def enlarge(self) -> bool:
-        """Switch to a larger plan if the latest frame needed more than predicted; returns True if it did."""
+        """Switch to a larger plan if the latest frame needed more than predicted; returns True if the plan changed."""
         if self.plan.static_map or not self.plan.color:
             return False
         statistics = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
@@ -176,8 +176,8 @@ class Renderer:
         return plan is not None
 
     def _change(self, plan: Plan) -> None:
-        """Switch to another plan of the scene."""
-        del self.space  # releases its memory for the larger one
+        """Replace the plan by another one for the same view of the scene."""
+        del self.space  # releases its memory for the new one
         before, self.plan = self.plan, plan
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
             self.hits = None  # the guard band may differ from those of the other lenses
@@ -206,9 +206,9 @@ class Renderer:
             "version": __version__,
             "seconds": film.seconds(),
         }
-        if scene.aperture.exposure != "normalized":  # irradiance relative to that of an open circular aperture
+        if scene.aperture.exposure != "normalized":  # ratio of the irradiance to that of an open circular aperture
             metadata["exposure"] = exposure_factor(scene.aperture, plan.psf)
-        if spec.psf.diffracted:  # share of a point's light that the truncated PSF loses, as `clsco plan` reports it
+        if spec.psf.diffracted:  # fraction of a point's light that the truncated PSF loses, as in `clsco plan`
             from clsco.optics.waves import light_cut
 
             metadata["light_cut"] = light_cut(spec.psf, spec.smallest, spec.largest)
@@ -237,7 +237,7 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
             for renderer, film in zip(renderers, films, strict=True):
                 renderer.add(film, strip, number)
             if (progress := session.progress) is not None:
-                for event in before:  # of the time sample before the latest, so that cancellation is quick
+                for event in before:  # events of the previous time sample, so that cancellation is quick
                     event.wait()
                 progress.done, progress.total = done, total
             done += 1

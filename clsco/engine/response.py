@@ -41,10 +41,10 @@ class IsolatedSource:
 
     scene: Scene  # its frame includes the margin
     margin: int  # width on each side of the frame, px
-    share: NDArray[np.float32] | None = None  # vignetting by which the frame without its margin is multiplied
+    share: NDArray[np.float32] | None = None  # vignetting, by which to multiply the frame without its margin
 
     def inside(self, frame: Frame) -> NDArray[np.float32]:
-        """Response (rows, columns) from a frame of the scene, without its margin; green light of a color frame."""
+        """Response (rows, columns) from a frame of the scene, without the margin; of green if the frame has color."""
         image = frame.color if frame.color.ndim == 2 else frame.color[..., GREEN]
         rows, columns = image.shape
         inside = image[self.margin : rows - self.margin, self.margin : columns - self.margin]
@@ -116,7 +116,7 @@ def isolate_source(
     item: int | None = None,
     files: InputFiles | None = None,
 ) -> IsolatedSource:
-    """The scene in which only one source is lit; arguments and errors as for `response`.
+    """The scene in which only one source is lit; arguments and errors are those of `response`.
 
     files: as for `clsco.plan.prepare.prepare`.
     """
@@ -129,7 +129,7 @@ def isolate_source(
     column = _within("x", x, -guard, plan.columns - 1 + guard)
     row = _within("y", y, -guard, plan.rows - 1 + guard)
     number = _visible_object(prepared, column, row) if number is None else number
-    # Beyond the frame, textures continue as mirror images. A margin moves those of the source too far away to be seen.
+    # Beyond the frame, textures continue as mirror images. A margin moves the source's images too far away to be seen.
     inward = min(column, row, plan.columns - 1 - column, plan.rows - 1 - row)
     far = plan.guard_px + FILTER_REACH + (_longest_displacement(plan.scene, number, index) if scene.moves else 0)
     margin = far - min(inward, 0) if widens and inward < far else 0
@@ -176,7 +176,7 @@ def _project_texture(item: Object, texture: str | ArrayInput) -> Object:
 def _longest_displacement(scene: Scene, number: int, index: int) -> int:
     """Largest displacement in the image of a point of an object from its place in the reference pose, px, rounded up.
 
-    number: of the object; index: of the frame during whose exposure it moves.
+    number: number of the object; index: number of the frame during whose exposure the object moves.
     """
     item, camera = scene.objects[number], reference_camera(scene)
     x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side for side in camera.frame_size)))

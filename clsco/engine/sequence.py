@@ -38,7 +38,7 @@ class Options(TypedDict, total=False):
     memory: str | int | None
 
 
-GUARD_STEP = 32  # px: guard bands of cached rays are rounded up to multiples of at least this
+GUARD_STEP = 32  # px: widths of guard bands for cached rays are rounded up to multiples of this or more
 
 
 def render(
@@ -214,10 +214,10 @@ def checked_request(
 def render_prepared(
     session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None = None, keeps_rays: bool = False
 ) -> Iterator[tuple[int, Frame]]:
-    """`render_sweep` for prepared scenes in a session; all of them have one request.
+    """`render_sweep` for prepared scenes in a session; all of them have the same request.
 
-    keeps_rays: True to cache ray hits in the session, for later renderings of the same objects. If plans were made for
-    another kind of device, because none was open yet, they are made again.
+    keeps_rays: True to cache ray hits in the session, for later renderings of the same objects. Plans that were made
+    for another kind of device, because none was open yet, are made again.
     """
     if any(entry.plan.device.kind != session.device.kind for entry in prepared):
         sweep = Sweep(("",) * len(prepared), tuple(entry.scene for entry in prepared))
@@ -254,7 +254,7 @@ def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> l
 def _render_group(
     session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None, keeps_rays: bool
 ) -> Iterator[tuple[int, Frame]]:
-    """Render scenes that differ only in the lens or the sensor; yields the number of a scene, and a frame of it."""
+    """Render scenes that differ only in the lens or the sensor; yields pairs of a scene's number and a frame of it."""
     limit = replace(limit_of(prepared[0].request.memory, session.device), views=len(prepared[0].plans))
     if limit.set_by_user:
         forget_others(session)
@@ -276,8 +276,8 @@ def _render_group(
 def _render_lenses(
     session: Session, prepared: Sequence[Prepared], limit: Limit, numbers: Sequence[int]
 ) -> Iterator[list[tuple[int, Frame]]]:
-    """Render scenes that share their rays; yields for each frame number the frames of all scenes, with the scenes'
-    numbers. Yields nothing if they cannot share rays.
+    """Render scenes that share their rays; yields for each frame number the frames of all scenes with the scenes'
+    numbers. Yields nothing if the scenes cannot share rays.
     """
     lockstep = []
     for lens_plans in _lockstep_plans([entry.plans for entry in prepared], limit):
@@ -324,8 +324,8 @@ def _round_guard(guard: int) -> int:
 
 
 def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
-    """Plans of lenses that share their rays, for each eye, widened to one guard band; empty if they cannot share rays
-    or do not fit. plans: for each lens, the plans of its views.
+    """Plans of lenses that share their rays, widened to one guard band: for each view, the plans of all lenses. Empty
+    if the lenses cannot share rays, or their buffers do not fit. plans: for each lens, the plans of its views.
     """
     keys = {tuple((plan.blur, plan.groups, plan.silhouettes, plan.samples) for plan in views) for views in plans}
     if len(plans) == 1 or len(keys) > 1 or not all(casts_for_lenses(plan) for views in plans for plan in views):
@@ -343,11 +343,11 @@ def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[lis
 
 
 def casts_for_lenses(plan: Plan) -> bool:
-    """True if the plan casts rays whose hits only become sources, so that lenses can share them."""
+    """True if the plan casts rays whose hits are only made into sources, so that several lenses can share the hits."""
     return not plan.color_plans and plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
 
 
 def _render_lockstep(renderers: Sequence[Renderer], index: int) -> list[Frame]:
-    """Render frame `index` with all renderers in lockstep, time sample by time sample; returns a frame of each."""
+    """Render frame `index` with all renderers in turn for each time sample; returns a frame of each renderer."""
     films = expose(renderers, index)
     return [renderer.finish(film) for renderer, film in zip(renderers, films, strict=True)]

@@ -10,7 +10,7 @@ from clsco.errors import DeviceError
 from clsco.opencl.session import Session
 from clsco.plan.memory import Limit
 
-F = TypeVar("F")  # describes work that fits a limit: plans, or the height of strips
+F = TypeVar("F")  # description of work that fits a limit: plans, or the height of strips
 T = TypeVar("T")
 
 

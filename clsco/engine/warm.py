@@ -55,7 +55,7 @@ def run_plausible_plans(session: Session, prepared: Prepared) -> int:
 
 
 def plausible_next_plans(plan: Plan) -> Iterator[Plan]:
-    """The plan itself, and plans of similar scenes: with silhouettes or occluders added or removed."""
+    """The plan itself, and plans of similar scenes, with silhouettes or occluders added or removed."""
     yield plan
     if not casts_for_lenses(plan):
         return

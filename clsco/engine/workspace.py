@@ -54,7 +54,7 @@ if TYPE_CHECKING:  # imported at run time only for plans that need them
     from clsco.passes.vignetting import Vignetting
 
 Pixels = ForwardWarp | StaticMap | None
-"""Origin of pixels in the reference pose: a forward warp or a static map; None if rays are cast."""
+"""Supplier of the pixels in the reference pose: a forward warp or a static map; None if rays are cast."""
 Outputs = tuple[Any, ...]
 """Outputs of a pass, in the order of `Pass.gives`."""
 
@@ -68,8 +68,8 @@ def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[st
 class Workspace:
     """Buffers of `SHARED` that a plan has, and a method for each kind of pass; base class of all workspaces.
 
-    A pass is run by the method with the name of its kind, which takes a job, the pass and the pass's inputs, and
-    returns its outputs.
+    A pass is run by the method that is named after its kind. The method takes a job, the pass and the pass's inputs,
+    and returns the pass's outputs.
     """
 
     def __init__(self, session: Session, buffers: Mapping[str, cl.Buffer]) -> None:
@@ -100,9 +100,9 @@ class Workspace:
 class BlurWorkspace(Workspace):
     """Runs the passes from an image or sources to the blurred plane.
 
-    buffers: include "source" if images become sources; tallest: grid of the frame, or the tallest of its strips; grid:
-    grid_t of the first strip; maps: kind of map that has the blur radii of images; behind_rims: returns the lens for a
-    job, needed for images if aperture rims cut their light.
+    buffers: include "source" if images become sources; tallest: grid of the frame, or of the tallest of its strips;
+    grid: grid_t of the first strip; maps: kind of map in which images have their blur radii; behind_rims: returns the
+    lens for a job, needed if rims of the aperture cut the light of images.
     """
 
     _target: Target
@@ -174,7 +174,7 @@ class BlurWorkspace(Workspace):
 
 @dataclass(frozen=True)
 class ColorChannel:
-    """Textures and pixels of all colors together, or of one color; scene: with textures that have only these colors."""
+    """Textures and pixels of all colors together, or of one color. scene: its textures have only these colors."""
 
     scene: PlacedScene
     pixels: Pixels
@@ -251,8 +251,8 @@ class PlaneWorkspace(BlurWorkspace):
 class SceneWorkspace(Workspace):
     """Runs all passes of a scene.
 
-    channels: of all colors, or one for each color in `Plan.color_plans`; hits: ray hits shared with other lenses; grid:
-    grid_t of the first strip.
+    channels: one for all colors, or one for each color in `Plan.color_plans`; hits: ray hits shared with other lenses;
+    grid: grid_t of the first strip.
     """
 
     _joined: JoinedColors
@@ -287,8 +287,8 @@ class SceneWorkspace(Workspace):
         return self.planes[step.color or 0].run_pass(job, step, *inputs)
 
     def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[LayerBounds, ...] | None:
-        """Bounds of depth layers by `BlurWorkspace.find_layers`: one entry for all colors, or one for each of three;
-        None without layered occlusion.
+        """Bounds of depth layers by `BlurWorkspace.find_layers`; None without layered occlusion. There is one entry for
+        all colors, or one for each of red, green and blue.
         """
         strips, bounds = tuple(jobs), list[LayerBounds]()
         for plane in self.planes:

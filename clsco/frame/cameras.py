@@ -20,18 +20,19 @@ from clsco.optics.motion import Eye, eye_pose, moved_points, poses_at, rest_cent
 from clsco.optics.rays import slopes_at
 from clsco.scene.model import Scene
 
-FLIP = np.diag([1.0, -1.0, 1.0])  # y points up in scenes, down in files of cameras
+FLIP = np.diag([1.0, -1.0, 1.0])  # y points up in scenes, and down in files of cameras
 EXR_AXES = np.diag([-1.0, -1.0, 1.0])  # OpenEXR's camera has x to the left, y up
 FINEST = 1001 * 120  # largest denominator of a frame rate, as in 120000/1001
 BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, green, blue and white
 
 
 def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
-    """The camera of a frame at the middle of its shutter, the time of its ground truth; scene: one with a resolution.
+    """The camera of a frame at the middle of its shutter, the time of its ground truth. scene: one with a resolution.
 
     The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of the scene. The focal length in
-    px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom it is that at the middle of
-    the shutter. Validated by surface points projected to the next frame and the other view, against flow and disparity.
+    px is s0 / p, `normalization_distance` over `pixel_pitch`, because x = s0 X / Z; for a zoom, it is the focal length
+    at the middle of the shutter. Validated by surface points that are projected to the next frame and to the other
+    view, against flow and disparity.
     """
     columns, rows = scene.camera.frame_size
     time = middle_time(scene.sequence, index)
@@ -52,8 +53,8 @@ def eye_of(frame: Frame) -> Eye:
 def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     """Mask of surface points that are behind the lens at the middle of the shutter `step` frames later.
 
-    frame: one with `depth`, `object_id`, and `flow` for step 1 or `flow_backward` for step -1, which is 0 behind the
-    lens, as no pixel shows the point. Validated by a camera that flies past a sphere.
+    frame: one with `depth`, `object_id` and, for step 1, `flow` or, for step -1, `flow_backward`. Flow to a point
+    behind the lens is 0, as no pixel shows the point. Validated by a camera that flies past a sphere.
     """
     flow = frame.flow if step == 1 else frame.flow_backward
     assert flow is not None

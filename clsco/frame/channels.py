@@ -12,7 +12,7 @@ from clsco.frame.outputs import ATTRIBUTES, OUTPUTS
 
 
 def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Channels of an array with two or three axes, named after it."""
+    """Channels of an array with two or three axes, by their names, which begin with the array's."""
     row = OUTPUTS[ATTRIBUTES[name]]
     layer = name if row.layer is None else row.layer
     if array.ndim == 2 and not row.letters:
@@ -25,10 +25,10 @@ def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
 def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """A frame's arrays, by name in files, as channels of an EXR.
 
-    These are R G B A, Z, sharp.R, N.X, flow.u, uv.u, id, and the others by their own names: coc, or coc.R, coc.G and
-    coc.B if the lens separates colors; row_time as a time per pixel; raw.Y of a sensor, or raw.R and so on of three
-    planes; sample_00.R of sub-frames. A gray frame has R, G and B, so that every reader shows it. A is the alpha if it
-    was requested, else 1: a photograph covers all of its pixels.
+    The channels are R G B A, Z, sharp.R, N.X, flow.u, uv.u, id, and the other arrays by their own names: coc, or coc.R,
+    coc.G and coc.B if the lens separates colors; row_time as a time per pixel; raw.Y of a sensor, or raw.R and so on
+    for three planes; sample_00.R of sub-frames. A gray frame has R, G and B, so that every reader shows it. A is the
+    alpha if it was requested, else 1, because a photograph covers all of its pixels.
     """
     channels: dict[str, NDArray[Any]] = {}
     for name, array in arrays.items():

@@ -15,9 +15,9 @@ PAPER, INK = (250, 250, 248), (20, 20, 20)
 def contact_sheet(
     rows: Sequence[Sequence[tuple[Picture, str]]], title: str = "", text: int = 12, lines: int = 1
 ) -> Picture:
-    """Draw rows of pictures (rows, columns, 3), labels of `lines` lines with a height of `text` px below each.
+    """Draw rows of pictures (rows, columns, 3), each with a label below it; all columns have the width of the widest.
 
-    All columns are as wide as the widest picture.
+    text: height of the text, px; lines: number of lines of a label.
     """
     from PIL import Image, ImageDraw, ImageFont
 

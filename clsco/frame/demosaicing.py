@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _CORNERS = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]) / 4
 _CROSS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]) / 4
 _ROW = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]]) / 2
-_GREEN, _APRON = 1, 8  # channel; px around a mosaic, an even number
+_GREEN, _APRON = 1, 8  # number of the channel; px added around a mosaic, an even number
 
 KERNELS: dict[str, tuple[Array, Array, Array]] = {
     "bilinear": (_CROSS, _ROW, _CORNERS),
@@ -28,8 +28,8 @@ KERNELS: dict[str, tuple[Array, Array, Array]] = {
     ),
 }
 """Three arrays of weights of the neighbors, by method. The first is for green at red and blue pixels. The second is for
-red and blue at green pixels, whose row has pixels of that color; it is transposed if their column has. The third is for
-red at blue pixels and for blue at red pixels."""
+red or blue at a green pixel with pixels of that color in its row; it is transposed if they are in its column. The third
+is for red at blue pixels and for blue at red pixels."""
 
 
 def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -> Array:

@@ -16,11 +16,11 @@ LEAST_SIDE = 2  # px, smallest side of a frame that can be demosaiced
 
 
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
-    """Irradiance for codes (rows, columns, planes): (code - black) / (gain white), 1 = white, negative by noise.
+    """Irradiance from codes (rows, columns, planes): (code - black level) / (gain * electrons of white), 1 = white.
 
-    Float32 (rows, columns[, 3]), demosaiced unless the sensor's `demosaic` is "none": then channels that a pixel has
-    not measured are 0. In a gray scene each pixel measures the only channel. Raises MissingDependencyError if `demosaic
-    = "menon"` lacks colour-demosaicing.
+    Noise can make it negative. The result is float32 (rows, columns[, 3]), demosaiced unless the sensor's `demosaic` is
+    "none": then channels that a pixel has not measured are 0. In a gray scene each pixel measures the only channel.
+    Raises MissingDependencyError if `demosaic = "menon"` lacks colour-demosaicing.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
     light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])
@@ -34,14 +34,14 @@ def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.fl
 
 
 def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
-    """Value of the channel that each pixel measures, (rows, columns, planes); values: a number per channel."""
+    """Value of the channel that each pixel measures, (rows, columns, planes); values: one number for each channel."""
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
     return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)
 
 
 def check_development(sensor_model: SensorModel, rows: int, columns: int) -> None:
-    """Raise an error if colour-demosaicing is needed and missing, or frames are too small to be demosaiced."""
+    """Raise an error if colour-demosaicing is needed but missing, or frames are too small to be demosaiced."""
     if sensor_model.sensor.demosaic != "none" and sensor_model.channels > 1:
         if min(rows, columns) < LEAST_SIDE:
             size = f"{columns} x {rows}"
@@ -54,9 +54,10 @@ def sensor_truth(
     names: Collection[str], raw: NDArray[np.uint16], saturated: NDArray[np.bool_],
     light: NDArray[np.floating] | None, sensor_model: SensorModel,
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
-    """Outputs of a sensor in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, (rows, columns[, 3]).
+    """The outputs in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, of a sensor, (rows, columns[, 3]).
 
-    raw, saturated: (rows, columns, planes). light: irradiance, without which `electrons` and `noise_sigma` are omitted.
+    raw, saturated: (rows, columns, planes). light: irradiance; if it is None, `electrons` and `noise_sigma` are
+    omitted.
     """
     arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:

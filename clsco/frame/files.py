@@ -32,7 +32,7 @@ from clsco.scene.model import Scene
 
 
 def _single(shot: Shot, file: TruthFile) -> NDArray[Any]:
-    """The array of a shot that belongs in a file for a single array."""
+    """The only array of a file that holds a single array."""
     (frame,) = shot.views
     (array,) = file.arrays(frame).values()
     return array
@@ -113,7 +113,7 @@ def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
 def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
     """Mask of pixels with known flow or disparity: they show a surface, which for flow remains in front of the lens."""
     (frame,), (name,) = shot.views, file.names
-    assert frame.mask is not None  # `besides` of the format has it
+    assert frame.mask is not None  # as `besides` of the format names it
     if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
         return frame.mask
     return frame.mask & ~mark_behind_lens(shot.scene, frame, 1 if name == "flow" else -1)
@@ -177,7 +177,9 @@ def _pictures(stem: str, subframes: int) -> list[str]:
 def _truth_names(
     index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
 ) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
-    """Names of the files that `file` stands for, the eyes in each, and its arrays, if `held`, as a `TruthFile`."""
+    """For each file that `file` stands for: its name, the eyes in it, and a `TruthFile` with the arrays that it holds.
+    In formats with a file per array, only arrays in `held` have a file.
+    """
     known = TRUTH_FORMATS[file.format]
     if known.per == "frame":
         yield known.name.format(stem=_stem(index, "")), tuple(eyes), file
@@ -193,7 +195,9 @@ def _truth_names(
 def frame_files(
     index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0, held: Collection[str] = ("color",)
 ) -> set[str]:
-    """Names of a frame's files besides its JSON file; held: names in files of its arrays, without "color" no PNG."""
+    """Names of a frame's files besides its JSON file. held: names in files of the arrays that the frame has; without
+    "color" it has no PNG.
+    """
     eyes = ("left", "right") if stereo else ("",)
     pictured = eyes if "color" in held else ()
     names = {name for eye in pictured for name in _pictures(_stem(index, eye), subframes)}
@@ -209,14 +213,15 @@ def write_frame(
     folder: str | os.PathLike[str], views: Sequence[Frame], bits: int, transfer: str, truth: Sequence[TruthFile] = (),
     about: Mapping[str, Any] | None = None, scene: Scene | None = None, color: Color = SRGB,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write the files of a frame; frame_0000.json comes last and makes the frame complete. Returns its content.
+    """Write the files of a frame; the JSON file comes last and makes the frame complete. Returns the JSON's content.
 
     views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
-    EXR holds both. Sub-frames are frame_0000_sample_00.png and so on. bits: of the textures, 8, 16 or 32; the PNG has
-    16 for 32. transfer: curve of the PNG, "srgb" or "linear"; the PNG clips radiance to 0 to 1, the other files, which
-    are linear, do not. truth: files to write; those written once per scene (`write_scene_files`) are skipped. about:
-    additional content of the JSON file. scene: one with a resolution, for the attributes of an EXR. color: of the
-    image, its curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an EXR its chromaticities.
+    EXR holds both. Sub-frames are frame_0000_sample_00.png and so on. bits: bits of the textures, 8, 16 or 32; the PNG
+    has 16 for 32. transfer: curve of the PNG, "srgb" or "linear". The PNG clips radiance to 0 to 1; the other files are
+    linear and do not clip. truth: files to write; those that are written once per scene (`write_scene_files`) are
+    skipped. about: additional content of the JSON file. scene: one with a resolution, for the attributes of an EXR.
+    color: color space of the image, whose curve replaces "srgb"; unless it is sRGB, the JSON file has its name, and an
+    EXR its chromaticities.
 
     Raises FileError if a file cannot be written, or values do not fit its format. Files are renamed when all are
     complete on the disk; until then an older frame stays unchanged.
@@ -246,7 +251,7 @@ def write_frame(
 
 
 def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Sequence[TruthFile]) -> None:
-    """Write the ground-truth files that cover all frames of a scene; it must have a resolution. Raises FileError."""
+    """Write the ground-truth files that cover all frames of a scene; scene: one with a resolution. Raises FileError."""
     for file in truth:
         known = TRUTH_FORMATS[file.format]
         if known.per == "scene":

@@ -16,7 +16,7 @@ from clsco.frame.channels import exr_channels
 from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
 from clsco.frame.outputs import FILE_NAMES
 
-GREEN = 1  # channel that stands for all colors where a single one is used
+GREEN = 1  # number of the channel that stands for all colors where a single channel is used
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -25,19 +25,19 @@ class Frame:
 
     Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green, blue; arrays
     of a gray scene have none. Truth that was not requested is None. `sharp`, `depth`, `blur_radius`, `mask`,
-    `object_id`, `normal`, `flow`, `flow_backward` and `uv` belong to the middle of the shutter and are never
+    `object_id`, `normal`, `flow`, `flow_backward` and `uv` show the scene at the middle of the shutter. They are never
     anti-aliased, except `sharp` of a texture on a surface, which is the mean over the pixel. With a rolling shutter
-    they belong to the middle of the exposure of the pixel's own row, or column, as in `row_time`.
+    they show the middle of the exposure of the pixel's own row, or column, as in `row_time`.
 
     Attributes
     ----------
     index : int
         Number of the frame in its sequence, from 0.
     color : float32 (rows, columns[, 3])
-        Linear radiance, 1 = white: blurred by defocus and motion. None with `color=False`. With a sensor, radiance
-        computed from its codes, with their noise, and demosaiced unless sensor.demosaic is "none".
+        Linear radiance, 1 = white, blurred by defocus and motion. None with `color=False`. With a sensor, the radiance
+        is computed from its codes, with their noise, and demosaiced unless sensor.demosaic is "none".
     sharp : float32 (rows, columns[, 3])
-        Linear radiance: all in focus.
+        Linear radiance with everything in focus.
     depth : float32 (rows, columns), mm
         Planar Z at the pixel center, +inf without a surface.
     blur_radius : float32 (rows, columns[, 3]), px
@@ -46,52 +46,52 @@ class Frame:
     mask : bool (rows, columns)
         True if a surface is visible.
     filled : uint8 (rows, columns)
-        0 known, 1 filled, 2 could not be filled.
+        0 for known pixels, 1 for filled ones, 2 for pixels that could not be filled.
     missing : bool (rows, columns)
-        The forward warp left the pixel missing in any time sample of the frame, whether it was filled or not.
+        True if the forward warp left the pixel missing in any time sample of the frame, even if it was filled.
     object_id : int32 (rows, columns)
-        Position in the scene's objects, -1 none.
+        Number of the visible object in the scene's objects, from 0; -1 for none.
     normal : float32 (rows, columns, 3)
         Unit vector in the camera frame, x right, y up, z into the scene.
     flow : float32 (rows, columns, 2), px
-        x right, y down, to the next frame. With a rolling shutter, to the row that shows the point there, and inf if
-        no row or several do.
+        Displacement of the surface point to the next frame, x right, y down. With a rolling shutter, to the row that
+        shows the point there, and inf if no row or several rows do.
     hidden : bool (rows, columns)
-        The point is hidden in the reference pose, so its radiance is extrapolated.
+        True if the point is hidden in the reference pose, so that its radiance is extrapolated.
     flow_backward : float32 (rows, columns, 2), px
-        x right, y down, to the frame before. Only if something moves, as `flow_occluded`.
+        Displacement to the previous frame, x right, y down. This and `flow_occluded` exist only if something moves.
     flow_occluded : bool (rows, columns)
-        The point is not visible in the next frame: a surface hides it, or it is outside the frame.
+        True if the point is not visible in the next frame: a surface hides it, or it is outside the frame.
     uv : float32 (rows, columns, 2)
         Position of the surface point in its texture, right and up from the lower left corner, in units of the image's
         size; for a cube map, in its six images side by side. Only with textures on surfaces.
     disparity : float32 (rows, columns), px
-        Column of the surface point in the left view less that in the right one; 0 without a surface. Only of stereo
-        pairs, as `occluded`.
+        Column of the surface point in the left view minus its column in the right view; 0 without a surface. This and
+        `occluded` exist only for stereo pairs.
     occluded : bool (rows, columns)
-        The point is not visible in the other view: an occluder hides it, or it is outside the frame.
+        True if the point is not visible in the other view: an occluder hides it, or it is outside the frame.
     row_time : float64 (rows,), or (columns,) if columns are exposed one after another, s
         Middle of the exposure of each row since t = 0. Only with a rolling shutter.
     throughput : float32 (rows, columns)
-        Light of the pixel as a share of that in the middle of the frame. Only with vignetting or rims.
+        Ratio of the pixel's light to the light in the middle of the frame. Only with vignetting or rims.
     raw : uint16 (rows, columns[, 3]), DN
-        Codes of the sensor, with all noise; of a mosaic one for each pixel. Only with a sensor, as `electrons`,
-        `noise_sigma` and `saturated`, which have the same shape.
+        Codes of the sensor, with all noise; with a mosaic, one for each pixel. This, `electrons`, `noise_sigma` and
+        `saturated` have one shape, and exist only with a sensor.
     electrons : float32 (rows, columns[, 3]), e-
-        Expected electrons of light and dark current, without noise.
+        Expected number of electrons from light and dark current, without noise.
     noise_sigma : float32 (rows, columns[, 3]), e-
-        Standard deviation of (raw - black_level) / gain from `electrons`, over exposures and sensors: shot noise, read
-        noise, PRNU, DSNU and rounding, without hot pixels and where nothing is saturated.
+        Standard deviation of (raw - black_level) / gain from `electrons`, over exposures and sensors: by shot noise,
+        read noise, PRNU, DSNU and rounding, if nothing is saturated. Hot pixels are not included.
     saturated : bool (rows, columns[, 3])
-        The full well or the largest code was reached.
+        True if the full well or the largest code was reached.
     alpha : float32 (rows, columns)
-        Share of a pixel's light that comes from surfaces, blurred as `color`: `color` has this associated
-        (premultiplied) alpha. The background is no surface.
+        Fraction of a pixel's light that comes from surfaces, blurred like `color`, which is premultiplied by it
+        (associated alpha). The background is no surface.
     subframes : float32 (samples, rows, columns[, 3])
         Linear radiance of each time sample, blurred by defocus. Without a sensor `color` is their weighted mean.
         `metadata["intermediate"]` has their times and weights.
     eye : str
-        "left" or "right" of a stereo pair, else "".
+        View of a stereo pair, "left" or "right"; "" for the only view of a scene.
     metadata : mapping
         Parameters, times, device and version of the render, in values that JSON can hold.
     """
@@ -187,8 +187,8 @@ class Frame:
         Parameters
         ----------
         path : path
-            .png, .tif or .tiff: the image, PNG in sRGB codes of 8 bits, or of 16 where the textures have more, TIFF in
-            linear float32. .exr and .npz: the image and all truth of the frame, linear, as `clsco render --format`
+            .png: the image in sRGB codes of 8 bits, or of 16 bits if the textures have more. .tif, .tiff: the image
+            in linear float32. .exr, .npz: the image and all truth of the frame, linear, as `clsco render --format`
             writes them.
 
         Raises

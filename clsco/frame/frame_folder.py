@@ -1,4 +1,4 @@
-"""Folders of frames, as `clsco render` writes them, possibly untrusted: numbers, rate, images and arrays."""
+"""Folders of frames, as `clsco render` writes them; the files may be untrusted."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_FAULTS = 20
 _CHANNELS = {
     "color": "R G B", "sharp": "sharp.R sharp.G sharp.B", "depth": "Z", "coc": "coc", "flow": "flow.u flow.v",
 }  # fmt: skip
-"""Channels in an EXR of each array, by the name of the array in an NPZ."""
+"""Names of the channels in an EXR, by the name of their array in an NPZ."""
 _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flow": ((2,),)}
 
 
@@ -34,8 +34,9 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 class FrameFolder:
     """Frames of one scene, with consecutive `numbers`.
 
-    eyes: ("",), or ("left", "right") for stereo pairs. interval: seconds between frames. transfer: curve of the PNG
-    files. of: number of frames of the scene. scenes: `scene_sha256` of the frames, one if all are of the same scene.
+    eyes: ("",), or ("left", "right") for stereo pairs; interval: seconds between frames; transfer: curve of the PNG
+    files; of: number of frames that the whole scene has; scenes: `scene_sha256` of the frames, a single one if all
+    frames are of the same scene.
     """
 
     folder: Path
@@ -47,12 +48,12 @@ class FrameFolder:
     scenes: frozenset[str]
 
     def images(self, eye: str = "") -> Iterator[NDArray[Any]]:
-        """Codes of the PNG of each frame, (rows, columns[, 3]). Raises FileError as `read_image`."""
+        """Codes of each frame's PNG, (rows, columns[, 3]). Raises the errors of `read_image`."""
         for number in self.numbers:
             yield read_image(self._file(number, "png", eye)).data
 
     def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
-        """An array of each frame, float32, from its NPZ or EXR; name: in files, such as "coc". Raises FileError."""
+        """An array of each frame, float32, from its NPZ or EXR; name: as in files, such as "coc". Raises FileError."""
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
             if npz.exists():
@@ -69,7 +70,7 @@ class FrameFolder:
             yield array.astype(np.float32, copy=False)
 
     def has(self, name: str, eye: str = "") -> bool:
-        """True if the first frame has an array."""
+        """True if the first frame has an array `name`."""
         try:
             next(self.arrays(name, eye))
         except FileError:
@@ -81,7 +82,7 @@ class FrameFolder:
 
 
 def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
-    """Planes of an array's channels; for blur radii, one for each color if the file has them. Raises FileError."""
+    """Planes of the channels of an array; of blur radii, one for each color if the file has these. Raises FileError."""
     try:
         return read_exr(path, _CHANNELS[name].split(), eye)
     except FileError as error:
@@ -96,7 +97,8 @@ def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
 def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
     """List the frames of a folder, or those with numbers in `only`, from their JSON files.
 
-    Raises SceneError with all faults: missing frames and PNG files, invalid JSON, another interval, transfer or stereo.
+    Raises SceneError with all faults: missing frames and PNG files, invalid JSON, and frames that differ from the first
+    one in interval, transfer curve or number of views.
     """
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)
@@ -158,7 +160,7 @@ def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
 
 
 def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[float, str, bool, int]:
-    """Interval, transfer, True for a stereo pair, number of frames; an invalid value becomes a default and a fault."""
+    """Interval, transfer, True for a stereo pair, and number of frames; for an invalid value a default, and a fault."""
 
     scene = content.get("scene")
     if not isinstance(scene, dict):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 
-LARGEST_SHOWN = 1024  # px, of the longer side; a larger image is averaged over squares of pixels
+LARGEST_SHOWN = 1024  # px, longer side of a picture; a larger image is averaged over squares of pixels
 
 
 def three_channels(image: NDArray[Any]) -> NDArray[Any]:
@@ -36,7 +36,7 @@ def png_to_show(image: NDArray[np.floating]) -> bytes:
 
 
 def html_to_show(line: str, images: Iterable[NDArray[np.floating]] = ()) -> str:
-    """A line with images of linear radiance below it, as self-contained HTML."""
+    """Self-contained HTML of a line of text, and of images of linear radiance below it."""
     import base64  # takes 1 ms, as does html, and few frames are shown
     import html
 

@@ -25,9 +25,9 @@ class Output:
     name: attribute of `Frame`. components: numbers per pixel, 0 for as many as the image has channels. group: scenes
     that have the output, a key of `clsco.plan.decisions.POSSIBLE`; "always": all scenes; "image": all, but only if it
     is requested by name. empty: value without a surface; None if the background has values of its own. by_rays: True if
-    the kernel `ground_truth` computes it. figure: tolerance of comparisons, about float32 rounding, for color 1/400 of
-    an 8-bit code; measure: unit of `figure`, by default `unit`. in_file: name in files, by default `name`. layer: of an
-    EXR, by default the name in files; letters: its channels.
+    the kernel `ground_truth` computes it. figure: tolerance of comparisons, about the rounding of float32, for color
+    1/400 of an 8-bit code; measure: unit of `figure`, by default `unit`. in_file: name in files, by default `name`.
+    layer: name of the layer in an EXR, by default the name in files; letters: channels of that layer.
     """
 
     name: str
@@ -118,7 +118,7 @@ RAY_OUTPUTS = tuple(row.name for row in _ROWS if row.by_rays)
 FILE_NAMES = {row.name: row.in_file or row.name for row in _ROWS}
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
 OF_THE_IMAGE = frozenset({"color", *IMAGE_NAMES, *SENSOR_NAMES})
-"""Outputs that are made only together with color."""
+"""Outputs that are made only if color is made."""
 
 
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:

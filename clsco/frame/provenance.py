@@ -16,7 +16,7 @@ from clsco.scene.changes import dump, table_at
 from clsco.scene.model import Scene
 from clsco.scene.quantities import Within
 
-# Units of derived parameters and of a frame's metadata, unless the name states them.
+# Units of derived parameters and of a frame's metadata whose names do not state their units.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
 FRAME_UNITS = {
     "intermediate[].time": "s",
@@ -42,7 +42,7 @@ def units(scene: Scene) -> dict[str, str]:
             value = getattr(model, name)
             listed = enumerate(value) if isinstance(value, tuple) else ()
             sections += [(key, value), *((f"{key}[{k}]", each) for k, each in listed)]
-            is_table = hasattr(type(value), "model_fields")  # the table's own keys have units
+            is_table = hasattr(type(value), "model_fields")  # the keys of the table have units of their own
             if (unit := _unit((field.annotation, *field.metadata))) and not is_table:
                 units_of_keys[key] = unit
     return units_of_keys
@@ -69,7 +69,7 @@ def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
 
 
 def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
-    """SHA-256 of the files and arrays of a table, by key; known: digests of files, by path."""
+    """SHA-256 of the files and arrays of a table, by key; known: SHA-256 of files, by path."""
     files = {key: known[path] for key, path in item.files().items()}
     return files | {key: array.sha256 for key, array in item.arrays().items()}
 

@@ -1,4 +1,4 @@
-"""Frames in horizontal strips: any size of frame in limited memory, with the same bits."""
+"""Frames in horizontal strips: frames of any size in limited memory, with the same bits as in one piece."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ class Strip:
 def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
     """Cut a frame of `rows` rows into strips; the first has the most rows, `tallest`, a multiple of BAND or `rows`.
 
-    guard: rows of the apron before and after the frame. reach: largest distance in rows at which a source may
-    contribute to a pixel. step: source grids begin at multiples of this many rows.
+    guard: rows of the guard band above and below the frame; reach: largest distance in rows at which a source may
+    contribute to a pixel; step: source grids begin at multiples of this many rows.
     """
     tops = range(0, rows, tallest)
     return tuple(make_strip(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)
 
 
 def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
-    """The strip from row `top` to before row `end`; it has the bits of the frame if both are multiples of BAND or
-    `rows`.
+    """The strip from row `top` to before row `end`. Its pixels have the same bits as in the whole frame if both are
+    multiples of BAND, or `end` is `rows`.
     """
     above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
     return Strip(top, end - top, above + (top + guard - above) % step, below)
@@ -53,7 +53,7 @@ def with_apron(
 ) -> NDArray[Any]:
     """The part of an image (rows, columns[, channels]) on the source grid of a strip, (height, width[, channels]).
 
-    guard: px of the apron beyond the image's border, which holds the mirror image, or 0.
+    guard: px of the apron beyond the image's border. The apron holds the mirror image, or 0 with outside = "constant".
     """
     begin, end = strip.top - strip.above, strip.top + strip.rows + strip.below
     first, last = max(begin, 0), min(end, len(plane))

@@ -29,8 +29,9 @@ FLOATS = ("float32", "float16")  # types of an array of floats
 class TruthFile:
     """Ground-truth file that a user asks for; in some formats, one file per array.
 
-    format: key of `clsco.frame.files.TRUTH_FORMATS`. names: of its arrays in files; () for all. float16: arrays stored
-    with 11 significant bits, up to 65504; ("all",) for all arrays. compressed: also compress floats.
+    format: key of `clsco.frame.files.TRUTH_FORMATS`. names: names in files of its arrays; () for all. float16: names of
+    the arrays that are stored as float16, with 11 significant bits, up to 65504; ("all",) for all arrays. compressed:
+    True to compress floats, too.
     """
 
     format: str
@@ -53,7 +54,9 @@ class TruthFile:
 
 
 def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
-    """Convert floats, but not times (one axis), to float16; beyond its range FileError, which begins with `where`."""
+    """Convert floats to float16, except times, which have one axis. Raises FileError for values beyond the range of
+    float16; where: start of the message.
+    """
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
     with np.errstate(over="ignore"):  # values that become infinite are rejected next
@@ -64,9 +67,10 @@ def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Content of a file of ground truth: a frame, or both views of a stereo pair, or () for a file of a whole scene.
+    """Content of a file of ground truth.
 
-    scene: one with a resolution, if known. color: color space of the radiance.
+    views: one frame, both views of a stereo pair, or () for a file of a whole scene; scene: one with a resolution, if
+    known; color: color space of the radiance.
     """
 
     views: tuple[Frame, ...]
@@ -78,11 +82,11 @@ class Shot:
 class TruthFormat:
     """A format of ground truth.
 
-    name: pattern of file names, such as "{stem}_{array}.flo", or the folder of files of a whole scene. write: takes a
-    path, the content, and the file that a user asked for, with a single name if `per` is "array". per: content of one
-    file: both views of a stereo pair ("frame"), one view, one array of a view, or the whole scene. arrays: that it can
-    hold, by their names in files. besides: other attributes of a frame that it needs, to mark known pixels. options:
-    some of "compressed" and "float16". needs: a module, and the extra of clsco that installs it.
+    name: pattern of file names, such as "{stem}_{array}.flo", or the folder of files of a whole scene. write: called
+    with a path, the content, and the file that a user asked for, which has a single name if `per` is "array". per:
+    content of one file: both views of a stereo pair ("frame"), one view, one array of a view, or the whole scene.
+    arrays: names in files of the arrays that it can hold. besides: other attributes of a frame, by which known pixels
+    are marked. options: some of "compressed" and "float16". needs: a module, and the extra of clsco that installs it.
     """
 
     name: str
@@ -153,7 +157,9 @@ def choose_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
-    """File of a format with options, such as "npz+compressed", of the `names` that it holds; halves: as float16."""
+    """The `TruthFile` for a format with options, such as "npz+compressed". It holds those of `names` that the format
+    can hold; halves: names of arrays to store as float16.
+    """
     form, *options = text.split("+")
     if form not in known:
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")

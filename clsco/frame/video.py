@@ -50,7 +50,7 @@ def write_video(
     transfer : {"srgb", "linear"}
         Transfer curve of the codes; floats are encoded by it.
     comment : str
-        For the file's metadata, by default the version of clsco.
+        Comment in the file's metadata, by default the version of clsco.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def write_video(
     -----
     Frame k is shown from k / rate on. The same frames give the same bytes with the same version of PyAV. Validated for
     each preset by reading pixels, rate and color tags back: ffv1, ffv1-16 and h264-lossless give the codes that went
-    in, bit by bit (docs/video.md has the others' errors).
+    in, bit by bit (docs/video.md has the errors of the others).
 
     Examples
     --------
@@ -111,7 +111,7 @@ class Playing:
     speed: Fraction = Fraction(1)
 
     def rate(self, interval: float, where: str) -> Fraction:
-        """Frames per second of frames that are `interval` s apart; where: begins messages. Errors as of `rate_of`."""
+        """Frames per second for an interval in s between frames; where: start of messages. Raises as `rate_of`."""
         return rate_of(interval, where, self.speed) if self.fps is None else self.fps
 
     def about(self, interval: float, where: str) -> str:
@@ -131,9 +131,9 @@ def write_folder_clip(
 ) -> list[str]:  # fmt: skip
     """Write the frames of a folder as a clip; returns notes for users: the rate, the scale of colors, changes.
 
-    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color (the PNG files), sharp, compare (both side by
-    side), or depth, coc or flow as colors on one scale for the clip. advance: called after each frame. Raises FileError
-    as `write_clip`, and if files are missing or damaged.
+    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: "color" (the PNG files), "sharp", "compare" (both side by
+    side), or "depth", "coc" or "flow" as colors with one scale for the clip. advance: called after each frame. Raises
+    the errors of `write_clip`, and FileError if files are missing or damaged.
     """
     where = str(frames.folder)
     facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]
@@ -159,7 +159,9 @@ def write_folder_clip(
 
 
 def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
-    """The array `name` of each frame; blur radii (of green, if several) are +inf where the depth, if known, is."""
+    """The array `name` of each frame; if blur radii differ by color, those of green. Blur radii are +inf in pixels
+    without a surface if the folder has the depth.
+    """
     arrays = frames.arrays(name, eye)
     if name == "coc":
         arrays = (radius if radius.ndim == 2 else radius[..., GREEN] for radius in arrays)
@@ -180,7 +182,9 @@ def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]
 
 
 def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
-    """Two images side by side: linear radiance on the left, encoded in the bits and curve of the codes on the right."""
+    """Two images side by side: on the left linear radiance, encoded in the bits and the curve of the codes on the
+    right.
+    """
     if left.shape[:2] != right.shape[:2]:
         raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     left = encode(left, 8 * right.dtype.itemsize, transfer)

@@ -18,8 +18,8 @@ VIRIDIS = (
     "440154 481769 472a7a 433d84 3d4e8a 355e8d 2e6d8e 297b8e 23898e 1f978b 21a585 2eb37c 46c06f 65cb5e 89d548 b0dd2f "
     "d8e219 fde725"
 )
-# Colors from one to the next hue, as in the color wheel of S. Baker et al., "A Database and Evaluation Methodology for
-# Optical Flow", IJCV 2011: red, yellow, green, cyan, blue, magenta, and red again.
+# Hues, each with the number of colors from it to the next, as in the color wheel of S. Baker et al., "A Database and
+# Evaluation Methodology for Optical Flow", IJCV 2011: red, yellow, green, cyan, blue, magenta, and red again.
 _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255, 255)), (13, (0, 0, 255)),
           (6, (255, 0, 255)))  # fmt: skip
 
@@ -28,8 +28,9 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 class FrameView:
     """Display of an output in colors.
 
-    array: name in files. extent: returns one or more numbers of an array; their maxima over all arrays of a clip are
-    the scale. paint: takes an array and the scale, returns 8-bit RGB. label: states the scale.
+    array: name in files; extent: returns one or more numbers for an array; the maxima of these over all arrays of a
+    clip are the scale; paint: called with an array and the scale, returns 8-bit RGB; label: returns a text that states
+    the scale.
     """
 
     array: str
@@ -43,7 +44,7 @@ class FrameView:
 
 
 def _require(array: NDArray[Any], name: str, also: float | None = None) -> NDArray[Any]:
-    """Mask of finite numbers. Raises FileError for any other number except `also`."""
+    """Mask of finite numbers. Raises FileError if any number is neither finite nor `also`."""
     finite: NDArray[Any] = np.isfinite(array)
     if not (finite if also is None else finite | (array == also)).all():
         raise FileError(f"view: {name} must be finite{'' if also is None else f' or {also}'}; got other numbers")
@@ -96,9 +97,10 @@ VIEWS = {
 
 
 def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
-    """Colors of numbers, (rows, columns) to (rows, columns, 3), from dark at `low` to bright at `high`.
+    """Colors (rows, columns, 3) of numbers (rows, columns), from dark at `low` to bright at `high`.
 
-    Interpolated between 18 of the 256 colors of viridis; within 5 codes of all of them (tests/frame/test_views.py).
+    They are interpolated between 18 of the 256 colors of viridis; within 5 codes of all of them
+    (tests/frame/test_views.py).
     """
     table = np.array([list(bytes.fromhex(color)) for color in VIRIDIS.split()], np.float64)
     span = high - low
@@ -109,10 +111,10 @@ def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
 
 
 def flow_colors(flow: NDArray[Any], longest: float) -> Picture:
-    """Colors of displacements, (rows, columns, 2), x right, y down, px, to (rows, columns, 3).
+    """Colors (rows, columns, 3) of displacements (rows, columns, 2) in px, x right, y down.
 
-    The hue shows the direction, full color is reached at `longest`, and pixels that are not finite are black. Validated
-    against a transcription of Middlebury's C++ (tests/frame/test_views.py).
+    The hue shows the direction, full color is reached at the length `longest`, and pixels that are not finite are
+    black. Validated against a transcription of Middlebury's C++ (tests/frame/test_views.py).
     """
     known = np.isfinite(flow).all(axis=2, keepdims=True)
     x, y = np.moveaxis(np.where(known, flow, 0.0).astype(np.float64), 2, 0) / (longest if longest > 0 else 1.0)

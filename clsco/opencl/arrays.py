@@ -19,10 +19,10 @@ MOST_CHANNELS = 16
 def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[Any]], Callable[[NDArray[Any]], Any]]:
     """The session for a user's arrays, the arrays as NumPy arrays, and a function that converts a result to their kind.
 
-    arrays: by their names in messages. If any is a pyopencl array, the session works in the queue of the first such
-    array, and results become pyopencl arrays; else the session is on `device`. Masked arrays stay masked. Raises
-    DeviceError if the first pyopencl array has no queue or `device` is unknown, ArgumentError for others than
-    contiguous ones.
+    arrays: by the names that messages give them. If any is a pyopencl array, the session works in the queue of the
+    first such array, and results become pyopencl arrays; otherwise the session is on `device`. Masked arrays stay
+    masked. Raises DeviceError if the first pyopencl array has no queue or `device` is unknown, ArgumentError if a
+    pyopencl array is not contiguous.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
     if not there:
@@ -38,7 +38,7 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
 
 
 def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """The array, without the mask of a masked array. Raises ArgumentError if any value is masked."""
+    """The array as a plain array, without the mask of a masked array. Raises ArgumentError if any value is masked."""
     masked = int(np.count_nonzero(np.ma.getmaskarray(array))) if isinstance(array, np.ma.MaskedArray) else 0
     if masked:
         raise ArgumentError(

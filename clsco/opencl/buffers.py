@@ -34,8 +34,8 @@ def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """`upload` of a C-ordered array for a short time, in place on devices with host memory even if it is not aligned:
-    the array must not change while kernels run.
+    """`upload` of a C-ordered array for a short time: the array must not change while kernels run. On devices that use
+    host memory, kernels read it in place even if it is not aligned.
     """
     if not session.device.unified_memory or array.nbytes == 0:
         return upload(session, array)
@@ -44,7 +44,7 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
-    """`upload` of an array that never changes, cached in the session; it replaces an earlier one with its `place`."""
+    """`upload` of an array that never changes, cached in the session; replaces an earlier array of this `place`."""
     key = ("array", place)
     for _ in range(2):
         buffer, owner = session.cache.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
@@ -56,7 +56,7 @@ def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.
 
 
 def copied(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """A read-write buffer with a copy of `array`, in C order. Raises DeviceError as `upload`."""
+    """A read-write buffer with a copy of `array` in C order. Raises the errors of `upload`."""
     packed = np.ascontiguousarray(array)
     if not 0 < packed.nbytes < LARGE:
         buffer = empty(session, packed.nbytes)
@@ -78,14 +78,14 @@ def empty(session: Session, size: int) -> cl.Buffer:
 
 
 class Refilled:
-    """A buffer that the host refills; each copy is enqueued after the launches that read the previous one."""
+    """A buffer that the host refills; a new copy is enqueued after the launches that read the previous one."""
 
     def __init__(self, session: Session, size: int) -> None:
         self.session, self.buffer = session, empty(session, size)
         self._copy: cl.Event | None = None
 
     def fill(self, array: NDArray[Any]) -> cl.Buffer:
-        """Enqueue a copy of an array, which must not change until it ends; waits for the previous copy."""
+        """Enqueue a copy of an array, which must not change until the copy ends; waits for the previous copy."""
         queue, packed = self.session.queue, np.ascontiguousarray(array)
         # pyopencl waits for a copy before it frees the event of the copy.
         self._copy = cl.enqueue_copy(queue, self.buffer, packed, is_blocking=False) if packed.nbytes else None

@@ -45,7 +45,7 @@ class Device:
     max_alloc: int
     global_mem: int
     compute_units: int
-    vector_width: int  # number of floats in the widest vector that the device computes at once
+    vector_width: int  # number of floats with which the device computes at once
     max_work_group: int
     handle: cl.Device = field(repr=False)
 
@@ -101,11 +101,12 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
 
 
 def choose(name: str | None = None, source: str = "device") -> Device:
-    """The device by the first of: `name`, CLSCO_DEVICE, PYOPENCL_CTX, a GPU, PoCL, another processor, any device.
+    """Choose a device by `name`, else by CLSCO_DEVICE or PYOPENCL_CTX, else a GPU, PoCL, another processor, or any
+    device.
 
-    Never prompts. `name` is compared without regard to case, first with the kind ("gpu" or "cpu") and the whole name of
-    a device, then with parts of its platform's name or version, then with parts of its name; source: of `name`, for
-    messages. Raises DeviceError if there is no device or none matches.
+    Never prompts. Case does not matter in `name`. It is first compared with the kind of devices ("gpu" or "cpu") and
+    with their whole names, then with parts of the name and version of their platforms, then with parts of their names.
+    source: source of `name`, for messages. Raises DeviceError if there is no device, or none matches.
     """
     chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
@@ -117,7 +118,7 @@ def pick(
     devices: Sequence[Device], name: str | None, environ: Mapping[str, str], by_pyopencl: Callable[[str], cl.Device],
     origin: str = "device",
 ) -> Choice:  # fmt: skip
-    """Choose by the rule of `choose`; by_pyopencl: the device for a value of PYOPENCL_CTX; origin: of `name`."""
+    """Choose by the rule of `choose`; by_pyopencl: returns the device for a PYOPENCL_CTX; origin: source of `name`."""
     if not devices:
         return Choice(None, NO_DEVICE)
     for source, text in ((origin, name), ("CLSCO_DEVICE", environ.get("CLSCO_DEVICE"))):
@@ -126,7 +127,7 @@ def pick(
     if specification := environ.get("PYOPENCL_CTX"):
         handle = by_pyopencl(specification)
         return Choice(describe_device(handle), f'PYOPENCL_CTX is "{specification}"')
-    best = min(devices, key=_rank)  # the first of equals, so that the platforms' order decides
+    best = min(devices, key=_rank)  # the first of equal rank, so that the order of the platforms decides
     return Choice(best, _REASONS[_rank(best)])
 
 
@@ -140,7 +141,7 @@ _process: int | None = None  # id of the process that used OpenCL first
 
 
 def check_not_forked() -> None:
-    """Raise DeviceError in a fork of a process that has used OpenCL, where PoCL would hang."""
+    """Raise DeviceError in a fork of a process that has used OpenCL, because PoCL would hang there."""
     global _process
     _process = _process or os.getpid()
     if _process != os.getpid():
@@ -209,7 +210,7 @@ def describe_device(handle: cl.Device) -> Device:
         platform=handle.platform.name.strip(),
         platform_version=handle.platform.version.strip(),
         driver=handle.driver_version.strip(),
-        # A simulator claims to be of every kind at once, and must not be mistaken for a GPU.
+        # A simulator claims to be of all kinds at once, and must not be mistaken for a GPU.
         kind="cpu" if handle.type & kinds.CPU else "gpu" if handle.type & kinds.GPU else "accelerator",
         has_fp64="cl_khr_fp64" in extensions,
         has_int64_atomics={"cl_khr_int64_base_atomics", "cl_khr_int64_extended_atomics"} <= set(extensions),

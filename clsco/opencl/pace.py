@@ -12,11 +12,11 @@ from typing import Any
 
 import pyopencl as cl
 
-PIECE = 0.1  # time in s that a piece should take; also the lead of the host over the device at which the host waits
-AT_ONCE = 16  # most short launches within that lead; few, as they may take longer than expected
+PIECE = 0.1  # time in s that a piece should take; also the time ahead of the device from which on the host waits
+AT_ONCE = 16  # most short launches ahead of the device; few, as they may take longer than expected
 TIMED = 8  # one of this many launches of a short kernel is timed
 GROWTH = 4  # largest ratio of a piece's size to the size of the previous piece
-UNIT = 25e-9  # assumed time in s of a unit of work until it is measured, about the work of a kernel per pixel
+UNIT = 25e-9  # assumed time in s of a unit of work, about that of a kernel per pixel, until it is measured
 
 _END, _START = cl.profiling_info.END, cl.profiling_info.START
 

@@ -17,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST = 2**16  # least size in bytes of an array with its own pages
-LARGE = 2**22  # size in bytes from which a block certainly contains a whole page of 2 MiB
+LARGE = 2**22  # size in bytes from which on a block always contains a whole page of 2 MiB
 SPARE_BYTES = 2**27  # memory limit of unused blocks
-SLACK = 4  # a block is reused for a request if it is larger by at most 1 / SLACK of the request
+SLACK = 4  # a block is reused for a request if it exceeds the request by at most 1 / SLACK of that
 CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than the request
 
 
 class Pages:
     """Pool of memory blocks; a block returns to the pool when its array is freed. Threads may share a pool.
 
-    limit: bytes of unused blocks, beyond which those unused for the longest time return to the system.
+    limit: limit of unused blocks, bytes; beyond it, those that are unused for the longest time return to the system.
     """
 
     def __init__(self, limit: int = SPARE_BYTES) -> None:
@@ -37,7 +37,7 @@ class Pages:
         self._bytes = 0
 
     def take(self, size: int) -> NDArray[np.uint8]:
-        """An uninitialized array of `size` bytes, whose memory returns to the pool when it is freed. Raises OSError."""
+        """Uninitialized array of `size` bytes; its memory returns to the pool when it is freed. Raises OSError."""
         bytes_ = block_size(size)
         with self._lock:
             self._take_back()
@@ -81,7 +81,7 @@ class Pages:
 
 
 def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays concatenated along their first axis in C order, in pages of their own: devices that use host memory read
+    """Arrays concatenated along their first axis in C order, in pages of their own. Devices that use host memory read
     them in place, and the pages return to the system when the result is freed.
     """
     shape = (sum(len(array) for array in arrays), *arrays[0].shape[1:])
@@ -93,7 +93,7 @@ def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def is_in_pages(array: NDArray[Any]) -> bool:
-    """True for an array from `joined_in_pages`."""
+    """True if an array begins at the start of a page, as arrays from `joined_in_pages` do."""
     return array.ctypes.data % mmap.PAGESIZE == 0
 
 

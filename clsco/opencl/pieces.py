@@ -9,7 +9,7 @@ import pyopencl as cl
 from clsco.opencl import pace
 from clsco.opencl.session import Session
 
-FIRST = 8  # the first piece is at most 1 / FIRST of a launch, as units may take different times
+FIRST = 8  # the first piece is at most 1 / FIRST of a launch, because its parts may take different times
 
 
 def in_pieces(
@@ -17,8 +17,8 @@ def in_pieces(
 ) -> list[cl.Event]:
     """Enqueue a launch piece by piece; returns the events in order. Raises CanceledError before a piece.
 
-    key: shared by all launches that take the same time per unit of work. units: number of parts into which the launch
-    can be cut. work: of all parts, in units of `clsco.opencl.pace`. expected: seconds of the whole launch.
+    key: key of all launches that take the same time per unit of work; units: number of parts into which the launch can
+    be cut; work: work of all parts, in units of `clsco.opencl.pace`; expected: expected seconds of the whole launch;
     enqueue(first, end): enqueues the parts from `first` up to but not including `end`, and returns the event.
     """
     events, begin, end = list[cl.Event](), 0, 0

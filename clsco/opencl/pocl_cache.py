@@ -34,22 +34,22 @@ LIST = "clsco.json"
 MOST_LIST = 2**26  # largest size of the list of checksums, bytes
 ROOM = 16 * 2**20  # free disk space required for compilation, bytes; the largest program takes some 2 MB
 _LARGEST = 64 * 2**20  # bytes of a cache beyond which it is emptied, as PoCL never removes files of older kernels
-_SETTLED = 2 * 10**9  # ns between two changes of a folder that have different times of change on any file system
+_SETTLED = 2 * 10**9  # ns: two changes of a folder this far apart have different times on any file system
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # opening a pipe does not block
 
 _Sums = dict[str, list[int]]
 _Listing = tuple[int, list[str], list[str]]  # time of a folder's last change, names of files, names of subfolders
-# By path: checking whether a folder has changed takes a tenth of the time of reading it.
+# Listings by path: to check whether a folder has changed takes a tenth of the time of reading it.
 _listings: dict[str, _Listing] = {}
 
 
 def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
     """Set the environment variable of PoCL's cache folder; call this before the first query of the platforms.
 
-    The folder is `clsco/pocl-<versions>` in the user's cache folder. If clsco cannot write to that, or others can, PoCL
-    gets a temporary folder, which is removed at exit. A POCL_CACHE_DIR set by the user stays unchanged. Unless the user
-    sets POCL_WORK_GROUP_SPECIALIZATION, PoCL compiles no variants for small grids and for an offset, which save no
-    time.
+    The folder is `clsco/pocl-<versions>` in the user's cache folder. If clsco cannot write to it, others can, or its
+    disk is full, PoCL gets a temporary folder, which is removed at exit. A POCL_CACHE_DIR set by the user stays
+    unchanged. Unless the user sets POCL_WORK_GROUP_SPECIALIZATION, PoCL compiles no variants for small grids and for an
+    offset, because these save no time.
     """
     environ.setdefault(SPECIALIZATION, "0")
     if environ.get(VARIABLE):
@@ -76,7 +76,7 @@ def is_on_disk() -> bool:
 
 
 def has_room(folder: Path | None = None) -> bool:
-    """True if a folder, by default PoCL's, has disk space for compilation; without it PoCL aborts the process."""
+    """True if a folder, by default PoCL's, has disk space for compilation; otherwise PoCL would abort the process."""
     try:
         return shutil.disk_usage(folder or _folder()).free >= ROOM
     except OSError:  # the user has set a folder that does not exist yet
@@ -84,7 +84,7 @@ def has_room(folder: Path | None = None) -> bool:
 
 
 def check() -> int:
-    """Remove each program with a file that differs from its recorded checksum, and return their number.
+    """Remove programs of which a file is missing, unreadable, unrecorded or not as recorded; returns their number.
 
     A cache above its size limit is emptied. Does nothing in a folder that the user has set.
     """
@@ -129,7 +129,7 @@ def _folder() -> Path:
 
 
 def _is_ours(folder: Path) -> bool:
-    # By name, because a child process inherits the variable that its parent has set.
+    # Decided by the name, because a child process inherits the variable that its parent has set.
     return folder.parent.name == "clsco" and folder.name.startswith("pocl")
 
 
@@ -163,7 +163,7 @@ def _lock(folder: Path) -> Iterator[None]:
 def _names(folder: Path) -> Iterator[tuple[str, bool]]:
     """Names of all compiled files, each with True if its folder is unchanged since this process last read the folder.
 
-    Names are plain strings, as this runs after every compilation, and `Path` takes ten times as long.
+    Names are plain strings: this runs after every compilation, and `Path` would take ten times as long.
     """
     waiting = [""]
     while waiting:
@@ -196,7 +196,7 @@ def _program(name: str) -> str:
 
 
 def _state(path: str, recorded: list[int] | None = None) -> list[int]:
-    """Size, time of change and checksum of a file; the recorded values if size and time are unchanged."""
+    """Size, modification time and checksum of a file; `recorded` itself if it has the size and time of the file."""
     handle = os.open(path, os.O_RDONLY | _AT_ONCE)
     try:
         status = os.fstat(handle)

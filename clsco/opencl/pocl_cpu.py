@@ -3,8 +3,8 @@
 PoCL takes the processor's name from the LLVM that it was built with. For a processor that this LLVM does not know, such
 as a Zen 5 in PoCL 3.0, the name is "generic", and Clang ends every build with "unknown target CPU 'generic'" (issues
 512 and 1049 of pocl/pocl). No option or variable can set the name, because options precede it on Clang's command line.
-So before the first build, the name is replaced in the device's structure in memory: with a line on stderr if a trial
-build of an empty kernel fails, or without trial and line if CLSCO_POCL_CPU=1 is set.
+So before the first build, the name is replaced in the device's structure in memory: if a trial build of an empty kernel
+fails, with a warning, or if CLSCO_POCL_CPU=1 is set, without trial and warning.
 
 The new name must stand for the CPU features of PoCL's library of built-in functions, which PoCL chooses by the real
 processor: otherwise caller and callee would pass vectors of 64 bytes differently, and the process would crash.
@@ -27,7 +27,7 @@ import pyopencl as cl
 from clsco.opencl import pocl_cache
 
 VARIABLE = "CLSCO_POCL_CPU"
-_UNKNOWN, _BEFORE = b"generic\0", b"x86_64-"  # the name, and the start of the text to which the preceding word points
+_UNKNOWN, _BEFORE = b"generic\0", b"x86_64-"  # the name, and the start of the text to which the word before points
 _WORDS = 128  # number of words searched in a device's structure; in PoCL 3.0 the name is word 80
 _BY_FLAGS = (
     ({"avx512f", "avx512cd", "avx512dq", "avx512bw", "avx512vl"}, b"skylake-avx512"),
@@ -37,9 +37,9 @@ _BY_FLAGS = (
 
 
 def ensure_known(device: cl.Device) -> None:
-    """Replace the processor's name of a PoCL device by one that LLVM knows if it is "generic".
+    """If a PoCL device gives its processor the name "generic", replace the name by one that LLVM knows.
 
-    Changes nothing if PoCL builds anyway and CLSCO_POCL_CPU is not 1. If no name fits, or PoCL's structure is not as
+    Nothing changes if PoCL builds anyway and CLSCO_POCL_CPU is not 1. If no name fits, or PoCL's structure is not as
     expected, nothing changes either, and the first build raises an error. Tested on a Zen 5 with the wheel of PoCL 3.0.
     """
     if not _is_nameless(device):
@@ -82,14 +82,15 @@ def _report(name: str) -> None:
 
 
 def known_name(flags: set[str]) -> bytes | None:
-    """LLVM's name of the best processor that PoCL has a library for; None if the flags of /proc/cpuinfo fit none."""
+    """LLVM's name of the best processor for which PoCL has a library; None if the flags of /proc/cpuinfo fit none."""
     return next((name for needed, name in _BY_FLAGS if needed <= flags), None)
 
 
 def name_in(address: int) -> int | None:
     """Address of the pointer to the name "generic" in the device's structure at `address`; None if there is none.
 
-    Only a pointer that follows the one to the kind of machine counts, as memory behind the structure must not change.
+    Only a pointer that follows the one to the kind of machine counts, so that memory behind the structure is never
+    changed.
     """
     size = struct.calcsize("P")
     words = struct.unpack(f"{_WORDS}P", _read(address, _WORDS * size).ljust(_WORDS * size, b"\0"))

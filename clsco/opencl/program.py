@@ -28,8 +28,8 @@ from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
-# Files that precede all others: common functions, in a form for processors or for other devices, and declarations that
-# replace the header of PoCL's compiler; option that leaves out this header.
+# Files that precede all others: common functions, of which processors have a form of their own, and declarations that
+# replace the header of PoCL's compiler. WITHOUT_HEADER is the option that omits this header.
 BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu/pocl.clh", "-D_OPENCL_H_"
 
 
@@ -39,12 +39,13 @@ def build(
     """Build kernel files with all that they include; equal requests share a program, even if files have changed since.
 
     sources: names of files in kernels/, such as "trace/trace.cl". features: small integers or bools by names from
-    `clsco.opencl.features.FEATURES`, by default 0; not for values that often change, as each text is compiled anew.
-    structs: NumPy dtypes by C names, as for `struct_text`; a struct follows the structs that it contains. real: element
-    type of `real` and `real2` to `real16`.
+    `clsco.opencl.features.FEATURES`, by default 0; not for values that often change, as a new value needs a
+    compilation. structs: NumPy dtypes by C names, as for `struct_text`; a struct follows the structs that it contains.
+    real: element type of `real` and of `real2` to `real16`.
 
     Kernels get these definitions: the numbers of `clsco.constants`, features, real, real2, real3, real4, real8, real16,
     REAL_IS_DOUBLE, HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats in the device's widest vector; affects only time).
+
     Raises KernelError with the compiler's log. Raises DeviceError if `real` is "double" and the device lacks it, or if
     a driver other than PoCL fails `require_right_arguments` at the first program of a session.
     """
@@ -59,7 +60,7 @@ def build(
 
 
 def _program(session: Session, sources: Sequence[str], macros: dict[str, int], structs: Structs, real: Real) -> Program:
-    """`build` without the cache of requests; equal texts still share a program."""
+    """`build` without the cache of requests; requests that lead to the same text still share a program."""
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
@@ -98,9 +99,10 @@ def launch(
 
     Long launches are cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on the number
     of groups. global_size is rounded up to whole groups of local_size, so the kernel must ignore work-items beyond it.
-    Use one local_size per kernel, as the driver compiles the kernel again for each. args: in the kernel's order. work:
-    units of work per work-item, 1 for about the usual work of a pixel. origin: number of the first work-item along each
-    axis, by default 0. Raises DeviceError if the device cannot run the kernel, and CanceledError before a piece.
+    Use the same local_size for all launches of a kernel, as the driver compiles the kernel again for each new one.
+    args: arguments in the kernel's order. work: units of work per work-item, 1 for about the usual work of a pixel.
+    origin: number of the first work-item along each axis, by default 0. Raises DeviceError if the device cannot run the
+    kernel, and CanceledError before a piece.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
@@ -126,8 +128,8 @@ def launch_whole(
     offset: tuple[int, ...] | None = None,
 ) -> cl.Event:  # fmt: skip
     """Enqueue a kernel in one piece over `size` work-items, a multiple of local_size, from work-item `offset` on."""
-    # PoCL compiles a kernel at its first launch with a local size, and again for small grids and for an offset if the
-    # user has enabled these variants (clsco.opencl.pocl_cache).
+    # PoCL compiles a kernel at its first launch with a local size and, if the user has enabled these variants, at its
+    # first one with a small grid or an offset (clsco.opencl.pocl_cache).
     shape = (kernel, local_size, max(size) < 2**16, offset is None)
     try:
         with session.lock:  # no other thread may set arguments before the launch

@@ -20,7 +20,7 @@ from clsco.resources import ExposedFolderError, private_folder
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check of `self_test`; detail: the expected and the wrong value, or the error, if it failed."""
+    """Result of one check of `self_test`; detail: if it failed, the expected and the wrong value, or the error."""
 
     name: str
     passed: bool
@@ -30,10 +30,10 @@ class Check:
 @dataclass(frozen=True)
 class _Probe:
     name: str
-    body: str  # statements of work-item i of 64; `in`: floats, in[i] = i; `out`: longs, zeros before
+    body: str  # statements of work-item i of 64; `in`: floats, in[i] = i; `out`: longs, 0 at first
     expected: Callable[[NDArray[np.int64]], NDArray[np.int64]]
     needs: str | None = None
-    functions: str = ""  # that `body` calls
+    functions: str = ""  # functions that `body` calls
 
 
 # (1 + i e)^2 - (1 + 2 i e) = i^2 e^2 with e = 2^-23: exact when fused, 0 when the square is rounded first,
@@ -67,7 +67,7 @@ def self_test(device: Device) -> list[Check]:
     checks = []
     for probe in _PROBES:
         if probe.needs is not None and not getattr(device, probe.needs):
-            continue  # clsco does not use what a device does not claim to have
+            continue  # clsco does not use features that a device does not claim to have
         try:
             with Session(device) as session:
                 checks.append(_run_check(session, probe))
@@ -77,9 +77,9 @@ def self_test(device: Device) -> list[Check]:
 
 
 def require_right_arguments(session: Session) -> None:
-    """Raise DeviceError if functions in kernels get wrong arguments, as with some drivers; frames would then be noise.
+    """Raise DeviceError if functions in kernels get wrong arguments, as with some drivers: frames would then be noise.
 
-    A driver that passes is recorded in the user's cache folder, and not tested again.
+    A driver that passes the test is recorded in the user's cache folder, and not tested again.
     """
     device, passed = session.device, None
     driver_key = device.name, device.platform, device.platform_version, device.driver, _text(device, _ARGUMENTS)
@@ -105,7 +105,7 @@ def _run_check(session: Session, probe: _Probe) -> Check:
 
 
 def _text(device: Device, probe: _Probe) -> str:
-    """Text of the program of a probe; it begins like the texts of all programs."""
+    """Text of the program of a probe, which begins like the texts of all other programs."""
     begin = source_text.program_text([], {}, "float", device.has_fp64, device.has_int64_atomics)
     kernel = "__kernel void probe(__global const float *in, __global long *out)"
     return f"{begin}\n{probe.functions}\n{kernel}\n{{ int i = get_global_id(0); {probe.body} }}"

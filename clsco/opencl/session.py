@@ -29,15 +29,15 @@ DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None
 """A user's argument `device`: a part of a name, "cpu", "gpu", an object of pyopencl, or None for the default."""
 
 Program: TypeAlias = dict[str, cl.Kernel]
-"""A built program: its kernels by name, kept because looking up a kernel in OpenCL takes 0.2 ms."""
+"""A built program: its kernels by name, because to look up a kernel in OpenCL takes 0.2 ms."""
 
 
 @dataclass
 class Progress:
     """Progress of a rendering, readable by another thread.
 
-    doing: kind of a pass, or "compiling" and names of files or of a kernel. share: fraction of the latest launch that
-    is done. done, total: numbers of time samples over all strips, finished and of the whole frame.
+    doing: kind of a pass, or "compiling" and names of files or of a kernel; share: finished fraction of the latest
+    launch; done: number of finished time samples, counted for each strip; total: number of them in the whole frame.
     """
 
     doing: str = ""
@@ -49,9 +49,10 @@ class Progress:
 class Session:
     """A context and an in-order queue with profiling on one device, and the programs built in the context.
 
-    queue, context: to use, by default new ones; instead of a queue that is out of order or has no profiling, the
-    session opens another one in its context. Threads may share a session, but no session works after a fork: PoCL would
-    hang, so it raises DeviceError. Start processes by spawning. Raises DeviceError if the device refuses a context.
+    queue, context: used by the session; by default it opens new ones. If the queue is out of order or has no profiling,
+    the session opens another one in the context of the queue. Threads may share a session. No session works after a
+    fork, where PoCL would hang: it raises DeviceError, so start processes by spawning. Raises DeviceError if the device
+    refuses a context.
     """
 
     def __init__(self, device: Device, queue: cl.CommandQueue | None = None, context: cl.Context | None = None) -> None:
@@ -60,9 +61,9 @@ class Session:
         self.lock = threading.RLock()
         self.cache = Cache(CACHE_BYTES)  # buffers that are filled once, by keys that describe their content
         self.canceled = threading.Event()  # set this to cancel the session's work at the next call of `go_on`
-        # For another thread to read; if set, the host is at most one time sample ahead of the device.
+        # Progress for another thread to read. If it is set, the host is at most one time sample ahead of the device.
         self.progress: Progress | None = None
-        # Programs by their texts and the compiler's options, and by arguments of `program.build` that lead to one text.
+        # `programs`: by their text and the compiler's options. `requests`: by the arguments of `program.build`.
         self.programs: dict[Hashable, Program] = {}
         self.requests: dict[Hashable, Program] = {}
         # Kernels and launch shapes that the driver has compiled.
@@ -111,9 +112,9 @@ class Session:
         return self._queue
 
     def compiling(self) -> AbstractContextManager[None]:
-        """Context manager to enter while the driver may compile, so that no other process writes to PoCL's cache.
+        """Context manager for a block in which the driver may compile: no other process then writes to PoCL's cache.
 
-        Raises DeviceError if PoCL would abort, as on a full disk or without a linker.
+        Raises DeviceError if PoCL would abort the process, as on a full disk or without a linker.
         """
         if not self.device.is_pocl:
             return nullcontext()
@@ -155,7 +156,7 @@ class Session:
 
     @contextmanager
     def reporting(self) -> Iterator[None]:
-        """Convert errors of OpenCL in the block to DeviceError; any error is raised only after all commands have ended.
+        """Convert errors of OpenCL in the block to DeviceError; an error is raised when all commands have ended.
 
         After an error other than a lack of memory the context may be lost, so `session_on` will open another one.
         """

@@ -39,7 +39,7 @@ def program_text(
     """The whole text of a program for the compiler, with #line directives so that the compiler's errors name files.
 
     macros: values of names in the preprocessor's conditions, such as features; on_cpu: True to use the files for
-    processors; others as for `clsco.opencl.program.build`. Raises KernelError for a missing file.
+    processors; other arguments: as for `clsco.opencl.program.build`. Raises KernelError for a missing file.
     """
     lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c is rounded twice, as in NumPy; only fma() is fused
     # PoCL prints the number of warnings. This one, on passing wide vectors, is irrelevant because every function is
@@ -64,10 +64,10 @@ def program_text(
 
 @dataclass
 class _Condition:
-    """State of an #if that is not closed yet.
+    """State of an #if whose #endif has not been reached yet.
 
-    active: the current branch is included; done: a branch has been included; deferred: the condition is left to the
-    compiler, because it has an unknown name.
+    active: True if the current branch is included; done: True if a branch has been included; deferred: True if the
+    condition is left to the compiler, because it has an unknown name.
     """
 
     active: bool
@@ -77,14 +77,18 @@ class _Condition:
 
 @dataclass
 class _Preprocessor:
-    """Evaluates conditions on known macros in kernel files, and includes each once, or with on_cpu that of `cpu`."""
+    """Evaluates conditions on known macros in kernel files, and includes each file once. on_cpu: True to include the
+    files in subfolders `cpu`, where there are some, in place of others of their name.
+    """
 
     macros: dict[str, float]
     on_cpu: bool
     files_read: set[str] = field(default_factory=set)
 
     def text(self, source: str) -> str:
-        """Text of a file and of those it includes, with blank lines for excluded text; empty if it has been read."""
+        """Text of a file and of the files that it includes; empty if the file has been read before. Blank lines replace
+        excluded text.
+        """
         name = _cpu_form(source) if self.on_cpu else source
         if name in self.files_read:
             return ""
@@ -108,7 +112,7 @@ class _Preprocessor:
         return "".join([*pieces, text[end:]])
 
     def _decide(self, word: str, condition: str, line: str, conditionals: list[_Condition], active: bool) -> str:
-        """Line of a directive for the compiler, empty if it is evaluated here; active: it is in included text."""
+        """Line of a directive for the compiler, empty if evaluated here; active: True if it is in included text."""
         if word.startswith("if"):
             value = self._value(condition) if word == "if" and active else None
             deferred = active and value is None
@@ -165,8 +169,7 @@ def struct_text(name: str, dtype: np.dtype[Any], structs: Structs) -> str:
     """The C typedef `name` of an aligned structured dtype, with a compile-time check of its size.
 
     `np.dtype(..., align=True)` has the layout that OpenCL C prescribes, so equal sizes mean equal offsets. pyopencl's
-    match_dtype_to_c_struct would query the device by a kernel for each struct, 0.3 s from a cold cache, 35 ms from a
-    warm.
+    match_dtype_to_c_struct would run a kernel for each struct, which takes 0.3 s if PoCL's cache is empty, else 35 ms.
     """
     if dtype.fields is None or not dtype.isalignedstruct:
         raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")

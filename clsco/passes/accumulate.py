@@ -16,9 +16,10 @@ from clsco.records import structs
 
 
 class FrameSum:
-    """Weighted sum of planes, a frame or a strip; each plane has a weight per row, or with `by_columns` per column.
+    """Weighted sum of the planes of a frame or a strip; a plane has a weight per row, or with `by_columns` per column.
 
-    sizes: of `clsco.plan.buffers.sum_buffers`. Validated against sums by NumPy (tests/kernels/test_accumulate.py).
+    sizes: sizes from `clsco.plan.buffers.sum_buffers`. Validated against sums by NumPy
+    (tests/kernels/test_accumulate.py).
     """
 
     def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:
@@ -38,8 +39,8 @@ class FrameSum:
     ) -> Plane:
         """Add a plane to the sum, and return the sum so far.
 
-        weights: per row or column of the plane; top: row of the sum for its first row; rows: of the sum, if not the
-        plane's.
+        weights: weight of each row or column of the plane; top: row of the sum to which the plane's first row is added;
+        rows: number of rows of the sum, by default that of the plane.
         """
         height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]
         if self.begins and plane.rows < height:

@@ -15,9 +15,10 @@ from clsco.scene.model import Scene
 
 
 class Bends:
-    """Planes that trace/bend.cl fills, cached while they do not change; `target` has the kernels that cast rays.
+    """Planes that trace/bend.cl fills, cached while they do not change; target: has the kernels that cast rays.
 
-    If the lens never changes and the frame has one strip, the session caches them; else only the latest are kept.
+    If the lens never changes and the frame has one strip, the session caches the planes; otherwise only the latest
+    planes are kept.
     """
 
     def __init__(self, target: Target, scene: Scene) -> None:
@@ -26,7 +27,7 @@ class Bends:
         self.latest: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
 
     def planes(self, grid: Struct, lens: Struct, events: Events) -> dict[str, cl.Buffer]:
-        """Buffers "bends" and "slopes" for a grid and a lens, as far as the lens needs them; empty for a thin lens."""
+        """The buffers of "bends" and "slopes" that the lens needs, for a grid and a lens; empty for a thin lens."""
         sizes = bend_buffers(self.scene, int(grid["width"]) * int(grid["height"]))
         if not sizes:
             return {}

@@ -29,7 +29,7 @@ from clsco.records import Real, Struct, structs
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 BLOCKS = (8, 1)  # local size of kernels with a work-item per TAP_LANES pixels of a row
 GROUP = (GROUP_COLUMNS, GROUP_ROWS)  # local size of `tiles`
-# A pixel gets at most 2.6 + 2 ln R times the brightest source from pillboxes; the tilt at most doubles it.
+# With pillboxes, a pixel gets at most 2.6 + 2 ln R times the light of the brightest source; tilt at most doubles this.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
 # Kernel files of each method in the program of `blur_target`; `convolve` builds its own program.
@@ -40,11 +40,12 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "convolve": (),
 }
 
-UNITS_PER_TAP = 1 / 125  # units of work (`clsco.opencl.pace`) per tap, counted as if all sources had the largest radius
+# Units of work (`clsco.opencl.pace`) per tap, if taps are counted as if all sources had the largest radius.
+UNITS_PER_TAP = 1 / 125
 
 Events = list[tuple[str, cl.Event]]
 Maps = Literal["none", "wide", "float"]
-"""Kind of the radii that `prepare_sources` reads: "none"; "wide", a map of real and a mask; "float", a map of float."""
+"""Radii that `prepare_sources` reads: "none"; "wide", a map of type real, and a mask; "float", a map of type float."""
 MAPS: tuple[Maps, ...] = ("none", "wide", "float")
 
 
@@ -82,7 +83,7 @@ class Target:
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
         origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue a kernel by `clsco.opencl.program.launch`, and append its name with each event to `events`."""
+        """Enqueue a kernel by `clsco.opencl.program.launch`; append pairs of its name and an event to `events`."""
         for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
             events.append((name, event))
 
@@ -98,8 +99,8 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
 class Image:
     """An image with guard band on the device, float (channels, height, width), and its blur radii.
 
-    maps: signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R as
-    float; empty for an image with a single radius.
+    maps: signed R in px, real (height, width), and a mask of pixels with known R, uchar (height, width); or only R, as
+    float, if it is known in all pixels; empty for an image with a single radius.
     """
 
     value: cl.Buffer
@@ -110,11 +111,14 @@ class Image:
 class Sources:
     """Sources of one time sample on the device, in the layout of trace.cl.
 
-    source: planes of sources in frame and guard band (sources.clh), None for "convolve" and "none"; value: their
-    radiance. sub_source, sub_value: sub-pixel sources in slots for `capacity` pixels, and their radiance. lens,
-    surfaces (of all objects), group (with the occluders), depth, sub_depth (inverse depths of both kinds of sources):
-    None if no light is hidden. radius: |R| of all sources in px, for "convolve" only. label: of the ray hits, if rays
-    were cast. bends: plane of `clsco.passes.bend.Bends`, if blurs are ellipses.
+    source: planes of sources in frame and guard band (sources.clh), None for "convolve" and "none"; value: radiance of
+    the sources; sub_source, sub_value: sub-pixel sources in slots for `capacity` pixels, and their radiance.
+
+    lens, surfaces, group, depth, sub_depth: for visibility tests, None if no light is hidden. surfaces: those of all
+    objects; group: has the occluders; depth, sub_depth: inverse depths of sources and of sub-pixel sources.
+
+    radius: |R| of all sources in px, for "convolve" only; label: label of the ray hits, if rays were cast; bends: plane
+    of `clsco.passes.bend.Bends`, if blurs are ellipses.
     """
 
     source: cl.Buffer | None
@@ -133,16 +137,17 @@ class Sources:
 
 
 BehindRims = Callable[[Any], dict[str, Any]]
-"""Returns for a job `lens`, `surfaces` and a `group` without occluders for `Sources`, so that only rims hide light."""
+"""Returns for a job the fields `lens`, `surfaces` and `group` of `Sources`, without occluders: only rims hide light."""
 
 
 def prepare_sources(
     target: Target, grid: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events,
     rims: tuple[object, ...] = (),
 ) -> None:  # fmt: skip
-    """Enqueue the kernel that turns a map of signed radii, as `Image.maps`, into the planes `source`.
+    """Enqueue the kernel that turns a map of signed radii, in the form of `Image.maps`, into the planes `source`.
 
-    psf: of the blur that will add the sources. rims: lens_t and a buffer for inverse depths, if rims cut their light.
+    psf: psf_t of the blur that will add the sources; rims: lens_t and a buffer for inverse depths if rims cut the light
+    of the sources, else empty.
     """
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source, *rims)
@@ -150,9 +155,9 @@ def prepare_sources(
 
 @dataclass(frozen=True)
 class Plane:
-    """An image of `rows` and `columns` on the device, as part of a larger array of floats.
+    """An image of `rows` and `columns` on the device that is part of a larger array of floats.
 
-    shape: channels, rows and columns of the array. top, left: its row and column with the first pixel of the image.
+    shape: channels, rows and columns of the array. top, left: row and column of the array at which the image begins.
     """
 
     buffer: cl.Buffer
@@ -164,7 +169,7 @@ class Plane:
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """Kernel arguments: buffer, and in floats the offsets between channels, of the first pixel, between rows."""
+        """Kernel arguments: buffer; in floats, distance of channels, start of the image and distance of rows."""
         _, height, pitch = self.shape
         return self.buffer, np.int32(height * pitch), np.int32(self.top * pitch + self.left), np.int32(pitch)
 
@@ -180,7 +185,7 @@ class Plane:
 
 
 def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
-    """The frame's part of an image with guard band: the blurred plane of a scene without blur; buffer: of the image."""
+    """The frame's part of an image with guard band: the blurred plane of a scene without blur. buffer: the image."""
     names = ("columns", "rows", "width", "height", "above", "guard")
     columns, rows, width, height, above, guard = (int(grid[name]) for name in names)
     return Plane(buffer, (channels, height, width), rows, columns, above, guard)
@@ -189,8 +194,8 @@ def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
 class BlurredPlane(ABC):
     """The blurred image of a time sample; base class of all methods of blur.
 
-    tallest: grid of the frame, or of the tallest of its strips. grid: grid_t of the first strip; `begin` changes it.
-    sizes: of `clsco.plan.buffers.blur_buffers`.
+    tallest: grid of the frame, or of the tallest of its strips; grid: grid_t of the first strip, replaced by `begin`;
+    sizes: sizes from `clsco.plan.buffers.blur_buffers`.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
@@ -206,7 +211,7 @@ class BlurredPlane(ABC):
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """Kernel arguments of the plane: length of a row, scratch columns on its left, buffer."""
+        """Kernel arguments of the plane: length of a row, number of scratch columns to its left, buffer."""
         return np.int32(self.pitch), np.int32(self.pad), self.total
 
     @property
@@ -232,7 +237,7 @@ class BlurredPlane(ABC):
     def add(self, sources: Sources, events: Events) -> None:
         """Enqueue kernels that add the blurred radiance of sources."""
 
-    def resolve(self, events: Events) -> None:  # noqa: B027  most methods add directly to that buffer
+    def resolve(self, events: Events) -> None:  # noqa: B027  most methods add directly to the plane
         """Enqueue kernels that convert the sums in `sink` to the image in `layout`; most methods need none."""
 
     def plane(self, events: Events) -> Plane:

@@ -50,8 +50,8 @@ class Layers:
 
 
 def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
-    """Target with the kernels of layered.cl for images of `channels` channels, in a program of their own, because they
-    depend on few features.
+    """Target with the kernels of layered.cl, for images of `channels` channels. The kernels have a program of their
+    own, because they depend on few features.
     """
     features = {"CHANNELS": channels + 1, "SCATTER": spec.method == "scatter", "RIMS": len(spec.psf.rims)}
     return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
@@ -141,7 +141,7 @@ class Clusters:
         run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, job.events, *args)
 
     def _extend(self, job: Job, image: Image, index: int, deep: int) -> Image:
-        """Compute depth layer number `index`, extended by its hidden part; deep: `LayerBounds.deep`."""
+        """Compute depth layer number `index`, from 1, with its hidden part; deep: `LayerBounds.deep`."""
         run, number, (width, height) = self.target.run, np.int32(index), _size(job.grid)
         layer, hidden, pyramid = (self.buffers[name] for name in ("layer", "hidden", "pyramid"))
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))

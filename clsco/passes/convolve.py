@@ -18,12 +18,12 @@ from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
 
 BITS = 56  # bits of a sum over a disc
-# Sums that omit DROPPED_BITS lose less than a unit per row of a disc: at most (2 R + 1) 2^-29 of the brightest source,
+# Sums without DROPPED_BITS lose less than a unit per row of a disc: at most (2 R + 1) 2^-29 of the brightest source,
 # 2e-7 at R = 60, and 1e-8 RMS. If the radiance exceeds BRIGHTEST times white, sums have 64 bits, so that the loss does
 # not affect darker pixels nearby.
 BRIGHTEST = 4.0
 
-Layout = tuple[cl.Buffer | None, int, int, int]  # buffer, offset of a plane, offset of its pixel (0, 0), pitch
+Layout = tuple[cl.Buffer | None, int, int, int]  # buffer, offset of a plane, offset in it of pixel (0, 0), pitch
 
 
 class Convolve(BlurredPlane):
@@ -67,7 +67,9 @@ class Convolve(BlurredPlane):
             self._convolve(last, (rows, columns), source, last[0].share * unit, target, events)
 
     def _tables(self, number: int, stencil: Stencil) -> list[cl.Buffer | None]:
-        """Upload runs, weights and pairs of stencil number `number`, after queued launches that read the buffers."""
+        """Buffers of the runs, weights and pairs of stencil number `number` of a chain, None for an array that is
+        empty. The arrays are copied to the buffers after the queued launches that read the previous ones.
+        """
         arrays = {"runs": stencil.runs, "weights": stencil.weights, "pairs": stencil.pairs}
         return [self.stencils[f"{k} {number}"].fill(a) if a.size else None for k, a in arrays.items()]
 
@@ -84,7 +86,7 @@ class Convolve(BlurredPlane):
         self, step: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
         target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
-        """Enqueue a convolution; share: weight of sums over rectangles; target: buffer, offset of pixel 0, pitch."""
+        """Enqueue a convolution. share: weight of sums over rectangles; target: buffer, offset of pixel 0, pitch."""
         stencil, (runs, weights, pairs) = step
         args = (
             *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(stencil.runs)), weights,

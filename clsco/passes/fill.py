@@ -36,15 +36,17 @@ CHAPTER5 = MeanMedian()
 
 @dataclass
 class FillPlanes:
-    """Buffers of fill.cl, with guard band; the caller writes `value` to `object` before the filling.
+    """Buffers of fill.cl, with guard band; before the filling, the caller writes the first six, `value` to `object`.
 
     value: float (CHANNELS, height, width), radiance. w, coc: real, inverse depth in 1/mm and signed R in px. valid:
-    uchar, 1 if known or filled, else 0 (value, w and coc are then 0). status: uchar, 0 known or not missing, 1 filled,
-    2 missing and not filled. object: uchar, number of the visible object, 255 for none and in the mirror image around a
-    depth map; None if the scene has a single object. indices: lists of missing pixels before and after a sweep, an int
-    per pixel; used only during the filling. spans, grown: first and last valid pixel of each line, before and after a
-    sweep. counters: numbers of pixels. far: bounds on the depth of neighbors, if holes are filled from the far side.
-    done to other_w: of mean/median filling, else None.
+    uchar, 1 for known or filled pixels, 0 for others, whose value, w and coc are 0. status: uchar, 0 known or not
+    missing, 1 filled, 2 missing and not filled. object: uchar, number of the visible object, 255 for none and in the
+    mirror image around a depth map; None if the scene has a single object.
+
+    indices: lists of missing pixels before and after a sweep, an int per pixel; used only during the filling. spans,
+    grown: first and last valid pixel of each line, before and after a sweep. counters: numbers of pixels, see
+    COUNTER_LEFT. far: bounds on the depth of neighbors; empty unless holes are filled from the far side. done, sums,
+    other_value, other_w: buffers of mean/median filling, else None.
     """
 
     value: cl.Buffer
@@ -80,9 +82,9 @@ class FillPlanes:
 class Filler:
     """Fills missing pixels of planes on one device (4.3.5, chapter 5).
 
-    target: has the kernels of fill.cl, and for mean/median filling of score.cl and fill_mean_median.cl, in a program
-    built for `features`. lens: determines the radii of filled pixels. sizes: of `clsco.plan.buffers.fill_buffers`.
-    Validated against `clsco.reference.inpainting.fill`.
+    target: has the kernels of fill.cl and, for mean/median filling, of score.cl and fill_mean_median.cl, in a program
+    built for `features`; lens: determines the radii of filled pixels; sizes: sizes from
+    `clsco.plan.buffers.fill_buffers`. Validated against `clsco.reference.inpainting.fill`.
     """
 
     def __init__(self, target: Target, grid: Struct, lens: Struct, features: Mapping[str, int], sizes: Sizes) -> None:
@@ -96,8 +98,8 @@ class Filler:
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
         """Fill missing pixels sweep by sweep; returns the fields of `clsco.reference.inpainting.fill.FillReport`.
 
-        surfaces: `count` surface_t; with domain "surface", only pixels whose rays hit one of them are filled.
-        brightest: largest radiance. Waits for the device once per sweep.
+        surfaces: buffer of `count` surface_t; with domain "surface", only pixels whose rays hit one of these surfaces
+        are filled. brightest: largest radiance. Waits for the device once per sweep.
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
         source, remaining = self.planes.indices
@@ -116,7 +118,7 @@ class Filler:
                 filled += counts[COUNTER_FILLED_INSIDE]
                 first = filled if sweeps == 1 else first
             elif minimum > least:
-                minimum -= 1  # a sweep that fills nothing accepts fewer neighbors, at 0 also those on the near side
+                minimum -= 1  # after a sweep that fills nothing, fewer known neighbors suffice; 0 allows the near side
             else:
                 break
         if self.smooths and counts[COUNTER_DONE]:
@@ -138,7 +140,7 @@ class Filler:
         return self._read_counters()
 
     def _depths(self) -> tuple[cl.Buffer, ...]:
-        """Kernel arguments: depths, and the bounds on the depth of neighbors; empty if depths do not matter."""
+        """Kernel arguments: depths and the bounds on depths of neighbors, to fill from the far side; else empty."""
         return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
@@ -157,7 +159,7 @@ class Filler:
     def _settle(
         self, placed: tuple[Any, ...], source: cl.Buffer, remaining: cl.Buffer, count: int, events: Events
     ) -> list[int]:
-        """End a sweep over the list `source`: write still missing pixels to `remaining`; returns the counters."""
+        """End a sweep over the list `source`: list the pixels still missing in `remaining`; returns the counters."""
         p = self.planes
         cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
@@ -169,7 +171,9 @@ class Filler:
         return self._read_counters()
 
     def _score(self, brightest: float, events: Events) -> int:
-        """Bits k of the counts of known neighbors for which the median is a better estimator than the mean."""
+        """Integer whose bit k is set if the median is a better estimator than the mean for pixels with k known
+        neighbors.
+        """
         scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
         args = (self.grid, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
         self.target.run("score_mean_median", (scored,), OWNERS, events, *args)
@@ -177,7 +181,7 @@ class Filler:
         return bits_of(score.median_wins())
 
     def _smooth(self, count: int, events: Events) -> None:
-        """Smooth the `count` filled pixels by rounds of the median, which alternate between two sets of planes."""
+        """Smooth the `count` filled pixels by rounds of the median, which alternately write to two sets of planes."""
         p = self.planes
         current, next_ = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(current, next_, strict=True):

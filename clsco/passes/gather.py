@@ -21,12 +21,14 @@ HIDDEN_TAP = 3e-9  # assumed time in s of a tap of a partly hidden source, inclu
 LONGEST = 2.0  # longest time in s, at HIDDEN_TAP per tap, of a launch that is not cut into pieces
 VECTOR = 1.5e-9  # assumed time in s of a vector of taps, until its time is measured
 BRIEF = 2  # factor by which the first piece is planned shorter than later pieces
-MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # the last two as in gather.cl
+MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # OTHERS and DONE as in gather.cl
 INT2 = cl.cltypes.int2
 
 
 class Gather(TableBlur):
-    """Method "gather": each work-item gathers what reaches its band of rows; few bands at a time save memory."""
+    """Method "gather": each work-item gathers the sources that reach its band of rows. If bands need memory of their
+    own, few of them are processed at a time.
+    """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)
@@ -35,7 +37,7 @@ class Gather(TableBlur):
         self.tap_tables = tuple(
             upload_cached(session, array, (table.place, name)) if array.size else None for name, array in arrays.items()
         )
-        # Number of rows of sources after which partial sums are added to the frame; 0 without partial sums.
+        # Number of rows of sources after which partial sums are added to the total; 0 without partial sums.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
         self.ends = (filled_with(session, sizes["ends"]),) if "ends" in sizes else ()

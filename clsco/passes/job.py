@@ -1,4 +1,4 @@
-"""Jobs: what passes process, a part of an image or of a scene's frame at a time sample."""
+"""Jobs: the part of an image, or of a scene's frame at a time sample, that passes process."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Surfaces = tuple[PlacedSurface | None, ...]  # surface of every object, None for
 class Job:
     """The part of an image that passes process.
 
-    grid: of the strip. events: list to which names of kernels and events of their launches are appended. bounds: of
-    depth layers, if they were computed from all strips: one entry for all colors, or one per color.
+    grid: grid_t of the strip; events: list to which passes append pairs of a kernel's name and the event of its launch;
+    bounds: bounds of depth layers, if they were computed from all strips: one entry for all colors, or one per color.
     """
 
     strip: Strip
@@ -37,9 +37,9 @@ class Job:
 class TimeSample:
     """The objects of a scene at one time.
 
-    time: in s since the reference pose. camera: with its lens at that time. poses: of each object relative to the
-    camera, which may also move. packed: surface_t of each object; surfaces: the same on the device. light: light_t in a
-    tuple; empty if the scene has no light.
+    time: in s since the reference pose; camera: the camera at that time; poses: pose of each object relative to the
+    camera, which may also move; packed: surface_t of each object on the host; surfaces: the same on the device; light:
+    a tuple with light_t, empty if the scene has no light.
     """
 
     time: float
@@ -55,10 +55,10 @@ class TimeSample:
 class SceneJob(Job):
     """The part of a scene's frame at a time sample that passes process.
 
-    weights: of the time sample in the rows of `strip`, or in all columns of the frame. is_first: True for the first
-    time sample of the whole strip, which begins the sum. whole_strip: of the frame; in its part `strip` the time sample
-    has a weight. noise_stream: `clsco.optics.sensor.camera_word`, but None before the last time sample of the whole
-    strip.
+    whole_strip: a strip of the frame; the inherited `strip` is the part of it in which the time sample has a weight.
+    weights: weights of the time sample in the rows of `strip`, or in all columns of the frame. is_first: True for the
+    first time sample of `whole_strip`, which begins the sum. noise_stream: `clsco.optics.sensor.camera_word` for the
+    last time sample of `whole_strip`, None for the earlier ones.
     """
 
     sample: TimeSample

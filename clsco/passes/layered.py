@@ -90,7 +90,7 @@ class DepthLayers:
         return Sources(self.source, image.value, **behind)
 
     def _keep(self, job: Job, edge: cl.Buffer, near_edges: bool) -> None:
-        """Discard the sources away from edges if `near_edges` is True, else those near edges."""
+        """Discard the sources away from edges if `near_edges` is True, otherwise those near edges."""
         size = int(job.grid["width"]), int(job.grid["height"])
         args = (job.grid, np.int32(near_edges), edge, self.source)
         self.target.run("keep_sources", size, PIXELS, job.events, *args)

@@ -25,16 +25,17 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.records import MOST_RIMS, Real, Struct, filled, structs
 from clsco.scene.model import Camera, Object
 
-EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an unbounded object in a scene with a bounded one
+EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object without bounds, in a scene in which another has bounds
 
 
 def grid_struct(
     rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0,
     rest_step: float | None = None,
 ) -> Struct:  # fmt: skip
-    """grid_t of a frame of `rows` and `columns`, or of its strip, with a guard band in px.
+    """grid_t of a frame of `rows` and `columns`, or of its strip, with a guard band of `guard` px.
 
-    step: slope between the rays of neighboring pixels, if rays are cast; rest_step: in the reference pose.
+    step: slope between the rays of neighboring pixels, if rays are cast; rest_step: that slope in the reference pose,
+    by default `step`.
     """
     part = strip or Strip(0, rows, guard, guard)
     values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
@@ -56,7 +57,7 @@ def camera_grid(
 
 
 def towards(grid: Struct, camera: Camera) -> Struct:
-    """A copy of grid_t with the rays of another camera, which differs in its focal length or magnification."""
+    """A copy of a grid_t with the rays of another camera, which has another focal length or magnification."""
     grid = grid.copy()
     grid["step"] = ray_step(camera)
     if (distortion := distortion_of(camera)) is not None:
@@ -65,7 +66,9 @@ def towards(grid: Struct, camera: Camera) -> Struct:
 
 
 def _set_start(grid: Struct, distortion: Distortion) -> None:
-    """Set the first guess of Newton's method, which undistorts rays, and its steps for all rays, also at rest."""
+    """Set the first guess and the number of steps of Newton's method, which undistorts rays. They suffice for all rays
+    of frame and guard band, also for those of the reference pose.
+    """
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
     grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
 
@@ -84,9 +87,10 @@ def lens_struct(lens: Lens, real: Real) -> Struct:
 def surface_structs(
     items: Sequence[Object], surfaces: Sequence[PlacedSurface | None], real: Real, textures: Sequence[int] | None = None
 ) -> NDArray[np.void]:
-    """surface_t of each object, (objects,), as placed in front of the camera; textures: their numbers, by default 0.
+    """surface_t of each object, (objects,), as placed in front of the camera; a depth map has no surface.
 
-    That of a depth map, which has no surface, holds only the center of rotation and the texture.
+    Its surface_t holds only the center of rotation and the texture. textures: number of each object's texture, by
+    default 0.
     """
     numbers, array = textures or [0] * len(items), np.zeros(len(items), structs(real)["surface_t"])
     for k, fields in enumerate(zip(items, surfaces, numbers, strict=True)):
@@ -110,8 +114,10 @@ def _surface_struct(item: Object, surface: PlacedSurface | None, texture: int, r
 def texture_map_structs(
     maps: Sequence[TextureMap | None], bases: Sequence[int], psf: PointSpread, covered: float, real: Real
 ) -> NDArray[np.void]:
-    """texture_map_t of each object, (objects,); maps: None for a projected texture; bases: index of the first float of
-    each mipmap; covered: value of the last channel outside of a texture's image, 1 if that channel is coverage, else 0.
+    """texture_map_t of each object, (objects,).
+
+    maps: mapping of each texture, None for a projected texture; bases: index of the first float of each mipmap;
+    covered: value of the last channel outside of a texture's image, 1 if that channel is coverage, else 0.
     """
     packed = []
     for texture, base in zip(maps, bases, strict=True):
@@ -143,7 +149,7 @@ def group_struct(group: OcclusionGroup, objects: int) -> Struct:
 
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
-    """psf_t of a PSF; table, subpixel: its tables for pixels, and for sub-pixel sources if there are any."""
+    """psf_t of a PSF. table: its table for pixels; subpixel: its table for sub-pixel sources, None without these."""
     names = ("first", "count", "low", "end", "stride")
     values: dict[str, Any] = {name: getattr(table, name) for name in names}
     values |= {"reach": max(table.reach, subpixel.reach if subpixel else 0), "key": psf.key, "lens_extent": psf.extent}
@@ -163,7 +169,9 @@ def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, rea
 
 
 def texture_planes(radiances: Sequence[NDArray[np.float32]], channels: int) -> NDArray[np.float32]:
-    """Channel planes (textures, channels, rows, columns); gray textures are repeated; a single one is not copied."""
+    """Channel planes (textures, channels, rows, columns). Gray textures are repeated in all channels. A single gray
+    texture for one channel is not copied.
+    """
     planes = [radiance[None] if radiance.ndim == 2 else np.moveaxis(radiance, -1, 0) for radiance in radiances]
     if len(planes) == channels == 1:
         return planes[0][None]

@@ -28,15 +28,16 @@ from clsco.passes.pack import light_struct, pose_structs, surface_structs, textu
 from clsco.records import Real
 from clsco.scene.model import Camera, Scene
 
-# Largest ratio of a source to the brightest texel: 1 + 4 c, with c < 0.0901 (kernels/trace/footprint.clh).
+# Largest ratio of the radiance of a source to that of the brightest texel: 1 + 4 c, with c < 0.0901
+# (kernels/trace/footprint.clh).
 MOST_DETAIL = 1.37
 
 
 class PlacedScene:
     """A scene with a resolution on a device; keeps uploaded arrays until `release`, as launches may read them later.
 
-    textures: of every object (`clsco.inputs.textures.load_scene_textures`). real: precision of the geometry. eye: view
-    of a stereo pair; "left" without one. covered: True if the last channel is coverage.
+    textures: textures of all objects (`clsco.inputs.textures.load_scene_textures`); real: precision of the geometry;
+    eye: view of a stereo pair, "left" for the only view of a scene; covered: True if the last channel is coverage.
     """
 
     def __init__(
@@ -50,7 +51,7 @@ class PlacedScene:
         self.brightest = max(gain * texture.brightest for gain, texture in zip(gains, textures, strict=True))
         pairs = list(zip(textures, scene.objects, strict=True))
         projected = [texture for texture, item in pairs if item.mapped is None]
-        # Each texture once, even if several objects share it, in an order that does not depend on that of the objects.
+        # A texture that several objects share is here once. The order does not depend on the order of the objects.
         self.stack = sorted(dict.fromkeys(projected), key=lambda texture: repr(texture.content))
         self.texture_of = [self.stack.index(texture) if item.mapped is None else 0 for texture, item in pairs]
         self.mapped = list(dict.fromkeys(texture for texture, item in pairs if item.mapped is not None))
@@ -90,7 +91,7 @@ class PlacedScene:
 
     @property
     def _mipmap_starts(self) -> list[int]:
-        """Index in `texture` of the first float of each mipmap, and the number of floats."""
+        """Index in `texture` of the first float of each mipmap, followed by the number of all floats."""
         base = sum(self.channels * texture.radiance.shape[0] * texture.radiance.shape[1] for texture in self.stack)
         sizes = [(*reversed(texture.radiance.shape[:2]), len(texture.images)) for texture in self.mapped]
         floats = [mipmap_floats(columns, rows, self.channels, images) for columns, rows, images in sizes]
@@ -113,7 +114,7 @@ class PlacedScene:
         return texture_map_structs(maps, first, self.psf, float(self.covered), self.real)
 
     def at(self, time: float, eye: Eye | None = None) -> TimeSample:
-        """The objects at a time in s, as seen in the view `eye`, by default its own; cached until `release`."""
+        """The objects at a time in s, as seen in the view `eye`, by default the scene's; cached until `release`."""
         key = time, eye or self.eye
         if key not in self._samples:
             sample = self.posed(poses_at(self.scene, *key), time, camera_at(self.scene, time))

@@ -24,9 +24,10 @@ RECIPROCALS = reciprocals_of_counts()
 
 @dataclass(frozen=True)
 class Codes:
-    """Codes of a sensor on the device, and 1 for saturated pixels: ushort and uchar of `shape`.
+    """Codes of a sensor on the device.
 
-    shape: planes, rows, and columns with padding to whole vectors; columns: without padding.
+    code: ushort of `shape`; saturated: uchar of `shape`, 1 for saturated pixels; shape: planes, rows, and columns with
+    padding to whole vectors; columns: number of columns without padding.
     """
 
     code: cl.Buffer

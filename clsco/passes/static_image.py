@@ -1,4 +1,4 @@
-"""Images with known blur radii, and static depth maps, which the host uploads strip by strip."""
+"""Images with known blur radii, and static depth maps; the host uploads both strip by strip."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 class HostImage(ABC):
     """An image (rows, columns[, channels]) and its signed radii, in host memory.
 
-    guard: px of the guard band, which holds mirror images, as of textures, or 0 with outside = "constant".
+    guard: width of the guard band, px. The band holds mirror images, as for textures, or 0 with outside = "constant".
     """
 
     def __init__(
@@ -38,12 +38,17 @@ class HostImage(ABC):
 
     @abstractmethod
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
-        """Signed radii "coc" on the source grid of a strip, and possibly the mask "valid" of known radii."""
+        """Signed radii "coc" on the source grid of a strip; for a depth map also the mask "valid" of known radii.
+
+        For an image of a user there is no mask, as all its radii are known; if its pixels have one radius, the result
+        is empty.
+        """
 
     def image(self, job: Job, buffers: Mapping[str, cl.Buffer]) -> Image:
         """Upload the image of a strip to the buffers "value", "coc" and "valid".
 
-        Without a buffer, kernels read the host's array in place; "valid" stays unchanged if `radii` returns no mask.
+        If there is no buffer of a name, kernels read the host's array in place. The buffer "valid" is not written if
+        `radii` returns no mask.
         """
         value = self._send(buffers.get("value"), flat(self._around(self.radiance, job.strip), np.float32))
         uploaded = {name: self._send(buffers.get(name), array) for name, array in self.radii(job.strip).items()}
@@ -61,9 +66,9 @@ class HostImage(ABC):
 
 
 class StaticMap(HostImage):
-    """Image and depth map of a static scene; seen from the original viewpoint, its pixels are the pinhole image.
+    """Image and depth map of a static scene, whose pixels are the pinhole image from the viewpoint of the map.
 
-    radiance: (rows, columns[, channels]). inverse_depth: (rows, columns), 1/mm, 0 without a surface. Validated against
+    radiance: (rows, columns[, channels]); inverse_depth: (rows, columns), 1/mm, 0 without a surface. Validated against
     `clsco.reference.render`, which moves every pixel.
     """
 
@@ -100,7 +105,7 @@ class StaticMap(HostImage):
         return (ends[0] | ends[1]) & ~valid
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Outputs of ground truth that depend on single pixels only, as from `clsco.passes.warp.ForwardWarp.truth`."""
+        """Outputs of ground truth that depend on single pixels only, like those of the method `truth` of a warp."""
         w, valid = self.inverse_depth, self.inverse_depth > 0
         mask = valid if self.radiance.ndim == 2 else valid[..., None]
         radii = self._radii(w, 0)

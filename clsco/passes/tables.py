@@ -1,4 +1,4 @@
-"""Caches of PSF weights: tables in the memory of the process, and the blocks that tables consist of also on disk."""
+"""Caches of PSF weights: tables in the memory of the process; the blocks of which tables consist, also on disk."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ R = TypeVar("R", PsfTable, WeightBlock)
 
 
 class TableStore:
-    """PSF tables of this process, with blocks of weights also on `disk`. Threads may share it.
+    """PSF tables of this process, and their blocks of weights, which are also on `disk`. Threads may share a store.
 
-    limit: of the memory of tables in bytes; the least recently used are evicted, except the latest two.
+    limit: memory limit of the tables in bytes; the least recently used tables are evicted, except the latest two.
     """
 
     def __init__(self, disk: ArrayCache, limit: int = CACHE_BYTES) -> None:
@@ -45,9 +45,9 @@ class TableStore:
     ) -> PsfTable:
         """The table of `clsco.optics.psf_tables.psf_table`, cut from a cached table if that includes the radii.
 
-        A PSF's cached table of up to JOINED_BYTES is extended to include new radii. Of its larger tables only the
-        latest is cached, so that a series of renderings with wide blur does not fill the memory. go_on: called before
-        each block is computed; may raise.
+        If the cached table of a PSF takes up to JOINED_BYTES, it is extended to include new radii. Of the larger tables
+        of a PSF only the latest is cached, so that a series of renderings with wide blur does not fill the memory.
+        go_on: called before each block is computed; may raise an error.
         """
 
         def block(psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
@@ -68,7 +68,7 @@ class TableStore:
                     span = wider
                 built = table_of(psf, span, subpixel, block, joined_in_pages)
                 table = self._tables[key] = _in_pages(replace(built, place=place))
-                trim()  # memory that building it used
+                trim()  # memory that building the table used
             self._tables.move_to_end(key)
             # A rendering has two tables, for pixels and for sub-pixel sources, and neither must evict the other.
             while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 2:
@@ -98,7 +98,7 @@ class TableStore:
 
 @cache
 def _code() -> str:
-    """Digest of the code that computes blocks, so that other versions do not read them."""
+    """Digest of the code that computes blocks, so that other versions of the code do not use blocks of this one."""
     return code_digest(constants, point_spread, pupils, psf_blocks, psf_grid)
 
 
@@ -109,7 +109,7 @@ def shared_tables() -> TableStore:
 
 
 def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | None]:
-    """Tables of weights for pixels, and for sub-pixel sources or None if there are none. Raises CanceledError."""
+    """Tables of weights for pixels, and for sub-pixel sources, None without such sources. Raises CanceledError."""
 
     def table(subpixel: int) -> PsfTable:
         return shared_tables().table(spec.psf, spec.smallest, spec.largest, subpixel, session.go_on)

@@ -34,12 +34,12 @@ TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
 
-HitPlanes = tuple[cl.Buffer, ...]  # value, depth and label, as in trace.cl
+HitPlanes = tuple[cl.Buffer, ...]  # planes of value, depth and label, see trace.cl
 Cast = Callable[[HitPlanes], None]
 
 
 class HitKey(NamedTuple):
-    """Cache key of ray hits: all that they depend on; `textures` is None if hits cannot be cached."""
+    """Cache key of ray hits, with all that the hits depend on; `textures` is None if hits cannot be cached."""
 
     group: OcclusionGroup
     cast: Hashable
@@ -49,7 +49,8 @@ class HitKey(NamedTuple):
 class LatestHits:
     """Cache of each occlusion group's hits at the latest time sample, for the lenses of a sweep.
 
-    `planes` returns the planes with the hits; on a cache miss, `cast` enqueues the kernel for them.
+    `planes` returns the planes of the hits; if they are not cached, it calls `cast`, which enqueues the kernel that
+    fills them.
     """
 
     def __init__(self, session: Session) -> None:
@@ -92,8 +93,8 @@ class Tracer:
     """Casts the rays of a plan.
 
     buffers: named as in `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`, shared by all
-    colors; those of slots are replaced if more slots are needed. psf: psf_t of the blur that will add the sources.
-    hits: shared with other lenses; by default, rays are cast for this lens alone.
+    colors; buffers of slots are replaced if more slots are needed. psf: psf_t of the blur that will add the sources.
+    hits: ray hits shared with other lenses; by default, rays are cast for this lens alone.
     """
 
     plan: Plan
@@ -113,7 +114,7 @@ class Tracer:
         return Bends(self.target, self.plan.scene)
 
     def _bends(self, job: SceneJob, *names: str) -> tuple[cl.Buffer, ...]:
-        """Kernel arguments: planes of the lens's effect on rays, "bends" or "slopes", as far as the lens has them."""
+        """Kernel arguments: those of the planes "bends" and "slopes" in `names` that the lens has."""
         planes = self.bends.planes(job.grid, self.lens(job), job.events)
         return tuple(planes[name] for name in names if name in planes)
 
@@ -133,7 +134,7 @@ class Tracer:
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
     def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources:
-        """Sources of one occlusion group. Overwrites those of the previous group."""
+        """Sources of one occlusion group; they overwrite those of the previous group."""
         plan, buffers, head = self.plan, self.buffers, self._head(job, group)
         sizes = hit_buffers(plan.grid, plan.mapped > 0)
         if self.hits is None:
@@ -186,7 +187,9 @@ class Tracer:
         return self.buffers["pixels"].size // 4
 
     def _assign_slots(self, job: SceneJob, sources: Sources) -> int:
-        """Assign slots to pixels that need sub-pixel sources, and add slots if needed; returns their number. Waits."""
+        """Assign slots to pixels that need sub-pixel sources, and add slots if there are too few. Returns the number of
+        these pixels; waits for the device.
+        """
         session, statistics = self.target.session, self.buffers["statistics"]
         runs = -(-int(job.grid["width"]) // TAP_LANES), int(job.grid["height"])
         first_slot = np.zeros(1, np.int32)
@@ -217,7 +220,7 @@ class Tracer:
 
     @cached_property
     def _hit_features(self) -> Hashable:
-        """Precision, and the features of the kernels on which ray hits depend."""
+        """The features of the kernels on which ray hits depend, and the precision of the geometry."""
         features = self.plan.features()
         return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
 

@@ -37,7 +37,7 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Computes the outputs of a plan besides color; `pixels`: of the reference pose, None if rays are cast."""
+    """Computes the outputs of a plan besides color. pixels: those of the reference pose, None if rays are cast."""
 
     plan: Plan
     scene: PlacedScene
@@ -102,8 +102,9 @@ class GroundTruth:
     ) -> tuple[Any, ...]:  # fmt: skip
         """Kernel arguments, between the grid and the outputs, for a frame or one of its lines.
 
-        Objects: in the reference pose, in this frame, in the next frame, in the other view of a stereo pair, None if
-        not needed, and in the previous frame.
+        The arguments are the objects at different times: reference: in the reference pose; sample: in this frame;
+        after: in the next frame; other_view: in the other view of a stereo pair; earlier: in the previous frame. The
+        last two are None if they are not needed.
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
@@ -119,7 +120,7 @@ class GroundTruth:
         self, strip: Strip, camera: Camera, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
         size: tuple[int, int], origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        """Enqueue the rays of a block of pixels; size, origin: columns and rows, and first pixel in the strip."""
+        """Enqueue the rays of a block of pixels. size: its columns and rows; origin: its first pixel in the strip."""
         grid = camera_grid(camera, self.plan.guard_px, self.scene.real, strip, self.plan.scene.camera)
         out = (buffers["mask"], *(buffers.get(name) for name in RAY_OUTPUTS))
         local = PIXELS if size[0] > 1 else PIXELS[::-1]
@@ -143,7 +144,7 @@ class GroundTruth:
         return out | (self._between_lines(index, out) if set(LINE_OUTPUTS) & set(plan.truth) else {})
 
     def _between_lines(self, index: int, outputs: Arrays) -> Arrays:
-        """Flow, disparity and their occlusion with a rolling shutter, computed from the other `outputs`."""
+        """Flow, disparity and masks of occluded points with a rolling shutter, computed from the other `outputs`."""
         plan, out = self.plan, Arrays()
         items, eye = plan.scene.objects, plan.eye
         points = LinePoints(items, outputs["depth"], outputs["object_id"], lines_of(plan.scene, index, eye))
@@ -162,7 +163,9 @@ class GroundTruth:
         return out
 
     def _split_colors(self, outputs: Arrays, times: NDArray[np.float64]) -> None:
-        """Replace R by one per color if the lens separates them; times: in s, one, or one per line that broadcasts."""
+        """If the lens separates colors, replace the blur radius in `outputs` by one radius per color. times: time in s
+        of the ground truth, or times of its lines in a shape that broadcasts to the image.
+        """
         if not self.plan.scene.separates_colors or "blur_radius" not in outputs:
             return
         sizes, shifts, steps = np.empty((*times.shape, 3)), np.empty((*times.shape, 3)), np.empty(times.shape)
@@ -178,7 +181,7 @@ class GroundTruth:
     def _stretch(self, steps: NDArray[np.float64]) -> NDArray[np.float64] | float:
         """Ratio (rows, columns, 1) of sizes in the distorted image to sizes without distortion; 1 without distortion.
 
-        steps: slope between neighboring rays, one or for each line.
+        steps: slope between neighboring rays, for the frame or for each line.
         """
         distortion = Distortion.of(self.plan.scene.lens)
         if distortion is None:
@@ -218,7 +221,7 @@ class GroundTruth:
         if isinstance(pixels, StaticMap):
             out = pixels.truth()
         elif isinstance(pixels, ForwardWarp):
-            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # others need these
+            out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # for other outputs
         self._split_colors(out, np.array(time))
         beyond = self._clear_background(out)
         points = MapPoints(plan.scene.objects, out["depth"], out["object_id"], now.camera, now.poses)

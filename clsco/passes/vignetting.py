@@ -25,7 +25,7 @@ def _share(camera: Camera, kind: Kind) -> NDArray[np.float32]:
 
 
 class Vignetting:
-    """Multiplies planes by the vignetting of the lens, in place, but not a channel of coverage after the `colors`.
+    """Multiplies planes in place by the vignetting of the lens, except a channel of coverage after the color channels.
 
     Validated against `clsco.optics.vignetting.throughput`.
     """

@@ -27,7 +27,7 @@ from clsco.records import REAL, structs
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
 NOWHERE = np.array(NO_WINNER, np.int32)
 
-# Bands of rows in reproject_nearest: few, as each band reads all segments of sources, but enough for all cores.
+# Bands of rows in reproject_nearest: few, because each band reads all segments of sources, but enough for all cores.
 BANDS_PER_CORE, SMALLEST_BAND = 4, 16
 
 SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
@@ -36,8 +36,8 @@ SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDE
 def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     """Features that warp.cl and fill.cl are compiled for.
 
-    In a scene with a depth map, whose outline rays cannot find, domain "surface" is replaced by "span". FILL_FAR: holes
-    are filled from their far side, as with several objects or a depth map their sides may be at different depths.
+    In a scene with a depth map, whose outline rays cannot find, domain "span" replaces "surface". FILL_FAR: holes are
+    filled from their far side, because with several objects or a depth map their sides may be at different depths.
     """
     fill, mapped = plan.scene.fill, not plan.scene.is_analytic
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
@@ -55,9 +55,9 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
 class ForwardWarp:
     """Moves the pixels of a scene's reference pose to their positions at a time, and fills missing pixels.
 
-    maps: inverse depth (rows, columns) in 1/mm of every object that is a depth map, 0 without a surface; None for
+    maps: for each object that is a depth map, its inverse depth (rows, columns) in 1/mm, 0 without a surface; None for
     others. owned: True for the depth test in which each work-item owns a band of the image, False for the one by
-    atomics; both give the same bits. By default True on processors. Validated against `clsco.reference.warp.warp` and
+    atomics, by default True on processors; both give the same bits. Validated against `clsco.reference.warp.warp` and
     `clsco.reference.inpainting.fill`.
     """
 
@@ -71,18 +71,18 @@ class ForwardWarp:
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
         self.filler = Filler(self.kernels, self.grid, self.lens, features, fill_sizes(plan.scene, plan.grid))
-        # The filling, which follows the moving of pixels, uses the same buffers for its lists.
+        # The filling, which starts when the pixels have been moved, uses the same buffers for its lists.
         self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)
         self.rest, self.moved = (empty(session, sizes[name]) for name in ("rest", "moved"))
         self.object = (empty(session, sizes["object"]),) if "object" in sizes else ()
-        if self.object:  # kernels move one object after another, and only its own pixels
+        if self.object:  # kernels move one object at a time, and write only the pixels of that object
             for buffer in (self.target, self.moved):
                 cl.enqueue_fill_buffer(session.queue, buffer, ZERO, 0, buffer.size)
         depths = [depth for depth in maps if depth is not None]
         self.maps = (upload(session, np.stack(depths).astype(REAL[real])),) if depths else ()
         self.bounds = empty(session, sizes["bounds"]) if self.owned else None
-        # The buffer of radii is free until the radii are written.
+        # The buffer of radii is unused until the radii are written.
         self.depth = self.filler.planes.coc if self.owned else empty(session, self.winner.size)
         reference = scene.in_reference_pose()
         self.rest_surfaces = reference.surfaces
@@ -94,7 +94,7 @@ class ForwardWarp:
     def warp(self, sample: TimeSample, events: Events) -> FillPlanes:
         """Move the pixels of the reference pose to a time sample, and fill missing pixels as the scene specifies.
 
-        Returns the planes, (height, width) with guard band; the next sample overwrites them.
+        Returns planes (height, width) with guard band, which the next call overwrites.
         """
         self.nearest(sample, events)
         self.gather(events)
@@ -114,7 +114,7 @@ class ForwardWarp:
         return counters
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
-        """Enqueue the depth test: the target of each pixel of the reference pose, and the nearest source of each."""
+        """Enqueue the depth test, which finds the target of each reference pixel and each target's nearest source."""
         scene, real = self.plan.scene, self.scene.real
         if scene.lens_moves or self.plan.only is not None:
             self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)
@@ -147,10 +147,11 @@ class ForwardWarp:
     def truth(self, sample: TimeSample, names: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
         """The arrays in `names` that the warp has, (rows, columns[, channels]), float32 unless stated otherwise.
 
-        "sharp": radiance after the move; "filled": `FillPlanes.status`, uint8. For a scene with a depth map, which rays
-        cannot hit, also the surface in each known or filled pixel, as of the source that was moved to it, up to half a
-        pixel from its center: "depth" in mm, +inf without a surface, float64 as normals are computed from its
-        differences; "blur_radius" in px, 0 without a surface; "mask", bool; "object_id", int32, -1 without a surface.
+        "sharp": radiance after the move; "filled": `FillPlanes.status`, uint8. A scene with a depth map, which rays
+        cannot hit, also has arrays of the surface in each known or filled pixel; the values are those of the source
+        that was moved to the pixel, up to half a pixel from its center: "depth" in mm, +inf without a surface, float64
+        because normals are computed from its differences; "blur_radius" in px, 0 without a surface; "mask", bool;
+        "object_id", int32, -1 without a surface.
         """
         plan = self.plan
         available = {"sharp", "filled"} | ({"depth", "blur_radius", "mask", "object_id"} if self.maps else set())
@@ -206,6 +207,6 @@ class ForwardWarp:
             self.kernels.run(name, (end - first,), LINES, events, self.grid, np.int32(first), np.int32(end), *args)
 
     def _per_chunk(self, name: str, events: Events, *args: Any) -> None:
-        """Run a kernel for all pixels, of OWNED_PIXELS per work-item if these own bands."""
+        """Run a kernel for all pixels, OWNED_PIXELS of them per work-item if work-items own bands, else one."""
         size = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
         self.kernels.run(name, size, (1, *LINES) if self.owned else PIXELS, events, self.grid, *args)

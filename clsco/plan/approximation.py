@@ -1,21 +1,21 @@
 """Reduction of time samples and silhouette samples within a tolerance of the frame (float64, pure).
 
-Consider a pattern that moves by D px while the shutter is open. The frame has its component of f cycles per px along
-the motion times M(f) = sum_i w_i exp(2 pi i f D t_i), summed over the time samples, with t from 0 to 1. With fewer
-samples, M differs, and the squared error of the frame is
+Consider a pattern that moves by D px while the shutter is open. In the frame, its component of f cycles per px along
+the motion is multiplied by M(f) = sum_i w_i exp(2 pi i f D t_i), summed over the time samples, with t from 0 to 1. With
+fewer samples, M differs, and the squared error of the frame is
 
     e^2 = sum_f P(f) H(f)^2 |M(f) - M_exact(f)|^2
 
-P: power of the moving pattern: that of the texture along its rows and columns, and l c^2 / (2 pi f)^2 for outlines of
-length l per px^2 and contrast c; H: transfer function of the PSF.
+P: power of the moving pattern: for a texture, the power along its rows and columns; for outlines of length l per px^2
+and contrast c, l c^2 / (2 pi f)^2. H: transfer function of the PSF.
 
 Each of the N x N sub-pixel sources of a pixel emits the light of its covered part from its middle. At an edge along the
 rows of sources, this changes the first moment of the pixel's light by m, and
 
     e^2 = l c^2 (mean m^2 sum_f (2 pi f)^2 H(f)^2 + s mean off^2 sum_f H(f)^2)
 
-off: error of the coverage of a pixel, where covered sources are counted; s: fraction of outlines with such pixels,
-CORNERS for N > 1, and 1 for N = 1. `clsco.plan.texture_sources` treats errors of textures on surfaces.
+off: error of a coverage that is the number of covered sources divided by N^2; s: fraction of outlines whose pixels have
+such a coverage, CORNERS for N > 1, and 1 for N = 1. `clsco.plan.texture_sources` treats errors of textures on surfaces.
 
 Validated against frames with all samples: tests/plan/test_approximation.py.
 """
@@ -52,20 +52,23 @@ SIDE, LINES = 256, 64  # length of texture segments whose spectrum is computed, 
 FREQUENCIES = np.arange(1, SIDE + 1) / SIDE  # cycles per px; textures have power in the lower half, outlines in all
 NO_POWER = np.zeros(SIDE)
 CYCLE_STEPS = 8  # bins per cycle of motion
-STRIDE = 7  # px from one sample of a texture's means to the next; rarely the period of a pattern
+STRIDE = 7  # px from one sample of a texture's means to the next; few patterns have this period
 MARGIN = 1.5  # factor of squared errors, because rays sample outlines and paths coarsely
-CORNERS = 0.06  # fraction of outlines whose coverage is counted by sources: corners, and surfaces seen edge-on
-FINE_COST, OUTLINE_COST = 1 / 8, 1 / 80  # cost of each of N^2 sources per pixel, relative to a time sample with one
-UNEVEN = 0.2  # in place of CORNERS for differences between time samples
-TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # fractions of the longest path, as some points travel less; the worst counts
+CORNERS = 0.06  # fraction of outlines where covered sources are counted: corners, and surfaces seen edge-on
+# Cost of a sub-pixel source in each pixel, relative to a time sample with one source per pixel: if fine textures need
+# sub-pixel sources, and if only outlines do.
+FINE_COST, OUTLINE_COST = 1 / 8, 1 / 80
+UNEVEN = 0.2  # fraction used in place of CORNERS for differences between time samples
+TRAVEL_SHARES = (0.55, 0.7, 0.85, 1.0)  # fractions of the longest path that points travel; the worst one counts
 
 
 @dataclass(frozen=True)
 class ApproximationReport:
-    """Samples used for a frame with a tolerance; silhouette samples along an axis of a pixel, 1 for none.
+    """Samples used for a frame with a tolerance.
 
-    tolerance: requested RMS error, 1 = white; rms_error: estimated RMS error relative to all samples of the scene, 0 if
-    all are used.
+    tolerance: requested RMS error, 1 = white; rms_error: estimated RMS error relative to a frame with all samples of
+    the scene, 0 if all are used. Silhouette samples are counted along an axis of a pixel; 1 means that no pixel has
+    sub-pixel sources.
     """
 
     tolerance: float
@@ -97,9 +100,9 @@ def fewer_samples(
 ) -> tuple[Scene, ApproximationReport]:
     """Choose the cheapest numbers of samples whose estimated error is within a tolerance, the RMS error with 1 = white.
 
-    plan: with all samples; textures: returns those of all objects, called only if something may be saved; least: lower
-    bounds of time samples and silhouette samples. The scene is that of the plan if all samples are needed. Raises
-    SceneError if the tolerance is not a positive number.
+    plan: a plan with all samples; textures: returns the textures of all objects, called only if samples may be saved;
+    least: lower bounds of time samples and silhouette samples. Returns the scene with these numbers, or the scene of
+    the plan if all samples are needed. Raises SceneError if the tolerance is not a positive number.
     """
     check_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
@@ -113,7 +116,7 @@ def fewer_samples(
         time_error = partial(_time_error, scene, *_cycles(plan.psf, parts), outlines.coverage_error(exact[1]), exact[0])
         source_errors = {exact[1]: 0.0}
         if not keeps_silhouettes:
-            # At least 2 for fine textures: a source of a whole pixel reaches farther, and has more taps than its parts.
+            # At least 2 for fine textures: one source for a pixel reaches farther, and has more taps than 2 x 2 parts.
             fewer = [count for count in STEEP if max(least[1], 1 + fine) <= count < exact[1]]
             source_errors |= {count: outlines.source_error(exact[1], count) for count in fewer}
             if fine:
@@ -161,9 +164,10 @@ def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
 class _Part:
     """Statistics of an object in the frame.
 
-    travel: length along x and y of the path of its image and of the edge of its blur while the shutter is open, px;
-    radius: smallest |R|, px; power: of its texture in the frame, white^2, by FREQUENCIES along x and y; outline: length
-    times squared contrast per px^2 of its outlines across x, and of those across y.
+    travel: while the shutter is open, length of the path of the object's image and of the edge of its blur, along x and
+    along y, px; radius: smallest |R|, px; power: power of its texture in the frame, white^2, by FREQUENCIES along x and
+    along y; outline: length of its outlines times their squared contrast per px^2, for outlines that cross x, and for
+    those that cross y.
     """
 
     travel: tuple[float, float]
@@ -173,8 +177,10 @@ class _Part:
 
 
 def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
-    """Numbers of cycles (n,) by which patterns move while the shutter is open, and the power (shares, n) of these
-    patterns in the frame, white^2, if points travel each of TRAVEL_SHARES.
+    """Cycles by which moving patterns pass a pixel, and the power of these patterns.
+
+    Returns the numbers of cycles (n,) while the shutter is open, and the power (shares, n) in the frame, white^2, if
+    points travel each of TRAVEL_SHARES of the longest path.
     """
     longest = max((max(part.travel) for part in parts), default=0.0)
     powers = np.zeros((len(TRAVEL_SHARES), ceil(longest * CYCLE_STEPS) + 1))
@@ -189,15 +195,17 @@ def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
 
 
 def _time_error(scene: Scene, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
-    """Squared error of `count` time samples instead of `exact`; cycles, power: from `_cycles`; uneven: squared error of
-    the coverage in each sample.
+    """Squared error of a frame with `count` time samples instead of `exact`. cycles, power: from `_cycles`; uneven:
+    squared error of the coverage in each time sample.
     """
     missed = np.mean(np.abs(_sums(scene, cycles, exact) - _sums(scene, cycles, count)) ** 2, axis=0)
     return MARGIN * (float((power * missed).sum(axis=1).max()) + uneven * (1.0 / count + 1.0 / exact))
 
 
 def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
-    """Sums M of the module's formula, (rows or 1, n), over `count` time samples; cycles: f D."""
+    """Sums M of the module's formula over `count` time samples, (rows, n) if rows have their own weights, else (1, n);
+    cycles: values of f D, (n,).
+    """
     exposure = frame_exposure(scene, 0, count)
     opens, closes = shutter_span(scene.sequence, 0)
     turns = np.exp(2j * np.pi / (closes - opens) * np.multiply.outer(exposure.times, cycles))
@@ -237,16 +245,16 @@ class _Outlines:
 
 
 def _moments(place: Array, sources: int) -> Array:
-    """First moment of the part of a pixel that is covered up to an edge at `place`, 0 to 1, if each of the sources
-    along an axis has the light of its covered part in its middle.
+    """First moment of the part of a pixel that is covered from its start to an edge at `place`, from 0 to 1. Each of
+    the sources along an axis has the light of its covered part in its middle.
     """
     full = np.floor(place * sources)
     return np.asarray((0.5 * full**2 + (place * sources - full) * (full + 0.5)) / sources**2)
 
 
 def _squared_transfer(psf: PointSpread, radius: float) -> Array:
-    """Upper bound of H^2 by FREQUENCIES: that of a Gaussian PSF, or of a disc with the PSF's second moment; 1 for PSFs
-    that are neither Gaussian nor uniform.
+    """Upper bound of H^2 by FREQUENCIES, from the second moment of the PSF. A PSF that is not Gaussian counts as a
+    disc; for PSFs that are neither Gaussian nor uniform the bound is 1.
     """
     z = 4.0 * np.pi * sqrt(psf.pupil.second_moment) * radius * FREQUENCIES
     if not (psf.pupil.soft or psf.uniform):
@@ -280,8 +288,8 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
 
 
 def _longest_travel(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
-    """Length along x and y of the longest path of an object's image and of its blur's edge, px; a diagonal path counts
-    with its full length along both axes.
+    """Length along x and along y of the longest path of an object's image and of its blur's edge, px. A diagonal path
+    counts with its full length along both axes.
     """
     longest, (lens, *_) = np.zeros(2), lenses_at(scene, 0.0)
     for path in paths:
@@ -296,8 +304,8 @@ def _longest_travel(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]
 def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Array, axis: int) -> Array:
     """Length per px^2 times squared contrast of each object's outlines that lie between consecutive rays along an axis.
 
-    An outline belongs to the object in front. nearest: number of the object that each ray hits, -1 for none; w: its
-    inverse depth.
+    An outline counts for the object in front. nearest: number of the object that each ray hits, -1 for none; w: inverse
+    depth of that object.
     """
     size = scene.camera.frame_size[1 - axis]
     first, second = (np.take(nearest, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
@@ -310,8 +318,8 @@ def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Arra
 
 
 def _contrasts(textures: tuple[Texture, ...], shaded: bool) -> Array:
-    """Mean squared difference between the radiances of each two objects, (objects + 1, objects + 1); the last index
-    stands for an empty pixel. shaded: True if either of the two may be dark.
+    """Mean squared difference between the radiances of any two objects, (objects + 1, objects + 1). The last index
+    stands for an empty pixel. shaded: True if a light may leave either of the two objects dark.
     """
     images = [texture.radiance[::STRIDE, ::STRIDE] for texture in textures]
     mean = np.array([*(float(image.mean()) for image in images), 0.0])

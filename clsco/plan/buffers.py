@@ -48,14 +48,14 @@ from clsco.scene.model import Scene
 Sizes = dict[str, int]
 TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
 BANDS_PER_CORE = 4  # bands per core that `gather` processes at a time, if each needs memory of its own
-SUMS_BEYOND = 64  # sums of `convolve` beyond the last row, which its vectors read and discard
-PAGE, BESIDE_PAGE = 64, 5  # vectors in 2 KiB of floats; least distance of a row's length from a multiple of PAGE
-ITEM_BYTES, CHORD_BYTES = 32, 8  # size of a group of sources of a column without its vectors
+SUMS_BEYOND = 64  # sums beyond the last row, which vectors of `convolve` read and discard
+PAGE, BESIDE_PAGE = 64, 5  # in vectors: 2 KiB of floats; least distance of a row's length from a multiple of PAGE
+ITEM_BYTES, CHORD_BYTES = 32, 8  # bytes of a group of sources of a column, or of chords, without its vectors
 MOST_IN_ONE_SUM = 256  # taps that `gather` adds up in one float before it adds this sum to another one
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # number of counters of a filling, ints
 STATISTICS = STATISTIC_BEYOND + 1  # number of statistics of a frame, ints
-# Buffers that several passes share; every other buffer belongs to one pass.
+# Buffers that several passes share; only one pass uses each of the other buffers.
 SHARED = (
     "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
     "sub_depth", "share", "sharper",
@@ -94,7 +94,7 @@ def by_columns(psf: PointSpread) -> bool:
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
-    """True if `gather` adds widely blurred, partly hidden sources by the ends of runs (kernels/blur/cpu/spans.clh)."""
+    """True if `gather` adds partly hidden sources with a wide, uniform blur as runs of equal weights (spans.clh)."""
     uniform = spec.psf.uniform and not spec.psf.stretched and not has_ray_means(spec.psf)
     return spec.method == "gather" and spec.occluders > 0 and uniform and fp64 and _in_parts(spec.reach)
 
@@ -105,20 +105,21 @@ def _in_parts(reach: int) -> bool:
 
 
 def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
-    """Size in bytes of the ends of runs in a band, see kernels/blur/cpu/spans.clh."""
+    """Size in bytes of the buffer for the ends of runs in a band, see kernels/blur/cpu/spans.clh."""
     return 8 * BAND * (columns + 1) * (1 + spec.tilt) * (4 if channels == 3 else channels)
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
-    """Size in bytes of the planes of `sources` sources in sources.clh; tilt, marked: as in `BlurSpec`."""
+    """Size in bytes of the planes in which sources.clh stores `sources` sources; tilt, marked: as in `BlurSpec`."""
     return 4 * (1 + 2 * tilt + marked) * sources
 
 
 def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
-    """Scratch columns on each side of a row of the blurred frame, and the length of the row, in floats.
+    """Scratch columns on each side of a row of the blurred frame, and the length of the row with them, both in floats.
 
     The length is an odd number of vectors, and not near a multiple of PAGE vectors: otherwise vertical neighbors would
-    compete for the same place in a processor's cache, which takes up to four times as long (docs/lessons.md).
+    compete for the same place in a processor's cache, and blurring would take up to four times as long
+    (docs/lessons.md).
     """
     pad = ceil((guard + far + TAP_LANES) / TAP_LANES) * TAP_LANES
     vectors = ceil(columns / TAP_LANES) + 2 * pad // TAP_LANES | 1
@@ -128,9 +129,9 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
 
 
 def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
-    """Scratch memory in bytes of a work-item of `gather` for columns of sources (kernels/blur/cpu/columns.clh).
+    """Scratch memory in bytes that a work-item of `gather` needs for columns of sources (kernels/blur/cpu/columns.clh).
 
-    A multiple of 8. far: reach of the blur, px.
+    The size is a multiple of 8. far: reach of the blur, px.
     """
     tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * tilt
     if psf.layout == "separable":
@@ -215,16 +216,16 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
 
 
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
-    """Specification of the blur of a depth layer with its coverage; spec: that of the frame's blur."""
+    """Specification of the blur of a depth layer with its coverage; spec: specification of the frame's blur."""
     brightest = max(spec.brightest, 1.0)
     return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
 
 
 def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`): planes that assign pixels to
-    layers, and the planes of one layer with its pyramid. Arguments as for `layered_buffers`.
+    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`). These are the planes that
+    assign pixels to layers, and the planes of one layer with its pyramid. spec: specification of the frame's blur.
     """
-    pixels, planes = grid.sources, grid.channels + 2  # of the pyramid: also the radius, and how far it is known
+    pixels, planes = grid.sources, grid.channels + 2  # of the pyramid: also radius, and how far it is known
     rows, columns, start = levels_of(grid.height, grid.width, most_deep(spec.psf, spec.largest), planes)[-1]
     return {
         "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
@@ -241,8 +242,10 @@ def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
 
 
 def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`) besides those of the frame's blur `spec`: of
-    sources, of coverage, and of a layer's blur, whose names begin with "blur ".
+    """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`), in addition to those of the frame's blur.
+
+    They hold sources, coverage, and the blur of a layer, for which names begin with "blur ". spec: specification of the
+    frame's blur.
     """
     sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
     sizes |= {"open": sizes["covered"]} if spec.occluders else {}
@@ -255,7 +258,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
 
 
 def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of `clsco.passes.warp.ForwardWarp` besides those of its filling; grid: of the whole frame."""
+    """Buffers of `clsco.passes.warp.ForwardWarp` without those of its filling; grid: grid of the whole frame."""
     pixels, objects = grid.rows * grid.columns, len(scene.objects)
     maps = sum(not item.is_analytic for item in scene.objects)
     surfaces = objects * structs("double")["surface_t"].itemsize
@@ -272,8 +275,8 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
 
 
 def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
-    """Buffers of `clsco.passes.fill.Filler`; grid: of the whole frame; several: True for several objects; far: True if
-    holes are filled from the far side; smooths: True for mean/median filling.
+    """Buffers of `clsco.passes.fill.Filler`. grid: grid of the whole frame; several: True for several objects; far:
+    True if holes are filled from the far side; smooths: True for mean/median filling.
     """
     pixels, lines = grid.sources, grid.width + grid.height
     sizes = {
@@ -303,8 +306,8 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
 
 
 def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Sizes:
-    """Buffers of trace.cl: ray hits and sources of an occlusion group at one time sample, predicted extents of several
-    objects, and the lens's effect on rays. mapped: as for `hit_buffers`.
+    """Buffers of trace.cl for an occlusion group at one time sample. They hold ray hits, sources, the lens's effect on
+    rays and, if there are several objects, their predicted extents. mapped: as for `hit_buffers`.
     """
     objects, bends = len(scene.objects), bend_buffers(scene, grid.sources)
     sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}
@@ -322,7 +325,7 @@ def bend_buffers(scene: Scene, pixels: int) -> Sizes:
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
-    """Buffers of sub-pixel sources for `slots` pixels near silhouettes; mapped: True if textures are on surfaces, which
+    """Buffers of sub-pixel sources for `slots` pixels near silhouettes. mapped: True if textures are on surfaces, which
     adds planes of the detail that neighboring pixels exchange.
     """
     subs = slots * spec.subpixels**2
@@ -332,9 +335,10 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> 
 
 
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
-    """Buffers of the textures of a scene with a resolution, without duplicates.
+    """Buffers of the textures of a scene that has a resolution; a texture that several objects share counts once.
 
-    alpha: True if the last channel is coverage, which is 0 in the background's copy of a texture.
+    alpha: True if the last channel is coverage, which is 0 for the background. The background then needs a copy of a
+    texture that it shares with other objects.
     """
     columns, rows = scene.camera.resolution or (0, 0)
     unmapped = [item for item in scene.objects if item.mapped is None]
@@ -346,13 +350,13 @@ def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Buffers of sources, one per pixel, and of their depths if occluders or rims cut their light."""
+    """Buffers of sources, one per pixel, and of their depths if occluders or rims may hide their light."""
     depth = {"depth": REAL_BYTES * grid.sources} if spec.occluders else {}
     return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)} | depth
 
 
 def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
-    """Planes of an occlusion group's ray hits, which all lenses share (`clsco.passes.trace.Hits`); mapped: True if
+    """Planes of an occlusion group's ray hits, which all lenses share (`clsco.passes.trace.Hits`). mapped: True if
     textures are on surfaces, which adds a plane with the number of texels in each pixel.
     """
     pixels, planes = grid.sources, grid.channels + mapped
@@ -366,6 +370,6 @@ def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:
-    """Buffers of the outputs `names`, and of the mask, of one strip; allocated only while ground truth is computed."""
+    """Buffers of the outputs `names` and of the mask for one strip; allocated only while ground truth is computed."""
     pixels, outputs = grid.rows * grid.columns, (OUTPUTS[name] for name in ("mask", *names))
     return {out.name: np.dtype(out.dtype).itemsize * (out.components or grid.channels) * pixels for out in outputs}

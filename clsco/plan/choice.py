@@ -10,7 +10,8 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Choice(Generic[T]):
-    """A value that a plan decided on, with the reason for reports, and the scene's keys that have no effect with it.
+    """A value that a plan decided on, the reason in reports, and the keys of the scene that have no effect because of
+    it.
 
     value: False, 0, empty or "none" if a part of the pipeline is left out.
     """

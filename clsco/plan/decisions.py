@@ -34,9 +34,10 @@ NO_COLOR = "nobody asked for the color: neither its rays nor its blur"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
-SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
+SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # keys that have no effect if light stays in its pixel
 OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields if key != "exposure")
-# Groups of outputs that some scenes do not have: the condition for having them, and the reason for not having them.
+# Groups of outputs that some scenes do not have. Each has the condition under which a scene has its outputs, and the
+# reason that reports state otherwise.
 POSSIBLE: tuple[tuple[Group, Callable[[Scene], bool], str], ...] = (
     ("stereo", lambda scene: scene.stereo is not None, "there is one view"),
     ("motion", lambda scene: scene.moves, "nothing moves"),
@@ -65,7 +66,7 @@ class Choices:
     color: Choice[bool]
     occlusion: Choice[Occlusion]
     ground_truth: Choice[tuple[str, ...]]  # outputs besides color and alpha
-    other_outputs: Choice[bool]  # False if only some are requested; the reason names the others
+    other_outputs: Choice[bool]  # False if only some outputs are requested; the reason names the others
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:
@@ -136,7 +137,7 @@ def choose_samples(view: ResolvedScene, rays: bool) -> Choice[int]:
     from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
 
     if scene.sequence.samples == "auto":
-        # Without visibility tests, outlines are as sharp as the surface behind. Radii are only known for a fixed lens.
+        # Without visibility tests, an outline is as sharp as the surface behind. Radii are known only for a fixed lens.
         soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
         gradual = rays and soft and not scene.lens_moves
         needs = motion_needs(scene, view.psf, view.maps, view.guard, gradual)
@@ -211,8 +212,8 @@ def choose_silhouettes(view: ResolvedScene, rays: bool) -> Choice[int]:
 def choose_occlusion(
     view: ResolvedScene, rays: bool
 ) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
-    """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which they
-    are valid, empty if they always are. rays: True if rays are cast.
+    """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which the
+    groups are valid, which are empty if the groups are always valid. rays: True if rays are cast.
     """
     scene, key = view.scene, ("psf.occlusion",)
     one_group, method = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), scene.psf.occlusion

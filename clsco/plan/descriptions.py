@@ -31,7 +31,7 @@ def describe_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) ->
 
 
 def describe_distortion(scene: Scene) -> Parameters:
-    """Description of the blur in a distorted image, where discs become ellipses; empty without distortion."""
+    """Description of the blur in a distorted image, where discs become ellipses; empty if the lens does not distort."""
     off = 100.0 * ellipticity_of(scene)
     words = f"blur of ellipses, whose rims are up to {off:.2g} % of R off those of discs of the same area"
     return (("distortion", words),) if scene.lens is not None and scene.lens.distorts else ()

@@ -23,8 +23,9 @@ def curvature_of(scene: Scene) -> int:
 def shape_features(objects: Sequence[Object]) -> dict[str, int]:
     """Geometry features (kernels/common/geometry.clh) that objects need.
 
-    LINEAR is on for several objects if any is curved, and NAPPE is on if any object has bounds, even if not needed.
-    This costs a few operations and changes no bit of a frame, but fewer programs serve all scenes.
+    LINEAR is also on for several objects if any of them is curved, and NAPPE is on if any object has bounds, even if
+    the kernels do not need these features. This takes a few operations and changes no bit of a frame, but fewer
+    programs then serve all scenes.
     """
     analytic = [item for item in objects if item.is_analytic]
     shapes, several = [canonical(item) for item in analytic], len(objects) > 1

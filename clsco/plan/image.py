@@ -67,7 +67,7 @@ def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Par
 def color_passes(passes: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
     """The passes that blur red, green and blue separately, each up to the blurred plane, and join them in one plane.
 
-    grid: has the channels of the joined plane.
+    grid: grid with the channels of the joined plane.
     """
     sizes = {"colors": 4 * grid.channels * grid.rows * grid.columns}
     for color, (name, steps) in enumerate(zip(COLORS, passes, strict=True)):
@@ -86,7 +86,7 @@ def vignetting_pass(scene: Scene, rows: int, columns: int) -> Pass:
 
 
 def sensor_pass(model: SensorModel, grid: Grid, takes: str) -> Pass:
-    """The pass that reads out the irradiance of a complete frame; takes: its name, "frame" or "plane"."""
+    """The pass that reads out the irradiance of a complete frame; takes: name of its input, "frame" or "plane"."""
     sensor = model.sensor
     electrons = f"{model.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
     codes = f"{model.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"

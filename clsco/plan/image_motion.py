@@ -37,13 +37,15 @@ PIXELS_PER_SAMPLE = 1.0  # fastest motion of an object in focus: 2 px lose 5 to 
 EDGE_ERROR = 5e-4  # error of a pixel that an edge of contrast 1 passes, 1 = white
 MOST_SAMPLES = 4095
 LENS_TIMES = 65  # times of an exposure at which the lens is evaluated
-LINE_SAMPLES = 11  # time samples that are enough for lines that share them
+LINE_SAMPLES = 11  # number of time samples that is enough if lines share them
 MOST_SUBFRAMES = 8192  # time samples of a frame
 RAYS = 17  # rays along each axis of the visible part of an object
 LOOKS = 5  # times of an exposure at which rays are cast at an object
 FIRST_STEPS, MOST_STEPS = 32, 512  # steps of an exposure; a path is evaluated at the ends of steps
-SETTLED = 1.05, 0.25  # steps are short enough if halving them lengthens a path by at most this factor plus these px
-UNEVEN = 0.5  # irregularity of times, in steps: an object that rotates in phase with regular times would seem to rest
+# Steps are short enough if, when they are halved, a path gets at most this factor times as long, plus this many px.
+SETTLED = 1.05, 0.25
+# Irregularity of times, in steps: an object that rotates in phase with regular times would seem to stand still.
+UNEVEN = 0.5
 NEAREST = 1e-3  # mm: points nearer to the lens are not visible
 BETWEEN = 0.95  # ratio of a lower bound of |R| between rays to the smallest |R| at rays
 
@@ -58,7 +60,7 @@ class ImagePath:
 
     @cached_property
     def steps(self) -> Array:
-        """Displacements (n - 1, 2, points) of points in each step along x and y, px; 0 where not visible."""
+        """Displacements (n - 1, 2, points) of points in each step along x and y, px; 0 in invisible steps."""
         return np.asarray(np.diff(self.places[:, :2], axis=0) * self.visible[:, None])
 
     @property
@@ -74,15 +76,15 @@ class ImagePath:
     @property
     def variation(self) -> float:
         """Half of the total variation of a point's velocity, px per exposure, for the point with the largest one. The
-        velocity counts as 0 before and after the exposure, so that a uniform motion gives its speed.
+        velocity counts as 0 before and after the exposure, so that the result of a uniform motion is its speed.
         """
         velocity = self.steps / np.diff(self.times)[:, None, None]
         changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
         return 0.5 * float(np.linalg.norm(changes, axis=1).sum(axis=0).max(initial=0.0))
 
     def radius(self, scene: Scene) -> float:
-        """Smallest |R| of the visible points in px, times BETWEEN for points between rays; 0 if the path crosses the
-        focus of a color, or no point is visible.
+        """Smallest |R| of the visible points in px, times BETWEEN because of points between rays. 0 if the path crosses
+        the focus of a color, or no point is visible.
         """
         ends = np.zeros((len(self.times), self.places.shape[2]), dtype=np.bool_)
         ends[1:] |= self.visible
@@ -100,8 +102,8 @@ class Need:
     """Number of time samples that the motion of an object needs."""
 
     number: int  # of the object, from 0
-    speed: float  # largest in the image, px per exposure of a line
-    radius: float  # smallest |R| of its visible points, px
+    speed: float  # largest speed in the image, px per exposure of a line
+    radius: float  # smallest |R| of the object's visible points, px; 0 if it does not matter
     samples: float  # time samples per exposure of a line
 
     def __str__(self) -> str:
@@ -112,7 +114,7 @@ class Need:
 def motion_needs(
     scene: Scene, psf: PointSpread, maps: Maps | None = None, guard: int = 0, gradual: bool = True
 ) -> list[Need]:
-    """Time samples that the motion of each object needs, most demanding first; only objects with visible motion.
+    """Numbers of time samples that the motions of objects need, most demanding first; only objects with visible motion.
 
     guard: width of the guard band, px; gradual: True if the outline of an object is blurred like the object, so that
     points behind it appear gradually.
@@ -150,11 +152,11 @@ def _chord(psf: PointSpread) -> float:
 
 
 def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
-    """Time samples per exposure of a line that are enough for all objects; odd, so that the middle is one of them.
+    """Time samples per exposure of a line that are enough for all objects; odd, so that one is in the middle.
 
-    With a rolling shutter, lines share time samples. A line may open or close within the interval of a sample: it then
-    gets only part of the sample's light, but that sample is at the middle of the whole interval. The error is small
-    with LINE_SAMPLES samples, or if objects move by at most a tenth of a px per interval.
+    With a rolling shutter, lines share time samples. If a line opens or closes within the interval of a time sample,
+    the line gets only a part of the sample's light, although the sample is at the middle of the whole interval. The
+    error is small with LINE_SAMPLES samples, or if objects move by at most a tenth of a px per interval.
     """
     samples = ceil(max((need.samples for need in needs), default=1.0))
     if scene.rolls and lines_overlap(scene):
@@ -186,11 +188,11 @@ def sampled_frames(scene: Scene) -> list[int]:
 
 
 def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[ImagePath]:
-    """Paths of all objects in the image while the shutter of a frame is open; those that stand still have no points.
+    """Paths of all objects in the image while the shutter of a frame is open; those of still objects have no points.
 
-    Poses are evaluated at FIRST_STEPS + 1 times; the steps are halved as long as this makes a path longer. 8 steps per
-    rotation or oscillation give 0.97 of its length, so up to MOST_STEPS / 8 rotations are detected. An object that
-    appears and disappears within a step may be missed: its light is at most 1 / FIRST_STEPS of the exposure's.
+    Poses are evaluated at FIRST_STEPS + 1 times, and steps are halved as long as this makes a path longer. 8 steps per
+    rotation or oscillation give 0.97 of its path length, so up to MOST_STEPS / 8 rotations are detected. An object that
+    appears and disappears within a step may be missed; its light is at most 1 / FIRST_STEPS of the exposure's.
     """
     opens, closes = shutter_span(scene.sequence, frame)
     jumps = (jump_times(scene, frame) - opens) / (closes - opens)
@@ -230,8 +232,10 @@ def _times(steps: int) -> Array:
 
 
 def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) -> Array:
-    """Visible points (3, n) of an object in a pose, in mm from its center, turned back to the reference pose; if no ray
-    hits the object, the center of the ball around it. depth: inverse depths of a depth map, None for other objects.
+    """Visible points (3, n) of an object in a pose, in mm from the object's center, turned back to the reference pose.
+
+    If no ray hits the object, the only point is the center of the ball around it. depth: inverse depths of a depth map,
+    None for other objects.
     """
     columns, rows = camera.frame_size
     x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, RAYS) * (size - 1) for size in (columns, rows))))

@@ -27,9 +27,9 @@ SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differentl
 class SourceStatistics:
     """Statistics of a frame's sources, measured on the device."""
 
-    smallest: float  # range of |R| in px; largest is 0 without sources
-    largest: float
-    beyond: bool  # a ray hit an object outside of its extent, where one may hide it that is no occluder of its group
+    smallest: float  # smallest |R|, px
+    largest: float  # largest |R|, px; 0 without sources
+    beyond: bool  # True if a ray hit an object outside of its extent, so that its group may lack occluders
 
     @classmethod
     def parse(cls, values: NDArray[np.int32]) -> Self:

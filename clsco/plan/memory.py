@@ -48,9 +48,10 @@ def parse_size(size: str | int, name: str = "memory") -> int:
 
 
 def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Limit:
-    """The limit set by the user; by default half of the processor's free memory, or of all memory of another device.
+    """The memory limit: `memory`, or by default half of the memory of the device.
 
-    memory: size as for `parse_size`, or None; device: by default the processor. Raises SceneError as `parse_size`.
+    For a device that uses the host's memory, such as a processor, the default is half of the free memory. memory: size
+    as for `parse_size`, or None; device: by default the processor. Raises SceneError as `parse_size`.
     """
     facts = device or ThisMachine()
     total = min(facts.global_mem, machine_bytes(free=True)) if facts.unified_memory else facts.global_mem
@@ -61,12 +62,12 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
 
 
 def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
-    """Sizes by name of a plan's buffers on the device; "truth ..." exist only while ground truth is computed."""
+    """Sizes by name of a plan's buffers on the device; those with "truth" in front exist only for ground truth."""
     return {name: size for step in plan.passes for name, size in step.buffers.items()}
 
 
 def lens_bytes(plans: Sequence[Plan]) -> int:
-    """Bytes of the buffers of lenses that are rendered together and share ray hits; plans: one for each lens."""
+    """Bytes of the buffers of lenses that are rendered together and share ray hits; plans: one plan for each lens."""
     hits = sum(hit_buffers(plans[0].grid, plans[0].mapped > 0).values())
     return sum(device_bytes(plan) - hits for plan in plans) + len(plans[0].groups) * hits
 
@@ -87,7 +88,7 @@ def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
 
 
 def fit_strips(plan: P, limit: Limit) -> P:
-    """The plan in as few strips as fit within the limit, in one if possible. Raises as `rows_that_fit`."""
+    """The plan in as few strips as fit within the limit, in one if possible. Raises the errors of `rows_that_fit`."""
 
     @cache  # passes are costly to list, and each plan caches its own
     def in_strips(rows: int) -> P:
@@ -100,8 +101,8 @@ def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, i
     """Rows of the tallest strips that fit within the limit: all rows, or a multiple of BAND.
 
     rows: rows of the frame; sizes: returns the sizes of buffers for strips of a height; one_strip: True for a forward
-    warp, which needs the whole frame. If even the smallest strips do not fit, raises SceneError if they exceed a limit
-    set by the user, and returns them otherwise.
+    warp, which needs the whole frame. If even the smallest strips do not fit, returns their rows, but raises SceneError
+    if the user set the limit that they exceed.
     """
     if fits(sizes(rows), limit):
         return rows

@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
 Occlusion = Literal["visibility", "layered", "none"]
 
-FEW_TAPS = 6.0  # px: |R| times channels up to which "scatter" is faster than "tiles" (`python -m benchmarks.speed.gpu`)
+# px: |R| times number of channels up to which "scatter" is faster than "tiles" (`python -m benchmarks.speed.gpu`).
+FEW_TAPS = 6.0
 
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources with different radii
 HOW: dict[Blur, str] = {
@@ -44,11 +45,12 @@ class BlurSpec:
     subpixels: int = 0  # sub-pixel sources per axis at silhouettes, 0 for none
     tilt: bool = False  # True if sources store the gradient of R
     occluders: int = 0  # largest number of occluders of one source, rounded by `occluder_room`
-    limited: bool = False  # if any occluder has bounds, is one nappe of a double cone or hyperboloid, or is a disc
-    brightest: float = 1.0  # largest |radiance|, which sets the unit of integer sums
+    # True if any occluder has bounds, is one nappe of a double cone or hyperboloid, or is a disc.
+    limited: bool = False
+    brightest: float = 1.0  # largest |radiance|, which determines the unit of integer sums
     border: Literal["lose", "renormalize"] = "lose"  # light beyond the frame is lost, or returned to the frame
     layered: bool = False  # True if sources are in depth layers, with nearer ones hiding farther ones
-    curved: int = 0  # feature CURVED of the lens, if visibility tests or ellipses need it
+    curved: int = 0  # feature CURVED of the lens if visibility tests or ellipses need it, else 0
     shared: bool = False  # True if sub-pixel sources of fine textures may share the visibility test of their pixel
     small: bool = False  # True if small surfaces have their own slots of sub-pixel sources
 
@@ -64,7 +66,9 @@ class BlurSpec:
 
 
 def can_convolve(psf: PointSpread, border: str) -> bool:
-    """True if `convolve` supports this PSF: constant over the frame, not cut by rims, and the same for -R."""
+    """True if `convolve` supports a PSF and a border. Light beyond the border must be lost, no rim may cut the PSF, and
+    the PSF must be the same for R and -R.
+    """
     return border == "lose" and not psf.signed and not psf.rims
 
 
@@ -94,8 +98,8 @@ def check_method(method: str) -> None:
 
 
 def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
-    """True on a GPU if blurs with |R| up to `largest` px have so few taps that "scatter", which adds them by atomics,
-    is faster than "tiles", which tests which sources reach a pixel.
+    """True on a GPU if blurs with |R| up to `largest` px have so few taps that "scatter" is faster than "tiles". The
+    former adds taps by atomics, the latter tests which sources reach a pixel.
     """
     return device.kind == "gpu" and device.has_int64_atomics and largest * channels <= FEW_TAPS
 

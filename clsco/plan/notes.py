@@ -1,4 +1,4 @@
-"""Notes on scenes that may not look as intended, by geometry alone, and on keys without effect, before rendering."""
+"""Notes, before rendering, on scenes that may not look as intended, judged by geometry, and on keys without effect."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from clsco.optics.rays import slopes_at
 from clsco.plan.plan import Plan
 from clsco.scene.model import Camera, Object, Rectangle, Scene
 
-CLOSE = 0.02  # fraction by which sizes may differ from those of textbooks without a note
+CLOSE = 0.02  # fraction by which sizes may differ from those of textbook formulas without a note
 RAYS = 65  # rays per axis of the frame; if they miss an object, also per axis of its image's bounds
-FEW_FRAMES, MOST_FRAMES = 5, 64  # frames that are examined: always; if these do not show an object
-LENS_POINTS = np.exp(0.25j * np.pi * np.arange(8))  # may see objects that are hidden from the middle
+FEW_FRAMES, MOST_FRAMES = 5, 64  # number of examined frames: at first, and if these do not show an object
+LENS_POINTS = np.exp(0.25j * np.pi * np.arange(8))  # at the edge, which may see objects that the middle does not
 MOST_NAMED = 3
 SECTIONS = ("aperture", "psf", "sequence", "motion", "fill")
 
@@ -31,7 +31,9 @@ Array = NDArray[np.float64]
 
 
 def close_focus_note(camera: Camera) -> str | None:
-    """Line on a focus so close that sizes differ from textbook formulas; None if not, or the scene sets the scale."""
+    """A note if the focus is so close that sizes differ from textbook formulas. None if they do not, or if the scene
+    sets `camera.normalization_distance`.
+    """
     share = 1.0 - camera.normalization_distance / camera.sensor_distance
     if "normalization_distance" in camera.model_fields_set or abs(share) <= CLOSE:
         return None
@@ -43,8 +45,9 @@ def close_focus_note(camera: Camera) -> str | None:
 
 @dataclass
 class _Sight:
-    """Visibility of each body, an object or a whole box, in the times examined so far; lit: True if the light reaches
-    a visible side of any.
+    """Visibility of each body at the times examined so far. A body is an object, or a box with all its faces.
+
+    lit: True if the light reaches a visible side of any body.
     """
 
     visible: dict[Hashable, bool] = field(default_factory=dict)
@@ -58,11 +61,12 @@ class _Sight:
 
 
 def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
-    """Lines on objects that no frame shows or whose image is narrower than a pixel, on a light that shines only on
-    hidden sides, and on black frames; empty for scenes with depth maps. plans: those of the views of a scene.
+    """Notes on objects that no frame shows or whose image is narrower than a pixel, on a light that shines only on
+    hidden sides, and on black frames; empty for scenes with depth maps.
 
-    FEW_FRAMES frames are examined at the beginning, middle and end of their exposures, from the middle of the lens. If
-    these do not show an object, up to MOST_FRAMES are, and with visibility tests also from near the edge of the lens.
+    plans: plans of the views of a scene. FEW_FRAMES frames are examined at the beginning, middle and end of their
+    exposures, from the middle of the lens. If these do not show an object, up to MOST_FRAMES frames are examined and,
+    with visibility tests, also from points near the edge of the lens.
     """
     scene = plans[0].scene
     if not scene.is_analytic:
@@ -102,7 +106,7 @@ def _join_first(words: list[str] | list[int]) -> str:
 
 
 def _body(index: int, item: Object) -> tuple[Hashable, str]:
-    """Key and name of the body of an object: of the object, or of the whole box for a face of a box."""
+    """Key and name of an object's body: the object, or the whole box if the object is a face of a box."""
     if isinstance(item, Rectangle) and item.offset:
         name = item.name.rpartition(" ")[0] or item.name
         return (item.center, name), name
@@ -112,7 +116,7 @@ def _body(index: int, item: Object) -> tuple[Hashable, str]:
 def _examine(
     sight: _Sight, scene: Scene, plan: Plan, time: float, place: tuple[float, float] = (0.0, 0.0)
 ) -> bool:  # fmt: skip
-    """Examine a view of a scene at a time, and record in `sight` what is visible; True if any object is.
+    """Examine a view of a scene at a time, and record in `sight` what is visible; returns True if any object is.
 
     place: point of the lens from which to look, in lens radii from its middle.
     """
@@ -125,7 +129,7 @@ def _examine(
     guard = 0 if any(place) else plan.guard_px  # the guard band is for rays from the middle
     across = (np.linspace(-0.5, 0.5, RAYS) * (size - 1 + 2 * guard) for size in camera.frame_size)
     x, y = slopes_at(camera, *np.meshgrid(*across))
-    frame = x - eye[0] * power, y - eye[1] * power  # rays cross in the focal surface
+    frame = x - eye[0] * power, y - eye[1] * power  # rays from all points of the lens cross in the focal surface
     depths, any_seen = _depths(scene, surfaces, frame), False
     for k, (item, surface) in enumerate(zip(scene.objects, surfaces, strict=True)):
         body, name = _body(k, item)
@@ -154,7 +158,7 @@ def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Arra
 
 
 def _rays_around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, Array] | None:
-    """Rays within the bounds of an object's image; None if these are outside of the frame."""
+    """Rays within the bounds of an object's image; None if the bounds are outside of the frame."""
     ends = []
     for slopes, bounds in zip(frame, (surface.extent.x, surface.extent.y), strict=True):
         low, high = max(float(slopes.min()), bounds[0]), min(float(slopes.max()), bounds[1])
@@ -166,8 +170,8 @@ def _rays_around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Ar
 
 
 def _is_lit(surface: PlacedSurface, light: PlacedLight, x: Array, y: Array, w: Array) -> bool:
-    """True if the light shines on the visible side of a surface at any of its points; x, y, w: slopes of the rays to
-    the points, and their inverse depths.
+    """True if the light shines on the visible side of a surface at any of its points. x, y: slopes of the rays to the
+    points; w: inverse depths of the points.
     """
     ray = np.stack([x, y, np.ones_like(x)])
     shape, turn = surface.canonical, surface.turn

@@ -21,11 +21,11 @@ ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # other passes run 
 class Pass:
     """A step of a frame: the engine runs it, `clsco plan` prints its parameters, and the memory estimate adds it up.
 
-    buffers: size in bytes of each buffer on the device, by name; passes share buffers of equal name.
-    takes, gives: names of its inputs, which are outputs of earlier passes, and of its outputs: "moved" pixels; an
-    "image" with its radii; "sources"; depth "layers"; the blurred "plane" of a time sample; the "colors" joined so far,
-    if each is blurred separately; the "frame" summed so far; the sensor's "codes" of the complete frame; "counts" and
-    mask of "missing" pixels of a filling; the number of "depth_layers".
+    buffers: size in bytes of each buffer on the device, by name; passes share buffers of equal name. takes, gives:
+    names of the inputs, which are outputs of earlier passes, and of the outputs. These are the "moved" pixels of a
+    forward warp; an "image" with its radii; "sources"; depth "layers"; the blurred "plane" of a time sample; the
+    "colors" joined so far, if each is blurred separately; the "frame" summed so far; the sensor's "codes" of the
+    complete frame; the "counts" of a filling, and the mask of pixels that were "missing"; the number of "depth_layers".
     color: color that the pass processes, 0 to 2; by default all colors.
     """
 
@@ -39,7 +39,8 @@ class Pass:
 
 
 def run_passes(passes: Iterable[Pass], run: Callable[..., Iterable[Any]]) -> Mapping[str, Any]:
-    """Run passes in the given order; returns all outputs by name, of outputs with equal names the latest.
+    """Run passes in the given order; returns all outputs by name, for a name that several passes give the latest
+    output.
 
     run: called with a pass and its inputs, in the order of `takes`; returns its outputs, in the order of `gives`.
 

@@ -65,7 +65,7 @@ SILHOUETTE_SLOTS = 12  # initial slots for pixels near silhouettes, per row and 
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of rendering a view of a scene, which has a resolution: passes, buffers and costs."""
+    """Plan for rendering one view of a scene that has a resolution: passes, buffers and costs."""
 
     scene: Scene
     psf: PointSpread
@@ -78,13 +78,13 @@ class Plan:
     smallest_blur: float  # predicted range of |R| in px over the whole sequence, with a margin
     largest_blur: float
     choices: Choices
-    groups: tuple[OcclusionGroup, ...]  # are blurred one after the other
+    groups: tuple[OcclusionGroup, ...]  # blurred one after the other
     taps: float  # predicted number of weights that the blur of a frame computes
-    spreads: tuple[PointSpread, ...] = ()  # of red, green and blue, if each color is blurred separately
+    spreads: tuple[PointSpread, ...] = ()  # PSFs of red, green and blue, if each color is blurred separately
     only: int | None = None  # color that this plan is for, 0 to 2; None for all
     alpha: bool = False  # True if the last channel is coverage
     strip_rows: int = 0  # rows of the tallest strip, 0 for all rows of the frame
-    extents: tuple[Extent, ...] = ()  # of objects within which `groups` are valid; empty if they always are
+    extents: tuple[Extent, ...] = ()  # extents of objects within which `groups` are valid; empty if always valid
     small: bool = False  # True if an object may be so narrow that it needs its own slots of sub-pixel sources
 
     @cached_property
@@ -118,7 +118,7 @@ class Plan:
 
     @cached_property
     def repeats(self) -> float:
-        """Number of time samples of a frame; one that is rendered only in some rows counts as the fraction of rows."""
+        """Number of time samples of a frame; one that is rendered only in some rows counts as their fraction."""
         if not self.narrows:
             return float(self.subframes)
         (frame_strip,) = strips_of(self.spec, self.rows, 0, self.guard_px, self.reach_px)
@@ -181,14 +181,16 @@ class Plan:
 
     @property
     def narrows(self) -> bool:
-        """True if a time sample is rendered only in the rows where it has a weight; False with depth layers, which need
-        all rows.
+        """True if a time sample is rendered only in the rows where it has a weight. This is the case with a rolling
+        shutter by rows, but not with depth layers or the output "subframes", which need all rows.
         """
         by_rows = self.scene.rolls and not self.scene.sequence.by_columns
         return by_rows and not self.spec.layered and "subframes" not in self.truth
 
     def part(self, strip: Strip, weights: NDArray[np.float64]) -> Strip | None:
-        """Part of a strip in which a time sample with weights (rows,) is rendered, None if it has no weight there."""
+        """Part of a strip in which a time sample is rendered, None if the sample has no weight in the strip. weights:
+        weight of the time sample in each row of the frame, (rows,).
+        """
         if not self.narrows:
             return strip
         lit = strip.top + np.flatnonzero(weights[strip.inside])
@@ -231,7 +233,7 @@ class Plan:
 
     @property
     def eye_moved(self) -> bool:
-        """True if this view of a stereo pair is not the one from which textures are projected."""
+        """True if the viewpoint of this view is not the one from which textures are projected."""
         return shifts_view(self.scene, self.eye)
 
     @cached_property
@@ -246,7 +248,9 @@ class Plan:
 
     @property
     def mapped(self) -> int:
-        """Kind of textures on surfaces: 0 none, 1 all with coordinates that are linear in the point, 2 any others."""
+        """Kind of textures on surfaces. 0 if there are none, 1 if the texture coordinates of all are linear in the
+        surface point, 2 otherwise.
+        """
         kinds = {item.mapped for item in self.scene.objects} - {None}
         return int(bool(kinds)) + int(not kinds <= {"card", "plane", "triplanar"})
 
@@ -294,8 +298,8 @@ def make_plan(
 ) -> Plan:
     """Plan the rendering of a scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
 
-    channels: color channels of its textures, 1 or 3; request: by default only color; maps: inverse depth (rows,
-    columns) in 1/mm of every object that is a depth map, 0 without a surface, None for other objects
+    channels: color channels of its textures, 1 or 3; request: by default only color; maps: for each object that is a
+    depth map, its inverse depth (rows, columns) in 1/mm, 0 without a surface, None for other objects
     (`clsco.inputs.depth_maps.load_scene_depths`); device: by default this machine's processor; psf: by default computed
     from the scene. Raises SceneError if the scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the
     method does not support the scene.

@@ -28,25 +28,26 @@ from clsco.scene.model import Camera, Disc, Lens, Object, ObjectMotion, Plane, R
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
-"""Inverse depth (rows, columns) in 1/mm of each object that is a depth map, 0 without a surface; None for others."""
+"""For each object that is a depth map, its inverse depth (rows, columns) in 1/mm, 0 without a surface; else None."""
 Slopes = tuple[Array, Array]
 Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
 LEAST_DISTANCE = 0.1  # least distance of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
 PLACES = 33  # positions along each axis of the frame at which ellipses are examined
-ROUND = 0.01  # fraction of R: discs whose edges are at most this far from those of ellipses replace them
-BEYOND = 1.1  # safety factor for positions between PLACES and in the guard band
+ROUND = 0.01  # fraction of R: a disc replaces an ellipse if their edges are at most this far apart
+BEYOND = 1.1  # safety factor for positions between the examined ones and in the guard band
 # Keys of the camera that change the blur but not the rays.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 _DEPTHS = Cache(32 << 20)  # limit in bytes
 
 
 def guard_band(psf: PointSpread, border: str, largest: float) -> int:
-    """Width in px of the band around the frame whose surfaces can light it, plus 2 px to detect silhouettes.
+    """Width in px of the band around the frame whose surfaces can light the frame, plus 2 px to detect silhouettes.
 
-    largest: largest |R|, px. The width is rounded up to a multiple of TAP_LANES, so that vectors of sources begin in
-    the same columns of the frame for every lens: lenses that share a band then give the same bits as each one alone.
+    0 with border = "renormalize". largest: largest |R|, px. The width is rounded up to a multiple of TAP_LANES, so that
+    vectors of sources begin in the same columns of the frame for every lens: lenses that share a band then give the
+    same bits as each one alone.
     """
     if border == "renormalize":
         return 0
@@ -91,7 +92,7 @@ def _slopes(cameras: Sequence[Camera], guard: int) -> list[Slopes]:
 
 
 def shifts_view(scene: Scene, eye: Eye) -> bool:
-    """True if a view of a stereo pair is not the one from which textures are projected."""
+    """True if the viewpoint of a view of a stereo pair is not the one from which textures are projected."""
     return scene.stereo is not None and (eye == "right" or scene.stereo.toe_in > 0.0)
 
 
@@ -102,8 +103,8 @@ def is_static_map(scene: Scene) -> bool:
 
 
 def is_forward(scene: Scene, eye: Eye) -> bool:
-    """True if a forward warp moves pixels of the reference pose: for scenes with depth maps unless they are static, and
-    with motion.warp = "forward" for scenes that move or have a shifted view.
+    """True if a forward warp moves pixels of the reference pose. This is the case for scenes with depth maps unless
+    they are static and, with motion.warp = "forward", for scenes that move or have a shifted view.
     """
     if not scene.is_analytic:
         return not is_static_map(scene)
@@ -111,8 +112,8 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
 
 
 def hides_nothing(scene: Scene) -> bool:
-    """True if the whole lens sees the same points as the pinhole: for a single surface that is not a depth map and has
-    no visible inside.
+    """True if the whole lens sees the same points as the pinhole. This is the case for a single surface that is not a
+    depth map and has no visible inside.
     """
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
@@ -120,7 +121,8 @@ def hides_nothing(scene: Scene) -> bool:
 def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
     """The PSF of a view of a scene: `psf`, or by default the PSF that the scene specifies.
 
-    If distortion makes its discs ellipses, and the method supports ellipses, `stretched` is set to their margin.
+    If distortion makes the discs of the PSF ellipses, and the method supports ellipses, `stretched` is set to their
+    margin.
     """
     psf = psf or scene_point_spread(scene)
     off = ellipticity_of(scene)
@@ -131,7 +133,7 @@ def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpr
 
 
 def ellipticity_of(scene: Scene) -> float:
-    """Largest distance in the frame between the edges of an ellipse and of a disc of the same area, as a fraction of R;
+    """Largest distance in the frame between the edges of an ellipse and of a disc of the same area, as a fraction of R.
     0 without distortion.
     """
     camera = reference_camera(scene)
@@ -162,7 +164,7 @@ def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: 
 
 
 def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
-    """Inverse depths (GRID, GRID) of a surface that all rays miss, at the rays around it; 0 elsewhere."""
+    """Inverse depths (GRID, GRID) of a surface that all rays miss, at the rays next to the surface; 0 at other rays."""
     inverse, (right, up, depth, radius) = np.zeros(x.shape), surface.ball.tolist()
     aside = np.maximum(*(np.abs(slope - place / depth) for slope, place in ((x, right), (y, up)))) if depth > 0 else x
     spacing = max(x[0, 1] - x[0, 0], abs(y[1, 0] - y[0, 0]))
@@ -177,7 +179,9 @@ def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
 
 
 def _cached_depths(scene: Scene, eye: Eye, guard: int) -> Array:
-    """`_inverse_depths`, cached, for scenes from `without_lens` with analytic objects and rays that never change."""
+    """Cached result of `_inverse_depths` for a scene from `without_lens`. All its objects are analytic, and its rays
+    are the same at all times.
+    """
 
     def cast() -> Array:
         samples = [(reference_camera(scene), poses_at(scene, t, eye)) for t in sequence_times(scene)]
@@ -195,7 +199,9 @@ def without_lens(scene: Scene) -> Scene:
 
 
 def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
-    """Inverse depths (GRID, GRID) of points of a depth map in a pose, including its nearest and farthest point."""
+    """Inverse depths (GRID, GRID) of points of a depth map in a pose. The points include the nearest and the farthest
+    one of the map.
+    """
     rows, columns = (np.linspace(0, n - 1, GRID).round().astype(np.intp) for n in depth.shape)
     i, j = (n.copy() for n in np.meshgrid(rows, columns, indexing="ij"))
     depths = np.where(depth > 0, depth, np.inf)
@@ -229,7 +235,7 @@ def grid_slopes(scene: Scene, time: float | None = None) -> Slopes:
 
 
 def fills_view(scene: Scene, w: Array) -> bool:
-    """True if one surface fills the view without a visible silhouette: all rays hit it, and it can have no hole.
+    """True if the scene has one surface, which fills the view: all rays hit it, and it can have no hole.
 
     w: inverse depths of the nearest surface at rays, 0 for a miss.
     """
@@ -246,7 +252,9 @@ def _faces_camera(item: Plane | Rectangle | Disc) -> bool:
 
 
 def constant_blur(scene: Scene) -> bool:
-    """True if all pixels have the same radius at any time, as the only object stays parallel to the detector."""
+    """True if all pixels have the same radius at any time. The only object must be a background, or flat and always
+    parallel to the detector.
+    """
     item, camera = scene.objects[0], scene.camera.motion
     turns = any(any(motion.turns[:2]) for motion in (*scene.motions(item), camera))
     turns |= scene.camera.shake is not None and scene.camera.shake.rotation_rms > 0.0
@@ -259,8 +267,8 @@ def constant_blur(scene: Scene) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScene:
-    """A view of a scene, resolved once for all decisions of a plan: poses at sampled times, and the hits of rays on a
-    coarse grid.
+    """A view of a scene, resolved once for all decisions of a plan. It has the poses at sampled times, and the hits of
+    the rays of a coarse grid.
     """
 
     scene: Scene
@@ -270,7 +278,7 @@ class ResolvedScene:
     times: list[float]  # s
     poses: list[tuple[Pose, ...]]  # of the objects at each time
     w: Array  # inverse depths (objects, times, GRID, GRID) in 1/mm over frame and guard band, 0 for a miss
-    slopes: Slopes  # (GRID, GRID) of the rays, right and up, at the middle time
+    slopes: Slopes  # slopes (GRID, GRID) of the rays along x and along y at the middle time
     smallest: float  # range of |R| with a margin, px
     largest: float
     guard: int  # width of the guard band for |R| up to `largest`, px
@@ -312,7 +320,7 @@ def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:
 
 
 def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
-    """Raise SceneError if frame and guard band extend to where a distorted image would fold back."""
+    """Raise SceneError unless frame and guard band end before a distorted image would fold back."""
     distortion, lens = distortion_of(cameras[0]), scene.lens
     if distortion is None or lens is None:
         return
@@ -346,8 +354,8 @@ def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[
 def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays: Sequence[Slopes]) -> Array:
     """Signed blur radii (n,) in px of all hits in `w` (`ResolvedScene.w`).
 
-    lenses: for each time, the lenses of all colors; rays: slopes of the rays at each time. Both are read only at the
-    first time if the lens does not change.
+    lenses: for each time, the lenses of all colors; rays: slopes of the rays at each time. If the lens does not change,
+    only the lenses and the slopes of the first time are used.
     """
     if scene.blurs_unevenly and is_static_map(scene):  # the nearest and farthest points may be anywhere in the map
         ends = np.array([w[w > 0].min(initial=np.inf), w.max(initial=0.0)])

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 class Prepared:
     """A scene ready to render: with a resolution, by default that of the first texture.
 
-    plans: one for its view, or for the left and the right view; with three channels if any texture has color;
-    approximation: only if the request has a tolerance.
+    plans: plan of its view, or plans of the left and the right view; images have three channels if any texture has
+    color or the lens separates colors; approximation: None unless the request has a tolerance and color.
     """
 
     scene: Scene
@@ -66,7 +66,7 @@ class Prepared:
 
     @cached_property
     def color(self) -> Color:
-        """Color space of the frames: that of the image files if all share one that suits the channels; else sRGB."""
+        """Color space of the frames: that of the image files if all share it and it suits the channels, else sRGB."""
         spaces = set(self.colors.values())
         color = spaces.pop() if len(spaces) == 1 else SRGB
         colored = self.plan.channels - self.plan.alpha == 3
@@ -103,15 +103,15 @@ def prepare_sweep(
 ) -> tuple[Prepared, ...]:
     """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all scenes.
 
-    With a tolerance, consecutive scenes that differ only in the lens or the sensor share rays, so they use the numbers
-    of samples of the most demanding scene.
+    With a tolerance, consecutive scenes that differ only in the lens or the sensor share rays. So they all use the
+    numbers of samples of the most demanding one.
     """
     request, files = request or Request(), files or shared_files()
     prepared, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
 
     def channels_of(scene: Scene) -> int:
         names = scene.separates_colors, *(tuple(item.inputs().items()) for item in scene.objects)
-        if names not in channels:  # all scenes of a sweep have the same files and arrays
+        if names not in channels:  # scenes of a sweep mostly have the same files and arrays
             channels[names] = _channels(scene, files)
         return channels[names]
 
@@ -191,8 +191,8 @@ def _prepare_scene(
 
 
 def _channels(scene: Scene, files: InputFiles) -> int:
-    """Number of channels of a scene's image: 1 if all its textures are gray, else 3. Raises SceneError with the faults
-    of all its files and arrays.
+    """Number of channels of a scene's image: 1 if all its textures are gray and the lens does not separate colors, else
+    3. Raises SceneError with the faults of all its files and arrays.
     """
     faults, gray = dict[str, str](), True
     for index, item in enumerate(scene.objects):
@@ -234,8 +234,8 @@ def _maps(scene: Scene, files: InputFiles) -> Maps:
 
 @contextmanager
 def _collect_faults(faults: dict[str, str], where: str) -> Iterator[None]:
-    """Catch a file's error raised in the block, and add its message and `where` to `faults`, unless another object or
-    face of a box has already added that message.
+    """Catch a file's error raised in the block, and add its message and `where` to `faults`. A message that another
+    object or face of a box has already added is not added again.
     """
     try:
         yield

@@ -19,8 +19,8 @@ class Request:
     """Requested outputs besides color, and how to compute them."""
 
     truth: tuple[str, ...] = ()
-    method: str = "auto"  # of the blur, as for `clsco.plan.methods.check_method`
-    tolerance: float | None = None  # largest RMS error (1 = white) that fewer samples may cause; None for all samples
-    precision: str | None = None  # "single" or "double", of the geometry; by default double if the device has it
+    method: str = "auto"  # method of the blur, see `clsco.plan.methods.check_method`
+    tolerance: float | None = None  # largest RMS error, 1 = white, due to fewer samples; None for all samples
+    precision: str | None = None  # precision of the geometry, "single" or "double"; by default double if possible
     memory: str | int | None = None  # limit of the buffers, by default as in `clsco.plan.memory.limit_of`
     color: bool = True  # True if the image is requested

@@ -7,8 +7,8 @@ at the middle of the pixel, into
     V(f) = 1 / N sum_n S(x_n) cos(2 pi f c_n) sinc(f / p) (1 + 4 c sin(pi f / p)^2)
 
 x_n: position of source n; c_n: middle of its part, both relative to the middle of the pixel; S: fraction of the disc
-around a source that lies within the width of the pixel; c: coefficient of the exchange between parts. V of both axes is
-multiplied, and f is converted from cycles per texel by the pixel's footprint on the surface:
+around a source that lies within the width of the pixel; c: coefficient of the exchange between parts. V is multiplied
+for both axes, and the pixel's footprint on the surface converts f from cycles per texel:
 
     e^2 = sum_f P(f) (V_exact(f_x) V_exact(f_y) - V(f_x) V(f_y))^2
 
@@ -45,16 +45,16 @@ Array = NDArray[np.float64]
 SIDE, PATCHES = 64, 9  # side in texels of a patch whose spectrum is computed, and patches along each axis
 LOOKS = 8  # rays at which the power of a texture in the frame is evaluated
 HELD = 0.4  # highest frequency in a coarser level of a mipmap, cycles per texel of that level
-STEEP = {1: 0.08, 2: 0.16, 3: 0.1, 4: 0.06, 8: 0.03}  # by number of sources along an axis
+STEEP = {1: 0.08, 2: 0.16, 3: 0.1, 4: 0.06, 8: 0.03}  # factor of the module's formula, by sources along an axis
 NARROW = 0.75  # px, radius of discs below which STEEP applies
 STRIDE = 7  # texels from one sample of a mean to the next
 BETWEEN = 5  # positions around each ray of a grid at which R is interpolated
 FINEST = 6.0  # cycles per px, beyond which all means are constant
-STEPS = 64  # frequencies per cycle per px
+STEPS = 64  # number of frequencies from one cycle per px to the next
 FREQUENCIES = np.arange(int(FINEST * STEPS) + 1) / STEPS
 RADII = 0.0105 * 2.0 ** (np.arange(40) / 4.0)  # radii of discs in px, up to 9
 REACHING = 2.0  # slope of the beginning of the exchange, as in detail.clh
-ALONG = ((2, 1), (0, 2), (0, 1))  # the two other components of each axis
+ALONG = ((2, 1), (0, 2), (0, 1))  # for each axis, the other two axes, which texture columns and rows follow
 
 
 def squared_errors(
@@ -62,8 +62,9 @@ def squared_errors(
 ) -> dict[int, float]:
     """Estimate the squared errors in white^2 of a frame in which fine textures have fewer sub-pixel sources.
 
-    textures: those of all objects; exact: number of sources along an axis in the exact frame; counts: smaller numbers,
-    1 for one source per pixel. Returns for each number in `counts` the largest error at the examined times.
+    textures: textures of all objects; exact: number of sources along an axis in the exact frame; counts: smaller
+    numbers, of which 1 means one source per pixel. Returns for each number in `counts` the largest error at the
+    examined times.
     """
     spectra: dict[int, tuple[Spectrum, float]] = {}
     firsts = [next(j for j, other in enumerate(textures) if other.radiance is texture.radiance) for texture in textures]
@@ -103,7 +104,7 @@ def squared_errors(
 
 
 def _between(radius: Array, change: Array) -> Array:
-    """|R| (BETWEEN, rows, columns) at positions around each ray of a grid, as rays rarely hit the focus exactly.
+    """|R| (BETWEEN, rows, columns) at positions around each ray of a grid, because few rays hit the focus exactly.
 
     radius: signed R at the rays; change: change of R from ray to ray.
     """
@@ -112,9 +113,11 @@ def _between(radius: Array, change: Array) -> Array:
 
 
 def footprints(item: Object, pose: Pose, image: TextureMap, camera: Camera, x: Array, y: Array) -> Array:
-    """Changes of texture column and row from a pixel to its right and its lower neighbor, texels (right or down, 2, n).
+    """Footprints (2, 2, n) of pixels on a texture, in texels.
 
-    image: mapping of the texture; x, y: slopes (n,) of rays that hit the object. NaN if a neighbor's ray misses it.
+    The first axis is the step to the right neighbor of a pixel or to its lower one, the second the change of the
+    texture's column or row in that step. image: mapping of the texture; x, y: slopes (n,) of rays that hit the object.
+    NaN if the ray of a neighbor misses the object.
     """
     surface, (right, up) = place(item, pose), places_of(camera, x, y)
     points = np.empty((3, x.size, 3))
@@ -134,7 +137,7 @@ def footprints(item: Object, pose: Pose, image: TextureMap, camera: Camera, x: A
 
 
 def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> Array:
-    """The two coordinates (2, ..., n) of points (..., n, 3) in the frame of a texture (`clsco.optics.texture_mapping`);
+    """The two coordinates (2, ..., n) of points (..., n, 3) in the frame of a texture (`clsco.optics.texture_mapping`).
     side: axis (n,) along which each point is projected, for cube and triplanar maps.
     """
     x, y, z = np.moveaxis(q, -1, 0)
@@ -152,16 +155,16 @@ def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> 
 
 
 Kind = tuple[Array, int]
-"""Kind of pixels: their footprint (right or down, 2) and the index of their disc's radius in RADII."""
+"""Kind of pixels: a footprint (2, 2), as in `footprints`, and the index in RADII of the radius of the discs."""
 Spectrum = tuple[Array, Array, Array]
-"""Power of a texture, white^2, and its cycles per texel along columns and rows, all of one shape."""
+"""Power of a texture, white^2, and its frequencies along columns and along rows, cycles per texel; of one shape."""
 
 
 def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[Kind, float]]:
     """Kinds of pixels with fine texture, each with the fraction of all pixels that it stands for.
 
-    across: footprints (right or down, 2, n); spread: radii (BETWEEN, n) of the discs around each ray; fine: mask
-    (BETWEEN, n) of fine texture.
+    across: footprints (2, 2, n); spread: radii (BETWEEN, n) of the discs around each ray; fine: mask (BETWEEN, n) of
+    fine texture.
     """
     discs = np.abs(np.log(RADII[:, None] / np.maximum(spread[fine], RADII[0]))).argmin(axis=0)
     fine_rays, kinds = np.nonzero(fine)[1], []
@@ -173,10 +176,10 @@ def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[
 
 
 def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Array, Array]:
-    """Power of a texture's image by frequency along x, and by frequency along y, without the constant term; each pixel
-    has the mean over its area.
+    """Power of a texture's image without the constant term, by frequency along x, and by frequency along y.
 
-    across: footprints (right or down, 2, n); cycles: frequencies, multiples of the first one, cycles per px.
+    Each pixel of the image has the mean of the texture over its area. across: footprints (2, 2, n); cycles: frequencies
+    in cycles per px, multiples of the first one.
     """
     powers, columns, rows = spectrum
     binned = np.zeros((2, cycles.size))
@@ -213,7 +216,7 @@ def _kind_errors(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int])
 
 
 def _level(changes: Array) -> int:
-    """Coarsest mipmap level in which a footprint (right or down, 2) is at least LEAST_TEXELS wide."""
+    """Coarsest mipmap level in which a footprint (2, 2) is at least LEAST_TEXELS wide."""
     across = sqrt(2.0 / float((changes**2).sum())) * abs(float(np.linalg.det(changes)))
     return max(int(log2(max(across / LEAST_TEXELS, 1.0))), 0)
 
