@@ -61,9 +61,9 @@ def fill_in_tiles(
 def _within(
     part: tuple[slice, ...], pixels: NDArray[np.int64], columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Those of the pixels (N,), ascending numbers in an image of `columns` columns, that are in a part of the image.
+    """Indices of those pixels that are in a part of an image, and their rows and columns in the part.
 
-    Returns their indices in `pixels`, and their rows and columns in the part.
+    pixels: (N,), ascending numbers of pixels in an image of `columns` columns; the indices are those in this array.
     """
     first, end = np.searchsorted(pixels, (part[0].start * columns, part[0].stop * columns))
     row, column = np.divmod(pixels[first:end], columns)

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 def close_focus_note(camera: Camera) -> str | None:
     """A note if the focus is so close that sizes differ from textbook formulas. None if they do not, or if the scene
-    sets `camera.normalization_distance`.
+    sets the key normalization_distance.
     """
     share = 1.0 - camera.normalization_distance / camera.sensor_distance
     if "normalization_distance" in camera.model_fields_set or abs(share) <= CLOSE:
