@@ -106,9 +106,7 @@ def _cast_rays(scene: Scene, number: int) -> _Frame:
 
 
 def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
-    """Length of the flow over an interval in s: (RAYS, RAYS), px; 0 where a ray meets no surface, or its point moves
-    behind the lens.
-    """
+    """Length of flow over an interval in s: (RAYS, RAYS), px; 0 without a surface, or if it moves behind the lens."""
     time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
     x, y = _slopes(scene, time)

@@ -25,8 +25,7 @@ _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "
 def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, int]]) -> None:
     """Complete the card of a set whose shards are all done, and write README.md. Raises FileError.
 
-    Other entries of `dataset.json`, such as the license, stay. files: names of the files, and the number of samples in
-    each.
+    Other entries of `dataset.json`, such as the license, stay. files: each with its number of samples.
     """
     card = json.loads(storage.read(CARD) or b"{}")
     by_split = files_by_split(files)

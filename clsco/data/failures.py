@@ -13,9 +13,7 @@ _ERRNOS_OF_MACHINE = {
 
 
 def failure_of(error: BaseException) -> tuple[str, str]:
-    """Class of an error, and its text: "fatal" if the machine or the store failed, so that other shards would fail,
-    too; else "failed".
-    """
+    """Class of an error, and its text. The class is "fatal" if other shards would also fail, else "failed"."""
     text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
     is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
     return "fatal" if is_fatal else "failed", text

@@ -158,9 +158,7 @@ def numbers_of(shard: int, samples: range, size: int) -> range:
 
 
 class Merged:
-    """Merges the lines and the lists of files of all parts, which are added in order. Lines stay in the scratch folder
-    until `put`.
-    """
+    """Merges the lines and files of parts, which are added in order. Lines stay in the scratch folder until `put`."""
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage

@@ -294,9 +294,7 @@ def _without_variant(name: str) -> str:
 
 
 def _share(arrays: dict[str, NDArray[Any]], about: dict[str, dict[str, Any]]) -> None:
-    """Replace arrays that do not depend on the lens, and are equal in all variants, by one: "v00.depth" and so on by
-    "depth".
-    """
+    """Store an array once, as "depth" for "v00.depth", if it is equal in all variants and independent of the lens."""
     groups: dict[str, list[str]] = {}
     for name in arrays:
         groups.setdefault(_without_variant(name), []).append(name)

@@ -44,9 +44,7 @@ class DataSet:
         return sorted(key for key in self.storage.sizes(manifest.PARTS) if key.endswith(".jsonl"))
 
     def parts(self, keys: Sequence[str] | None = None) -> Iterator[tuple[str, bytes]]:
-        """Keys and contents of manifest parts, in order: of all that exist, or of those with `keys`. Several are read
-        at a time.
-        """
+        """Keys and contents of manifest parts, all or those with `keys`, in order. Several are read at a time."""
         keys = self.part_keys() if keys is None else keys
         with ThreadPoolExecutor(AT_ONCE) as threads:
             for start in range(0, len(keys), 8 * AT_ONCE):  # to limit the number of parts in memory

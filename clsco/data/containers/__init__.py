@@ -29,10 +29,7 @@ CONTAINERS = {
 
 
 def container_named(name: str) -> Container:
-    """The container with a name.
-
-    Raises SceneError if no container has the name, MissingDependencyError if the module that it needs is missing.
-    """
+    """The container with a name. Raises SceneError for an unknown name, MissingDependencyError for a missing extra."""
     if name not in CONTAINERS:
         raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")
     container = CONTAINERS[name]
