@@ -43,12 +43,12 @@ class UnfitError(SceneError):
 
 @dataclass(frozen=True)
 class Look:
-    """What RAYS x RAYS rays on a regular grid over each of some frames of a sample meet.
+    """Measures of surfaces that RAYS x RAYS rays, on a regular grid over each of some frames of a sample, meet.
 
-    inverse_depth: 1/Z of the surfaces that rays meet, 1/mm. blur: their |R| in px, background included. flow: length of
-    their flow to the next frame, px. valid: share of rays that meet a surface, in the frame where it is smallest.
-    visible: share of an object's rays that are not occluded, for the object and the frame where it is smallest; 0 for
-    an object outside the frame, and a box is one object.
+    inverse_depth: 1/Z where each ray meets a surface, 1/mm. blur: |R| there and in the background, px. flow: length of
+    the flow there to the next frame, px. valid: share of rays that meet a surface, in the frame where it is smallest.
+    visible: share of an object's rays that are not occluded, for the object and the frame where it is smallest; 0 if an
+    object is outside the frame. A box is one object.
     """
 
     inverse_depth: Array

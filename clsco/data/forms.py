@@ -85,7 +85,7 @@ def _is_plain(value: Any, levels: int) -> bool:
 
 @dataclass(frozen=True)
 class Form(ABC):
-    """Distribution of a value; size: number of its components, None for a value that is no list."""
+    """Distribution of a value; size: number of its drawn components, None if the value is drawn as a whole."""
 
     size: int | None
 
