@@ -25,18 +25,20 @@ from clsco.optics.sensor import camera_word, sensor_model
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.scene.model import Scene
 
-if TYPE_CHECKING:  # which needs the extra
+if TYPE_CHECKING:  # these modules need the extra `check`
     from clsco.truth.judge import Judgement
 
-# In single precision tolerances are 10 times larger, and 1 in LEAST_AGREEING pixels, at edges, may exceed them.
+# In single precision, tolerances are 10 times larger, and at edges 1 in LEAST_AGREEING pixels may exceed them.
 LEAST_AGREEING = 500
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of an output from that of the reference, in `unit`, with the pixel of the largest error.
+    """Difference between an output of the device and of the reference.
 
-    figure: tolerance; count: pixels whose error exceeds it; allowed: largest `count` that passes.
+    unit: unit of all errors. largest, rms: largest error, and root mean square error. row, column: pixel with the
+    largest error. figure: tolerance. count: number of pixels whose error exceeds the tolerance. allowed: largest
+    `count` that passes.
     """
 
     output: str
@@ -56,7 +58,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """Comparison of a frame of the device, or of a view of a stereo pair, with the reference; times of both."""
+    """Comparison of a frame, or one view of a stereo pair, with the reference; and the time that each took, s."""
 
     frame: Frame
     differences: tuple[Difference, ...]
@@ -65,14 +67,14 @@ class Checked:
 
     @property
     def place(self) -> str:
-        """Words for the frame, and the view of a stereo pair."""
+        """Text that names the frame and, in a stereo pair, the view."""
         return f"in frame {self.frame.index}" + (f" ({self.frame.eye})" if self.frame.eye else "")
 
 
 def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: bool = False) -> Difference:
-    """Compare arrays (rows, columns[, channels]) of an output by its tolerance; equal infinities agree, NaN never does.
+    """Compare two arrays (rows, columns[, channels]) of an output. Equal infinities agree, and NaN never agrees.
 
-    single: True if `got` is of single precision, which has a larger tolerance.
+    single: True if `got` was computed in single precision, which has a larger tolerance.
     """
     about = OUTPUTS[output]
     unit, figure = about.measure or about.unit, about.figure * (10.0 if single else 1.0)
@@ -93,7 +95,7 @@ def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: b
 
 
 def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
-    """Differences of a frame from the reference's, in color and in every ground-truth output that both have."""
+    """Differences between a frame and the reference's frame `exact`, in each output that both have."""
     single = frame.metadata.get("precision") == "single"
     return tuple(
         difference(name, getattr(frame, name), getattr(exact, name), single)
@@ -103,7 +105,7 @@ def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
 
 
 def _sensor_of(scene: Scene, frame: Frame) -> Frame:
-    """Outputs of the reference's sensor model for the irradiance of a frame."""
+    """Outputs that the reference's model of the sensor computes from a frame's irradiance."""
     light = np.atleast_3d(frame.color)
     model = sensor_model(scene, light.shape[2])
     camera = camera_word(frame.index, "right" if frame.eye == "right" else "left")
@@ -113,8 +115,9 @@ def _sensor_of(scene: Scene, frame: Frame) -> Frame:
 def compare_frames(scene: Scene, device: str | None, precision: str | None) -> Iterator[Checked]:
     """Render each frame, or both views of each stereo pair, on the device and with the reference.
 
-    With a sensor, the irradiance is compared, and the codes are compared with those that the reference's sensor makes
-    from the device's irradiance, because the last bit of an irradiance may change a code. Raises as `clsco.render`.
+    If the scene has a sensor, the irradiance is compared in place of color. Sensor codes are compared with those that
+    the reference computes from the device's irradiance, because the last bit of an irradiance may change a code. Raises
+    as `clsco.render`.
     """
     plain = scene.model_copy(update={"sensor": None})
     frames, exacts = render(plain, device=device, precision=precision), reference.render(plain)
@@ -132,7 +135,7 @@ def compare_frames(scene: Scene, device: str | None, precision: str | None) -> I
 
 
 def _reference_tables(checked: Checked) -> list[RenderableType]:
-    """Differences of one frame from the reference, and both times."""
+    """Tables of the differences between one frame and the reference, and of the time that each took."""
     columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
     rows = [
         (d.output, f"{d.largest:.2e}", f"{d.rms:.2e}", d.unit, f"{d.row}", f"{d.column}", f"{d.count}", f"{d.figure:g}")
@@ -149,7 +152,7 @@ def _reference_tables(checked: Checked) -> list[RenderableType]:
 
 
 def _judged_tables(judgement: Judgement) -> list[RenderableType]:
-    """Deviations of one frame from rays: by class of pixel and by object, and the light of small objects."""
+    """Tables of deviations of one frame from rays, by class of pixel and by object, and of light of small objects."""
     columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
     tables: list[RenderableType] = []
     for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
@@ -180,9 +183,9 @@ def require_report(out: Path) -> None:
 def check_scene(
     path: Path, scene: Scene, extent: tuple[int, float], out: Path | None, device: str | None, precision: str | None
 ) -> None:  # fmt: skip
-    """Print how every view of a scene differs from the reference and from rays, and write the report to `out`.
+    """Print how each view of a scene differs from the reference and from rays, and write the report to `out`.
 
-    extent: most rays per pixel, and seconds for all of them. Raises ClscoError if a difference is too large.
+    extent: largest number of rays per pixel, and time for all rays, s. Raises ClscoError if a difference is too large.
     """
     rays, seconds = extent
     why = "no rays were asked for" if not rays else None
@@ -212,8 +215,8 @@ def check_scene(
 
 
 def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
-    """Write all figures to a JSON file, or draw the tested pixels on the darkened frames: red if too bright, blue if
-    too dark, green if they agree, saturated at 0.01 of white. why: reason why there are no rays, or None.
+    """Write a report: to a .json all figures, to a .png the darkened frames with the tested pixels marked. These are
+    red if too bright, blue if too dark, green if they agree, saturated at 0.01 of white. why: why rays are missing.
     """
     if out.suffix.lower() == ".json":
         values = [{"frame": each.frame.index, "eye": each.frame.eye} | judged.values() for each, judged in views]

@@ -168,7 +168,7 @@ def verify(data: str, sample: int, device: str | None, draw: str | None, base: P
 
     with _opened(data) as there:
         if draw is not None:
-            sys.path.insert(0, str(Path.cwd()))  # where a user's own modules lie
+            sys.path.insert(0, str(Path.cwd()))  # the user's own modules are in the current folder
         drawn = None if draw is None else drawn_again(there, draw, base)
         with progress(len(there.shards) + sample, quiet, "checks") as advance:
             findings = verify_files(there, advance)

@@ -25,10 +25,10 @@ _CAMERA = ("focal_length", "f_number", "focus_distance", "pixel_pitch")  # optio
 
 
 def scenes_from_files(image: Path, depth: Path, options: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:
-    """Scenes of one depth map with an image, one for each combination of values in `overrides`; paths are absolute.
+    """Make scenes of an image and its depth map: one for each combination of values in `overrides`. Raises SceneError.
 
-    options: values by key of the depth map or the camera, None for a missing key. overrides: as for
-    `clsco.load_sweep`, applied after the options. Raises SceneError.
+    options: values of keys of the depth map and the camera, None for a missing key. overrides: as for
+    `clsco.load_sweep`; they are applied after the options. Paths in the scenes are absolute.
     """
     keys = {key: value for key, value in options.items() if value is not None}
     camera = {key: keys.pop(key) for key in _CAMERA if key in keys}
@@ -49,7 +49,7 @@ def check_pair(scene: Scene) -> None:
 
 
 def is_image_file(out: Path) -> bool:
-    """True if OUT names an image file, False for a folder; raises FileError for a format that cannot be written."""
+    """True if OUT names an image file, False if a folder. Raises FileError for a format that cannot be written."""
     suffix = out.suffix.lower()
     if out.is_dir():
         return False
@@ -59,7 +59,7 @@ def is_image_file(out: Path) -> bool:
 
 
 def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
-    """Make the folder of an image file, and check that it can be written, is not an input, and takes all images."""
+    """Make the folder of OUT, and check OUT: it can be written, it is no input, and there is only one image for it."""
     count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
     if count != 1:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
@@ -68,10 +68,11 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
 
 
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
-    """Write the color of a frame to one file, in the format of its extension, with the color space of the image.
+    """Write the color of a frame to a file, in the format of its extension, with the color space of the image.
 
-    bits: of the source image, 8, 16 or 32. Codes have as many, or the most that the format holds; a format of floats
-    stores linear float32 for 32, or if it holds no codes. transfer: of codes, "srgb" or "linear".
+    bits: bits per value of the source image, 8, 16 or 32. A file of codes has as many bits, or the most that the format
+    can store. Linear float32 is stored in formats of floats, if `bits` is 32 or the format has no codes. transfer:
+    curve of codes, "srgb" or "linear".
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)

@@ -17,7 +17,7 @@ THESIS = "thesis/"  # beginning of the names of figures of the thesis, which are
 
 
 def _files(place: Path) -> dict[str, Path]:
-    """The example files in a folder, by name."""
+    """The example files in a folder, by the name that the command lists."""
     files = {str(path.relative_to(place).with_suffix("")): path for path in sorted(place.rglob("*.toml"))}
     return files | {path.stem: path for path in sorted(place.glob("*.png")) if _mask(path).is_file()}
 
@@ -67,7 +67,7 @@ def _title(path: Path) -> str:
 
 
 def _named(path: Path) -> list[Path]:
-    """Files that a file refers to, in the same folder; for an image its mask."""
+    """Files in the same folder that a scene or distribution refers to; for an image, its mask."""
     if path.suffix != ".toml":
         return [_mask(path)]
     text = path.read_text("utf-8")

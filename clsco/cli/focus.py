@@ -35,14 +35,14 @@ focus_depth_option = option(
 
 
 def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None:
-    """Focus that the options ask for, or None without either option. Raises click.UsageError if both are given."""
+    """The focus that an option requests, or None if neither is given. Raises click.UsageError if both are given."""
     if at is not None and share is not None:
         raise click.UsageError("--focus-at: goes without --focus-depth; got both")
     return share if at is None else at
 
 
 def focus_files(loaded: Loaded, focus: Focus | None) -> Loaded:
-    """The loaded files with focused lenses, or with a SceneError in place of scenes that cannot be focused."""
+    """The loaded files with focused lenses. A SceneError replaces the scenes of a file that cannot be focused."""
     if focus is None:
         return loaded
     return [(path, _focused(path, item, focus) if not isinstance(item, SceneError) else item) for path, item in loaded]

@@ -23,10 +23,11 @@ from clsco.inpainting.rules import MeanMedian
 def read_pair(
     image: Path, mask: Path, threshold: float | None = None, layer: str | None = None
 ) -> tuple[Picture, NDArray[np.bool_]]:  # fmt: skip
-    """Read an image as stored, whose missing pixels may be NaN, and a mask (rows, columns), True for missing pixels.
+    """Read an image as stored, and its mask (rows, columns), True for missing pixels. Raises FileError, ArgumentError.
 
-    A pixel is missing where the mask is white (255, 65535, or 1.0 in floats) and known where it is 0; with a threshold,
-    values from it on are missing. layer: as for `clsco.files.images.read_image`. Raises FileError, ArgumentError.
+    Without a threshold, a pixel is missing where the mask is white (255, 65535, or 1.0 in floats) and known where it is
+    0; with one, it is missing where the mask is at least the threshold. Missing pixels of the image may be NaN. layer:
+    as for `clsco.files.images.read_image`.
     """
     if threshold is not None and not math.isfinite(threshold):
         raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
@@ -57,7 +58,7 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
 
 
 def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> ImageWriter:
-    """Writer for OUT, after checks of its name, format and folder; is_float: None while unknown. Raises FileError."""
+    """Writer for OUT, after checks of it and its folder; is_float: None if not known yet. Raises FileError."""
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
         raise_file_error(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
@@ -72,7 +73,7 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
 
 
 def mean_median_options(method: str, options: Mapping[str, Any]) -> MeanMedian | None:
-    """Constants of mean-median if any option is given, else None. Raises SceneError with the name of the option."""
+    """Constants of the method mean-median, or None if no option sets one. Raises SceneError, which names the option."""
     from clsco.inpainting.methods import THESIS
 
     constants = {name: value for name, value in options.items() if value is not None}

@@ -1,4 +1,4 @@
-"""Messages of commands before they render: about colors, depth maps, their blur, and samples."""
+"""Messages that commands print before they render: on colors, depth maps, their blur, and time samples."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def first_scene(
     path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None, aside: bool = False
 ) -> Prepared:  # fmt: skip
-    """The only scene of a file, or the first of several, whose label is printed; aside: True for stderr."""
+    """Prepare the first scene of a file, and print its label if there are several; aside: True to print to stderr."""
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
@@ -39,7 +39,7 @@ def first_scene(
 
 
 def report_inputs(planned: Sequence[PreparedFile]) -> None:
-    """Print notes to stderr: on images, depth maps, how far the lens blurs them, and samples for a tolerance."""
+    """Print notes to stderr: on images, depth maps and their largest blur, and time samples chosen for a tolerance."""
     from clsco.scene.model import DepthMap
 
     for path, labels, prepared in planned:
@@ -59,9 +59,9 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
 
 
 def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared], close: bool = False) -> None:
-    """Print to stderr which images are stretched, and, once each, which parts of scenes are out of sight or black.
+    """Print to stderr which images are stretched, and which parts of scenes are out of sight or black, each once.
 
-    close: True to report also a close focus, which makes sizes differ from the usual formulas.
+    close: True to report a close focus, too, because image sizes then differ from the usual formulas.
     """
     from clsco.inputs.textures import find_stretched
     from clsco.plan.notes import close_focus_note, sight_notes
@@ -87,13 +87,13 @@ def _report(path: str, label: str, line: str) -> None:
 
 
 def report_notes(path: str, notes: Iterable[str]) -> None:
-    """Print notes on an image, as `clsco.files.images.Picture.notes` gives them, to stderr."""
+    """Print notes on an image, those of `clsco.files.images.Picture.notes`, to stderr."""
     for note in notes:
         echo(f"{path}: {note}", err=True)
 
 
 def prepare_file(out: Path, sources: Iterable[Path], names: str) -> ImageWriter:
-    """Writer for an image file that is none of its sources, in a writable folder. Raises FileError, as `writer_for`."""
+    """Writer for an image file that is none of the sources, in a writable folder. Raises FileError, as `writer_for`."""
     from clsco.files.atomic import is_same_place, make_writable_folder
     from clsco.files.images import writer_for
 

@@ -44,8 +44,9 @@ ENDINGS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 @contextmanager
 def _end_by_signals() -> Iterator[list[int]]:
-    """Make the signals of `ENDINGS` raise KeyboardInterrupt in the block, so that no file is left half-written; yields
-    a list of those that arrive, because an import may replace KeyboardInterrupt by another error.
+    """Make the signals of `ENDINGS` raise KeyboardInterrupt in the block, so that no file is left half-written.
+
+    Yields a list to which arriving signals are added, because an import may replace KeyboardInterrupt by another error.
     """
     arrived = list[int]()
     if threading.current_thread() is not threading.main_thread():
@@ -88,7 +89,7 @@ class Commands(click.Group):
 
 
 def _ending(error: BaseException, signals: Sequence[int]) -> tuple[list[str], int] | None:
-    """Lines and exit status for errors of the user or the machine, and signals; None for others, and a closed pipe."""
+    """Lines to print and exit status for a signal, or an error of the user or the machine; None for other errors."""
     if signals or isinstance(error, KeyboardInterrupt):
         number = signal.Signals(signals[0]) if signals else signal.SIGINT
         return [ENDINGS[number]], 128 + number
@@ -104,7 +105,7 @@ def _ending(error: BaseException, signals: Sequence[int]) -> tuple[list[str], in
 
 
 class _LazyCommands(Commands):
-    """The commands of `COMMANDS`."""
+    """A group with the commands in `COMMANDS`, whose modules are imported when they are needed."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands, without importing their modules."""

@@ -25,9 +25,10 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it takes none
-    """Names that the shell completes and, with `strict`, click checks; many: several with commas between them.
+    """Type of an option whose values are names, which the shell completes.
 
-    source: returns the names; called only if they are needed, because it imports modules.
+    source: function that returns the names; it imports modules, so it is called only if the names are needed. many:
+    True for several names with commas between them. strict: True to reject other names.
     """
 
     name = "name"
@@ -49,7 +50,7 @@ class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it ta
 def option(
     names: str, metavar: str, text: str, kind: Any = str, shown: Any = None, **more: Any
 ) -> Callable[[Command], Command]:
-    """An option with a value. names: with spaces between them; text: help; shown: default value that the help shows."""
+    """An option with a value. names: separated by spaces; text: help; shown: default value, which the help shows."""
     default = {} if shown is None else {"default": shown, "show_default": True}
     return click.option(*names.split(), metavar=metavar, help=text, type=kind, **default, **more)
 
@@ -59,7 +60,7 @@ def flag(names: str, text: str) -> Callable[[Command], Command]:
 
 
 def attribute(place: str) -> Callable[[], Iterable[str]]:
-    """A function that returns the entries of a "module:OBJECT", or the allowed values of a "module:Model.key"."""
+    """Make a function that returns the entries of a "module:OBJECT", or the allowed values of a "module:Model.key"."""
     module, _, path = place.partition(":")
 
     def names() -> Iterable[str]:
@@ -85,7 +86,7 @@ def _types() -> list[str]:
 
 
 def usage_error(error: SceneError) -> click.UsageError:
-    """Usage error for messages about option values, which begin with the options' names."""
+    """Usage error with the messages of `error`, which begin with names of options."""
     return click.UsageError("; ".join(f"--{message}" for message in error.messages))
 
 
@@ -93,7 +94,7 @@ PRESET = Names(attribute("clsco.files.video:PRESETS"), strict=True)
 
 
 def parse_pair(text: str, pattern: str, rule: str, ordered: bool = False) -> tuple[Any, Any]:
-    """The two numbers of a pattern, None for an empty one. ordered: the first must be below the second."""
+    """The two numbers in a text that matches a pattern; None for an empty one. ordered: True if they must increase."""
     match = re.fullmatch(pattern, text, re.ASCII)
     numbers: list[Any] = [int(number) if number else None for number in match.groups()] if match else []
     if not numbers or (ordered and numbers[0] >= numbers[1]):
@@ -116,7 +117,7 @@ def parse_memory(text: str) -> int:
 
 @dataclass(frozen=True)
 class Computation:
-    """Place and method of the computation: options of `render` and `defocus`."""
+    """Options of `render` and `defocus` that select where and how they compute."""
 
     device: str | None
     precision: str | None
@@ -130,7 +131,7 @@ def require_opencl() -> None:
 
 
 def require_device(name: str | None) -> None:
-    """Fail, before any file is written, if no device exists or none has this name."""
+    """Raise an error, before any file is written, if no device exists or none has this name."""
     require_opencl()
     from clsco.opencl.device import choose
 
@@ -138,7 +139,7 @@ def require_device(name: str | None) -> None:
 
 
 class _Path(click.Path):
-    """A path that is not empty, as Path("") would mean the current folder."""
+    """Type of a path that must not be empty, because Path("") would mean the current folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if os.fspath(value) == "":

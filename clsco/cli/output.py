@@ -16,7 +16,7 @@ def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
 
 
 def show_log(verbose: int) -> None:
-    """Print messages of the logger "clsco" to stderr besides warnings: progress at 1, all details at 2."""
+    """Print messages of the logger "clsco" to stderr; verbose: 0 for warnings, 1 for progress, 2 for all details."""
     import logging
 
     class Stderr(logging.Handler):

@@ -15,14 +15,14 @@ from clsco.plan.notes import unused_keys
 from clsco.plan.passes import ONCE_A_FRAME, Kind, Pass
 from clsco.plan.plan import Plan
 
-if TYPE_CHECKING:  # what needs OpenCL
+if TYPE_CHECKING:  # this module needs OpenCL
     from clsco.engine.probe import FrameTime
 
 
 def plan_tables(plans: Sequence[Plan], device: str, time: FrameTime | None) -> list[RenderableType]:
-    """Tables of a plan, or of both views' plans: costs, passes, features left out, and unused keys of the scene.
+    """Tables of the plan of a frame, or of both views: costs, passes, omitted features, and unused keys of the scene.
 
-    device: the device in use, or the reason why there is none; time: of a frame, None if unknown.
+    device: name of the device, or the reason why there is none; time: time of a frame, None if unknown.
     """
     plan = plans[0]
     scene = plan.scene
@@ -76,7 +76,7 @@ def duration(seconds: float) -> str:
 
 
 def _of_lines(plan: Plan) -> str:
-    """Text after the number of time samples: how many each line has under a rolling shutter."""
+    """Text that follows the number of time samples: how many each line has, with a rolling shutter."""
     sequence = plan.scene.sequence
     line = "column" if sequence.by_columns else "row"
     text = f": {plan.samples} while a {line} is exposed"
@@ -99,7 +99,7 @@ def _time(time: FrameTime | None) -> str:
 
 
 def _passes(plans: Sequence[Plan], time: FrameTime | None) -> list[tuple[str, ...]]:
-    """Rows of the passes of all views, occlusion groups together. A buffer counts for the first pass that uses it."""
+    """Rows of passes, all views and occlusion groups together. Buffers count for the first pass that uses them."""
     rows: list[tuple[str, ...]] = []
     views = ({},) * len(plans) if time is None else time.views
     for plan, seconds in zip(plans, views, strict=True):
@@ -146,7 +146,7 @@ def _strips(plan: Plan) -> str:
 
 
 def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]]:
-    """Rows of all views in the order of the first view: once if all agree, else with the view's name."""
+    """Merge the rows of all views: a row that is equal in all is listed once, others with the view's name."""
     if len(rows) == 1:
         return list(rows[0])
     views = [dict(one) for one in rows]

@@ -1,4 +1,4 @@
-"""Progress: a bar on a terminal, or, on request, lines of JSON on stderr for programs."""
+"""Shows progress: as a bar on a terminal or, if requested, as lines of JSON on stderr for programs."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ import click
 if TYPE_CHECKING:
     from clsco.opencl.session import Progress
 
-FORM = "clsco.progress"  # key of the form of progress in a command's context
-LINES_S = 0.2  # between lines of JSON
-WITHIN_S = 1.0  # between lines within a frame
+FORM = "clsco.progress"  # key, in a command's context, of the requested form of progress
+LINES_S = 0.2  # s between lines of JSON
+WITHIN_S = 1.0  # s between lines within a frame
 
 
 @contextmanager
 def progress(
     total: int, quiet: bool, what: str = "frames", here: Progress | None = None
 ) -> Iterator[Callable[..., object]]:
-    """Show a bar on a terminal, or lines of JSON on request; yields a function to call after some items, by default 1.
+    """Show a bar on a terminal, or lines of JSON if requested; yields a function to call after one or more items.
 
-    what: items, plural. here: position of the device within a frame, to be shown as well.
+    what: plural of the name of the items. here: position of the device within a frame, which is shown, too.
     """
     if _is_in_lines():
         with _lines(total, what, here) as advance:
@@ -55,7 +55,7 @@ def progress(
 
 @contextmanager
 def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Callable[[], object]]:
-    """Progress as of `progress` that also shows the device's position within a frame and the time left."""
+    """Show progress like `progress`, and also the device's position within a frame and the time left."""
     if not _is_in_lines() and not _is_shown(total, quiet):
         yield lambda: None
         return
@@ -76,7 +76,7 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
 
 
 def position(here: Progress, done: float, total: int, elapsed: float) -> str:
-    """Text of the position: step and its finished fraction, time sample, and, after the first one, the time left."""
+    """Text of a position in a frame: the step, its finished fraction, the time sample and, if known, the time left."""
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
     left = _seconds_left(here, done, total, elapsed)
@@ -85,7 +85,7 @@ def position(here: Progress, done: float, total: int, elapsed: float) -> str:
 
 
 def _seconds_left(here: Progress, done: float, total: int, elapsed: float) -> float:
-    """Seconds that are left after `elapsed`, 0 while unknown: before the first time sample is done."""
+    """Predicted seconds left after `elapsed` seconds; 0 (unknown) before the first time sample is done."""
     finished = (done + here.done / max(here.total, 1)) / total
     return elapsed * (1.0 - finished) / finished if finished > 0.0 else 0.0
 
@@ -101,7 +101,7 @@ def _is_in_lines() -> bool:
 
 @contextmanager
 def _lines(total: int, what: str, here: Progress | None) -> Iterator[Callable[..., object]]:
-    """Print lines of JSON: first, after items, and last; with a position in a frame also every WITHIN_S seconds."""
+    """Print lines of JSON at the beginning, after items, and at the end; if `here` is given, also every WITHIN_S."""
     done, printed, last, begun = 0, -1, 0.0, time.monotonic()
     lock, ended = threading.Lock(), threading.Event()
 
@@ -140,7 +140,7 @@ def _lines(total: int, what: str, here: Progress | None) -> Iterator[Callable[..
 
 @contextmanager
 def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
-    """Bar as of `progress` for work that reports a fraction from 0 to 1."""
+    """Show a bar like `progress`, for work that reports a fraction from 0 to 1."""
     shown = 0
     with progress(100, quiet, "percent") as advance:
 

@@ -67,7 +67,7 @@ def render(
 
 
 def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
-    """Fail if --no-color is given and the files need the image, or no files are asked for."""
+    """Raise an error if --no-color is given, and the files need the image, or there are no files."""
     if not no_color:
         return
     if not files:
@@ -80,7 +80,7 @@ def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
 
 
 def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **values: Any) -> Request:
-    """Request for the outputs in these files of ground truth; without files, for no outputs."""
+    """Request for the outputs that these files of ground truth store; without files, it has no outputs."""
     from clsco.plan.request import Request
 
     if computation is not None:
@@ -97,7 +97,7 @@ def render_to_folders(
     span: Span = (None, None), resume: bool = False, subframes: bool = False, preset: str | None = None,
     color: bool = True, check: bool = False,
 ) -> None:  # fmt: skip
-    """Plan scenes, and render the scenes of each file into its folder in `out`; other arguments as for `render`."""
+    """Plan scenes, and render the scenes of each file into a folder in `out`; other arguments as for `render`."""
     if files:
         from clsco.frame.files import require_truth_formats
 

@@ -44,7 +44,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     shown = {}
     with progress(sum(len(job.frames) for job in jobs), quiet) as advance:
         for job, frames in batch.run(jobs, device):
-            shown[job.folder.name] = frames  # of a sequence, the last frame stays
+            shown[job.folder.name] = frames  # each frame of a sequence replaces the one before, so the last one stays
             advance()
     sheet = demo_sheet({EXAMPLES[name]: views[0] for name, views in shown.items()}, [shown[name] for name in DETAILS])
     write_png(out / "contact_sheet.png", sheet)
@@ -90,7 +90,7 @@ def plan(
 
 
 def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
-    """Session and name of the device that measures the plan; None and the reason without one that was asked for."""
+    """Session and name of the device that measures the plan; if there is none and none was requested, None and why."""
     try:
         options.require_opencl()
         from clsco.opencl.session import session_for

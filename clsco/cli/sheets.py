@@ -25,7 +25,7 @@ EMPTY = (12, 12, 16)
 
 
 def views(frames: Sequence[Frame]) -> dict[str, Picture]:
-    """Pictures of a frame or a stereo pair with all ground truth, by a label with the range of values."""
+    """Pictures of all outputs of a frame or a stereo pair, by labels that state the range of values."""
     frame: Any = frames[0]
     seen, radius = frame.mask, frame.blur_radius
     radius = radius if radius.ndim == 2 else radius[..., GREEN]
@@ -44,7 +44,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     else:
         maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = viridis(radius, -bound, bound)
         maps["normal"] = (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8)
-    if longest >= 0.5:  # else rounding, or nothing that a picture shows
+    if longest >= 0.5:  # shorter flow is rounding, or too small to be seen
         maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)
     on_gray = {label: np.where(seen[..., None], m, NOTHING).astype(np.uint8) for label, m in maps.items()}
     photographs = {"color": codes_to_show(frame.color)}
@@ -69,7 +69,7 @@ def _fitted(picture: Picture, side: int) -> Picture:
 
 
 def psf_sheet(stack: PsfStack) -> Picture:
-    """Draw a stack with a row for each channel and place, and a column for each depth, all of the same scale in px."""
+    """Draw a stack: a row for each channel and place, a column for each depth. All cells have the same scale."""
     channels, places, depths, side, _ = stack.weights.shape
     rows = []
     for channel, place in np.ndindex(channels, places):
@@ -89,7 +89,7 @@ def _cell(weights: NDArray[np.float32]) -> Picture:
     """A point spread function as a picture of CELL px a side, enlarged by a whole factor if there is room."""
     shown = np.round(255.0 * np.clip(weights / max(float(weights.max()), 1e-30), 0.0, 1.0)).astype(np.uint8)
     side = shown.shape[0]
-    if side > CELL:  # the largest weight of each pixel of the picture, so that points are seen
+    if side > CELL:  # each pixel of the picture shows the largest of its weights, so that points stay visible
         first = np.arange(CELL) * side // CELL
         shown = np.maximum.reduceat(np.maximum.reduceat(shown, first, axis=0), first, axis=1)
     times = CELL // shown.shape[0]

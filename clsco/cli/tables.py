@@ -34,7 +34,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], rig
 
 
 def inpaint_tables(report: Report) -> list[RenderableType]:
-    """Tables of filling an image; for the method mean-median, with the figures of the thesis' table (figure 5.21)."""
+    """Tables on a filled image; for the method mean-median, with the figures of figure 5.21 of the thesis."""
     figures, rows = report.figures(), [("missing pixels", f"{report.missing_pixels}")]
     if "border_pixels" in figures:
         rows += [("border pixels", f"{figures['border_pixels']}"), ("sweeps", f"{figures['sweeps']}")]
@@ -54,7 +54,7 @@ def inpaint_tables(report: Report) -> list[RenderableType]:
 def device_tables(
     devices: Sequence[Device], used: Device | None, checks: Mapping[Device, Sequence[Check]]
 ) -> list[RenderableType]:
-    """Devices with the features of each, and the results of their self-tests if they ran."""
+    """Tables of devices and their features, and of the results of self-tests if they ran."""
 
     def yes(has: bool) -> str:
         return "yes" if has else "no"
@@ -76,7 +76,7 @@ def device_tables(
 
 
 def print_tables(*things: RenderableType) -> None:
-    """Print to stdout, as wide as the terminal, or 160 columns without one; does nothing if stdout is closed."""
+    """Print to stdout, as wide as the terminal, or 160 columns wide if there is none. A closed stdout is no error."""
     if sys.stdout is None:
         return
     width = None if sys.stdout.isatty() else 160

@@ -85,7 +85,7 @@ def require_clips(planned: Sequence[PreparedFile], preset: str) -> None:
 
 
 def _clips(job: Job, preset: str) -> list[tuple[str, Path]]:
-    """Views of a job's frames, with the path of each clip."""
+    """Views of a job's frames, each with the path of its clip."""
     from clsco.frame.video import clip_path, folder_clip
 
     eyes = ("",) if job.prepared.scene.stereo is None else ("left", "right")
@@ -93,7 +93,7 @@ def _clips(job: Job, preset: str) -> list[tuple[str, Path]]:
 
 
 def remove_clips(jobs: Sequence[Job], preset: str) -> None:
-    """Remove clips of frames that are about to change."""
+    """Remove clips of older frames, which are about to be replaced."""
     from clsco.files.atomic import remove_file
 
     for job in jobs:

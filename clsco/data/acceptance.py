@@ -1,4 +1,4 @@
-"""Acceptance of samples, and values derived from their images, by a coarse grid of rays in float64, on no device."""
+"""Acceptance of samples, and values derived from their images. A coarse grid of rays is traced in float64 by NumPy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from clsco.scene.text import shown
 
 Array = NDArray[np.float64]
 RAYS = 64  # per axis
-DIGITS = 6  # of a derived value: rounding of the last bits, which machines may differ in, does not show
+DIGITS = 6  # digits of a derived value: too few to show differences between machines in the last bits
 MOMENT = 1e-6  # s, first value of the search for an interval
 STEPS, LONGEST = 60, 1e6  # steps of that search, and its longest interval in s
 MEASURES = ("max_blur_px", "max_flow_px", "visible_fraction", "valid_fraction")
@@ -38,16 +38,17 @@ DERIVED = {
 
 
 class UnfitError(SceneError):
-    """A key cannot be derived from the drawn values, so that the sample is drawn again."""
+    """A key cannot be derived from the drawn values. The sample is drawn again."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Surfaces in some frames of a sample, seen by RAYS x RAYS rays on a regular grid over each frame.
+    """Measures of surfaces that RAYS x RAYS rays, on a regular grid over each of some frames of a sample, meet.
 
-    Of all rays that meet a surface: inverse depth in 1/mm, blur radius |R| in px (the background included), length of
-    the flow to the next frame in px. `valid`: smallest share, over frames, of rays that meet a surface; `visible`: over
-    objects and frames, of an object's rays that are not occluded, 0 outside the frame. A box is one object.
+    inverse_depth: 1/Z where each ray meets a surface, 1/mm. blur: |R| there and in the background, px. flow: length of
+    the flow there to the next frame, px. valid: share of rays that meet a surface, in the frame where it is smallest.
+    visible: share of an object's rays that are not occluded, for the object and the frame where it is smallest; 0 if an
+    object is outside the frame. A box is one object.
     """
 
     inverse_depth: Array
@@ -57,24 +58,27 @@ class Look:
     visible: float
 
     def measure(self, name: str) -> float:
-        """Value of one of MEASURES."""
+        """The measure with a name from MEASURES."""
         values = dict(zip(MEASURES, (self.blur, self.flow, self.visible, self.valid), strict=True))
         return float(np.max(np.asarray(values[name]), initial=0.0))
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """Rays through one frame. front: number of the nearest object, -1 for none; hits: also of occluded objects."""
+    """Rays through one frame."""
 
     number: int
-    w: Array  # (RAYS, RAYS)
-    front: NDArray[np.int64]  # (RAYS, RAYS)
-    hits: NDArray[np.bool_]  # (objects, RAYS, RAYS)
+    w: Array  # (RAYS, RAYS), 1/Z of the nearest object, 1/mm; 0 without an object
+    front: NDArray[np.int64]  # (RAYS, RAYS), number of the nearest object; -1 without an object
+    hits: NDArray[np.bool_]  # (objects, RAYS, RAYS), True where a ray meets an object, even an occluded one
 
 
 def looks_of(scenes: Sequence[Scene]) -> list[Look]:
-    """Cast rays at the variants of a sample: analytic scenes with a resolution, stereo pairs from the left view."""
-    by_lens: dict[Scene, list[_Frame]] = {}  # one cast serves all lenses
+    """Cast rays at each variant of a sample. The scenes are analytic and have a resolution.
+
+    Stereo pairs are seen from the left view.
+    """
+    by_lens: dict[Scene, list[_Frame]] = {}  # rays by scene without its lens: all lenses share them
     looks = []
     for scene in scenes:
         key = without_lens(scene)
@@ -102,7 +106,7 @@ def _cast_rays(scene: Scene, number: int) -> _Frame:
 
 
 def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
-    """Length (RAYS, RAYS) in px of the flow over an interval in s; 0 without a surface, and behind the lens."""
+    """Length of flow over an interval in s: (RAYS, RAYS), px; 0 without a surface, or if it moves behind the lens."""
     time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
     x, y = _slopes(scene, time)
@@ -140,7 +144,7 @@ def _measure_frames(scene: Scene, frames: Sequence[_Frame]) -> Look:
 
 
 def _bodies(scene: Scene) -> list[list[int]]:
-    """Numbers of the scene's objects for each table of the file: six for a box, none for a background."""
+    """For each object in the scene file except backgrounds: its numbers in the scene, where a box is six rectangles."""
     bodies: dict[Any, list[int]] = {}
     for number, item in enumerate(scene.objects):
         name, _, side = item.name.rpartition(" ")
@@ -154,7 +158,7 @@ Bounds = tuple[tuple[str, float, float], ...]
 
 
 def bounds_of(table: Any) -> tuple[Bounds, list[str]]:
-    """Measures of [accept] with their lower and upper bounds, and messages on faults of the table."""
+    """The measures in the table [accept] with their lower and upper bounds, and messages on faults of the table."""
     if not isinstance(table, Mapping):
         return (), [f"accept: must be a table; got {shown(table)}"]
     bounds, faults = [], list[str]()
@@ -191,9 +195,9 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -> float:
-    """Value of a key of DERIVED, to DIGITS digits, by which the largest measure of all variants is the target.
+    """Value of a key of DERIVED, rounded to DIGITS digits, with which the variants of a sample meet a target.
 
-    Raises UnfitError if no value reaches it.
+    target: value of the quantity that DERIVED names for the key. Raises UnfitError if no value of the key meets it.
     """
     name = ".".join(key)
     if key == ("sequence", "shutter"):
@@ -214,11 +218,11 @@ def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -
 
 
 def _interval(target: float, scenes: Sequence[Scene]) -> float:
-    """Time in s, from the reference pose of the first variant, in which the fastest visible point moves `target` px."""
+    """Time in s in which the fastest visible point of the first variant moves by `target` px, from t = 0 on."""
     scene = scenes[0]
     if not scene.moves:
         raise UnfitError("derive.sequence.interval: something must move in the frame; got none that does")
-    # The middle of the shutter, to which the truth belongs, may follow from the interval: the reference pose instead.
+    # Flow starts at the middle of the exposure, which may depend on the interval; so the reference pose replaces it.
     still = scene.model_copy(update={"sequence": scene.sequence.model_copy(update={"shutter": 0.0})})
     frame = _cast_rays(still, 0)
     low, high, time, flow = 0.0, math.inf, MOMENT, 0.0

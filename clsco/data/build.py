@@ -21,25 +21,26 @@ from clsco.scene.sweep import Sweep, parse_sweep
 from clsco.scene.text import key_name, shown
 
 ValueOf = Callable[[Parameter, int], Any]
-"""Gives the value of a parameter; in a population, that for the object with the given number."""
+"""Returns the value of a parameter. The second argument is the number of the object in its population, else 0."""
 
 
 class Builder:
-    """Builds one sample. folder: base of relative paths."""
+    """Builds one sample; folder: base of relative paths."""
 
     def __init__(self, parts: VariedKeys, folder: Path) -> None:
         self._parts, self._folder = parts, folder
         self._table: dict[str, Any] = copied(parts.scene)
         self._parameters: dict[str, Any] = {}
-        self._targets: dict[Location, Any] = {}  # measures that derived keys have to give
-        self._sources: dict[str, str] = {}  # keys of objects as the scene has them, and as the file does
+        self._targets: dict[Location, Any] = {}  # drawn targets by derived key
+        self._sources: dict[str, str] = {}  # for keys of an object in the scene, the key in the distribution file
 
     def build(
         self, value_of: ValueOf, derive: bool = True, noise_seed: int = 0
     ) -> tuple[dict[str, Any], dict[str, Any], Sweep]:
-        """Build a sample: content of its scene file, parameters by name, and scenes.
+        """Build a sample; returns the content of its scene file, its parameters by name, and its scenes.
 
-        noise_seed: of a sensor that has no seed. Raises SceneError without the name of the file, and UnfitError.
+        derive: False to leave out derived keys. noise_seed: seed for a sensor that has none. Raises UnfitError, or
+        SceneError whose messages do not name the file.
         """
         parts = self._parts
         try:
@@ -91,7 +92,7 @@ class Builder:
             self._fit(item, population.shapes)
 
     def _fit(self, item: dict[str, Any], shapes: tuple[str, ...]) -> None:
-        """Remove keys of an object that do not belong to the drawn shape; the apex of a cone is at its center."""
+        """Remove keys that the drawn shape of an object does not have; a cone gets its `center` as its `apex`."""
         shape = item.get("shape")
         own = SHAPES[shape].model_fields.keys() if isinstance(shape, str) and shape in SHAPES else set(item)
         others = {key for one in shapes if one in SHAPES for key in SHAPES[one].model_fields}
@@ -101,7 +102,7 @@ class Builder:
                 item["apex"] = value
 
     def _size(self) -> None:
-        """Give a camera without a resolution that of the first texture."""
+        """Set a missing resolution of the camera to the size of the first object's texture."""
         camera, objects = self._table.setdefault("camera", {}), self._table.get("object")
         first = objects[0] if isinstance(objects, list) and objects else None
         if isinstance(camera, dict) and "resolution" not in camera and isinstance(first, dict):
@@ -113,7 +114,7 @@ class Builder:
                 raise SceneError(f"object[0].texture: {error}") from None
 
     def _place(self) -> None:
-        """Compute points in the frustum of the camera of the first variant."""
+        """Replace each point in the frustum by its coordinates, for the camera of the first variant."""
         section = self._table["camera"]
         if not isinstance(section, dict):
             raise SceneError(f"camera: must be a table; got {shown(section)}")
@@ -133,7 +134,7 @@ class Builder:
         return parse_sweep(self._table, "")
 
     def _varied(self, message: str) -> str:
-        """A message with its key named as in the distribution file."""
+        """A message in which the scene's key is replaced by the key in the distribution file."""
         for key, source in self._sources.items():
             if message.startswith(key):
                 return source + message.removeprefix(key)
@@ -143,7 +144,7 @@ class Builder:
 
 
 def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The content of a scene file with paths relative to a folder. Raises SceneError for paths outside of it."""
+    """The content of a scene file with `folder` put before its paths. Raises SceneError for paths outside of it."""
 
     def inside(place: Location, name: str) -> str:
         if Path(name).is_absolute() or ".." in Path(name).parts:
@@ -154,7 +155,7 @@ def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _with_points(value: Any, columns: int, rows: int, step: float) -> Any:
-    """A copy of tables and lists with coordinates of points in the frustum."""
+    """A copy of tables and lists in which points in the frustum are replaced by their coordinates."""
     if isinstance(value, Placed):
         return value.point(columns, rows, step)
     if isinstance(value, dict):
@@ -163,7 +164,7 @@ def _with_points(value: Any, columns: int, rows: int, step: float) -> Any:
 
 
 def _first(key: str, value: Any) -> Any:
-    """The first value of a camera key with several values."""
+    """The first value of a camera key that has several; any other value as it is."""
     if isinstance(value, dict):
         return value.get("from")
     several = isinstance(value, list) and value and (key != "resolution" or isinstance(value[0], list))
@@ -175,8 +176,12 @@ MAX_EXTREMES = 48  # extreme values of one distribution that are tested
 
 
 def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
-    """Messages on scenes of extremes: all parameters lowest, all highest, and each extreme of one with both others."""
-    faults: dict[str, str] = {}  # by what is asked for
+    """Messages on faults of scenes with extreme values.
+
+    In these scenes all parameters have their lowest value, or all their highest one; or one parameter has one of its
+    extreme values, and all others are lowest, or all highest.
+    """
+    faults: dict[str, str] = {}  # messages by their part before the value
     for corner in _corners(parts):
         try:
             Builder(parts, folder).build(partial(_corner_value, corner), derive=False)
@@ -191,7 +196,7 @@ def _corner_value(corner: Mapping[str, Any], parameter: Parameter, _: int) -> An
 
 
 def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
-    """Values by parameter name, for each scene of `corner_faults`."""
+    """For each scene of `corner_faults`, the values of parameters by name."""
     every = [*parts.parameters, *(one for population in parts.populations for one in population.parameters)]
     extremes = {one.name: _some(one.form.extremes()) for one in every}
     counts = {population.count.name: sorted(population.count.form.extremes()) for population in parts.populations}
@@ -209,6 +214,6 @@ def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
 
 
 def _some(values: tuple[Any, ...]) -> list[Any]:
-    """Selection of at most MAX_EXTREMES values, including the first and the last."""
+    """At most MAX_EXTREMES of the values, evenly selected, among them the first and the last one."""
     count = min(len(values), MAX_EXTREMES)
     return [values[(len(values) - 1) * k // max(1, count - 1)] for k in range(count)]

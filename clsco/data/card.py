@@ -14,7 +14,7 @@ from clsco.data.manifest import UNSPLIT, Identity, files_by_split
 from clsco.data.storage import Storage
 
 CARD, README = "dataset.json", "README.md"
-# Of https://huggingface.co/docs/hub/repositories-licenses those that data have; others have a name of their own.
+# Licenses of https://huggingface.co/docs/hub/repositories-licenses that suit data; the hub shows others by their name.
 _HUB_LICENSES = (
     "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0", "cc-by-nc-nd-4.0",
     "odc-by", "odbl", "pddl", "cdla-permissive-2.0", "mit", "apache-2.0", "bsd-3-clause",
@@ -25,7 +25,7 @@ _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "
 def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, int]]) -> None:
     """Complete the card of a set whose shards are all done, and write README.md. Raises FileError.
 
-    Existing entries of `dataset.json` stay, such as the license. files: names with their number of samples.
+    Other entries of `dataset.json`, such as the license, stay. files: each with its number of samples.
     """
     card = json.loads(storage.read(CARD) or b"{}")
     by_split = files_by_split(files)
@@ -57,13 +57,16 @@ class _SampleDescription:
 
 
 def loading_lines(storage: Storage, identity: Identity, by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
-    """Code that loads a set, a line for each package, from checked names, not from its card. Raises FileError."""
+    """Code that loads a set: one line for each package. Raises FileError.
+
+    It is not taken from the card, which is untrusted, but made from names that are checked.
+    """
     first = _describe_sample(storage, identity, _largest_first(by_split))
     return [f"{package}: {code}" for package, code in _loading(identity.format, first).items()] if first.arrays else []
 
 
 def _largest_first(by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
-    """Files with samples, those of the largest split first, which is the one to learn from."""
+    """Files that have samples, beginning with those of the largest split, which is usually the one to learn from."""
     splits = sorted(by_split, key=lambda split: -sum(count for _, count in by_split[split]))
     return [file for split in splits for file, count in by_split[split] if count]
 
@@ -74,7 +77,7 @@ def _describe_sample(storage: Storage, identity: Identity, files: Sequence[str])
     reader = CONTAINERS[identity.format].read(storage.local(files[0]))
     arrays = reader.record(0, ()).meta["arrays"]
     for about in arrays.values():
-        about.pop("clipped", None)  # of this sample alone
+        about.pop("clipped", None)  # it differs between samples
         about["encoding"] = _encoding(identity.format, about)
     return _SampleDescription(files[0], reader.keys[0], arrays)
 
@@ -88,7 +91,7 @@ def _encoding(form: str, about: Mapping[str, Any]) -> str:
 
 
 def _loading(form: str, first: _SampleDescription) -> dict[str, str]:
-    """Code that loads a set, by package, with the names of this set."""
+    """Code that loads a set, by package, with names of folders, files and arrays of this set."""
     folder = first.file.partition("/")[0]
     opened = "" if folder == UNSPLIT else f", {json.dumps(folder)}"
     pattern, shard = json.dumps(f"DATA/{folder}/*{CONTAINERS[form].suffix}"), json.dumps(f"DATA/{first.file}")

@@ -1,4 +1,4 @@
-"""Shards of a set as tasks of dask.distributed on the workers of a cluster."""
+"""Makes the shards of a set as tasks of dask.distributed, on the workers of a cluster."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ WORKERS_S = 600.0  # s to wait for a cluster's first worker, which may be in a q
 LOOK_S = 1.0  # s between queries of the list of workers
 RESOURCE = "device"  # resource that workers of a cluster declare, if they declare any
 _lock = threading.Lock()  # a process has one device, however many threads take tasks
-_makers: dict[bytes, ShardMaker] = {}  # of the latest set
+_makers: dict[bytes, ShardMaker] = {}  # maker of the latest set, by the pickled set
 
 
 def cluster_device(address: str) -> tuple[str, str]:
-    """Device family and precision of a cluster's worker. Raises ClscoError if there is no worker."""
+    """Device family and precision of one worker of a cluster. Raises ClscoError if the cluster has no worker."""
     distributed = _distributed()
     with _client(distributed, address) as client:
         future = _submit(client, _workers(client, address), _describe)
@@ -43,9 +43,10 @@ def cluster_device(address: str) -> tuple[str, str]:
 
 
 def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
-    """Make shards on the workers of a cluster, one at a time on each; advance: called with the number of new samples.
+    """Make shards on the workers of a cluster, each of which makes one shard at a time.
 
-    Raises ClscoError: the scheduler is missing or lost, the storage fails, or a shard cannot be made.
+    address: address of the scheduler. advance: called with the number of samples of each new shard. Raises ClscoError
+    if the scheduler cannot be reached or is lost, the storage fails, or a shard cannot be made.
     """
     distributed = _distributed()
     schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
@@ -70,13 +71,13 @@ def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Calla
         except (OSError, distributed.comm.CommClosedError, distributed.client.FutureCancelledError) as error:
             raise _lost(address) from error
         finally:
-            with suppress(Exception):  # the scheduler is gone
+            with suppress(Exception):  # the scheduler may be gone
                 client.cancel(list(running), force=True)
     open_storage(job.where).tidy()
 
 
 def _ended_well(distributed: Any, schedule: Schedule, task: ShardTask, future: Any, address: str) -> bool:
-    """Record how a task ended; True if it succeeded. Raises ClscoError if every other task would fail as well."""
+    """Record how a task ended; returns True if it succeeded. Raises ClscoError if all other tasks would fail, too."""
     if future.status == "cancelled":
         raise _lost(address)
     if future.status == "error":
@@ -111,7 +112,7 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
     try:
         yield client
     finally:
-        with suppress(Exception):  # of a scheduler that is gone
+        with suppress(Exception):  # the scheduler may be gone
             client.close(timeout=5)
 
 
@@ -128,19 +129,22 @@ def _workers(client: Any, address: str) -> Mapping[str, Any]:
 
 
 def _room(workers: Mapping[str, Any]) -> int:
-    """Number of tasks to submit at a time: one per worker, so that a dying worker fails only the task that it ran."""
+    """Number of tasks that may be submitted at a time: one for each worker, or for each device that workers declare.
+
+    With more tasks, a worker that dies would also fail tasks that wait.
+    """
     return max(1, sum(int(worker["resources"].get(RESOURCE, 1)) for worker in workers.values()))
 
 
 def _submit(client: Any, workers: Mapping[str, Any], function: Callable[..., object], *arguments: object) -> Any:
-    """Submit a task, whose last argument is the number of workers on each host; returns its future."""
+    """Submit a call of a function; returns its future. A last argument is added: the number of workers on each host."""
     per_host = dict(Counter(worker["host"] for worker in workers.values()))
     declared = any(RESOURCE in worker["resources"] for worker in workers.values())
     return client.submit(function, *arguments, per_host, pure=False, resources={RESOURCE: 1} if declared else None)
 
 
 def _prepare(per_host: Mapping[str, int]) -> Any:
-    """The device of this process, which shares the CPU cores with other workers of its machine."""
+    """The device of this worker. Its threads are limited, because workers on a host share the CPU cores."""
     worker = _distributed().get_worker()
     host = worker.address.rpartition("://")[2].rpartition(":")[0]
     limit_threads(max(1, processors() // per_host.get(host, 1)), os.environ)
@@ -156,7 +160,7 @@ def _describe(per_host: Mapping[str, int]) -> tuple[str, str]:
 
 
 def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tuple[str, str]:
-    """Run a task on a worker; returns "done", "failed" or "fatal", and the reason."""
+    """Run a task on a worker; returns "done", "failed" or "fatal", and the reason of a failure."""
     with _lock:
         try:
             maker = _maker(packed, per_host)

@@ -1,4 +1,4 @@
-"""Compiles a distribution file into a scene of its fixed values, parameters, and populations."""
+"""Compiles a distribution file into a scene with the fixed values, parameters that vary, and populations of objects."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from clsco.scene.text import key_name, shown
 
 Location = tuple[str | int, ...]
 MAX_PARAMETERS = 1000
-MAX_SWEPT = 4096  # entries of a list
-VALUE_TABLES = frozenset(("axis", "angle", "quaternion", "from", "to", "steps"))  # of values that are tables
+MAX_SWEPT = 4096  # entries of a list that are searched for distributions
+VALUE_TABLES = frozenset(("axis", "angle", "quaternion", "from", "to", "steps"))  # keys of tables that are one value
 MOVING = ("camera", "object", "group")
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value that varies: name (which selects the random stream), location of the key, and distribution."""
+    """A value that varies. name: selects the random stream; location: parts of the key; form: distribution."""
 
     name: str
     location: Location
@@ -35,30 +35,30 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Population:
-    """Objects of one kind, `count` of them, each with its own values."""
+    """Objects of one kind, whose number and values are drawn."""
 
-    label: str  # in names of parameters
-    entry: int  # position in [[vary.object]]
-    named: bool  # by the file
-    count: Parameter
-    constants: dict[str, Any]
-    parameters: tuple[Parameter, ...]
-    shapes: tuple[str, ...]  # that its objects may have
+    label: str  # its name in the names of parameters
+    entry: int  # position of its table in [[vary.object]]
+    named: bool  # True if the file gives it a name
+    count: Parameter  # number of objects
+    constants: dict[str, Any]  # values that all objects share
+    parameters: tuple[Parameter, ...]  # values that are drawn for each object
+    shapes: tuple[str, ...]  # shapes that an object may have
 
 
 @dataclass(frozen=True)
 class VariedKeys:
-    """Content of a distribution except [accept] and splits."""
+    """Content of a distribution, except the table [accept] and the splits."""
 
     scene: dict[str, Any]
     parameters: tuple[Parameter, ...]
     populations: tuple[Population, ...]
-    derived: tuple[tuple[tuple[str, ...], Any], ...]  # keys with targets: a number, or the parameter that draws it
-    sized: bool  # samples need a resolution, because rays are cast at them or points are placed in their view
+    derived: tuple[tuple[tuple[str, ...], Any], ...]  # derived keys, each with its target: a number, or a Parameter
+    sized: bool  # True if a resolution is needed, because rays are cast, or points are placed in the frustum
 
 
 class Reader:
-    """Compiles the tables of a distribution, and lists all faults."""
+    """Compiles the tables of a distribution, and lists all their faults."""
 
     def __init__(self, tables: DistributionTables, folder: Folder, splits: Splits) -> None:
         self.faults: list[str] = []
@@ -67,7 +67,7 @@ class Reader:
         self._count = 0
 
     def parts(self) -> VariedKeys:
-        """The compiled distribution, incomplete if there are `faults`."""
+        """Compile the distribution. If `faults` is not empty after the call, the result is incomplete."""
         self._no_forms(self._tables.scene, ())
         parameters, populations = list[Parameter](), list[Population]()
         for section, value in self._tables.vary.items():
@@ -102,7 +102,7 @@ class Reader:
     def _no_forms(self, value: Any, location: Location) -> None:
         """Report distributions outside of [vary] as faults."""
         if isinstance(value, Mapping):
-            # Entries of arrays and motions are tables of the scene, tables at other keys are values.
+            # Entries of arrays, and motions, are tables of the scene; tables at other keys are values.
             is_value = len(location) > 1 and location[-1] != "motion" and not isinstance(location[-1], int)
             if is_value and is_form(value):
                 self._faulty(location, "a distribution belongs in [vary]", value)
@@ -114,7 +114,7 @@ class Reader:
                 self._no_forms(entry, (*location, index))
 
     def _section(self, place: Location, table: Mapping[str, Any]) -> list[Parameter]:
-        """Parameters of a table of the scene; fixed values are written to the scene at once."""
+        """Parameters in the table of [vary] for the scene's table at `place`; fixed values are set in the scene."""
         parameters = []
         for key, value in table.items():
             location, names = (*place, key), [*map(str, place), key]
@@ -130,9 +130,12 @@ class Reader:
         return parameters
 
     def _value(self, value: Any, key: Location, location: Location, name: str) -> tuple[Any, list[Parameter]]:
-        """A value with None in place of each varying part, and the parameters for these."""
+        """A value in which None replaces each varying part, and the parameters of these parts.
+
+        key: location in the file, for messages; location: location in the scene; name: name of the parameter.
+        """
         if isinstance(value, Mapping):
-            is_keyframe = key[-2:-1] == ("keyframe",)  # whose key rotation is no distribution
+            is_keyframe = key[-2:-1] == ("keyframe",)  # its key `rotation` looks like a distribution
             if is_form(value) and not is_keyframe:
                 return None, self._parameter(value, key, location, name)
             if value and (value.keys() <= VALUE_TABLES or is_keyframe):
@@ -172,7 +175,7 @@ class Reader:
         return []
 
     def _existing(self, section: str, entry: int, table: Mapping[str, Any]) -> list[Parameter]:
-        """Parameters of an object or a group of the base scene."""
+        """Parameters of an object or a group that the scene has already."""
         index, there = table.get("index"), self._scene.get(section)
         count = len(there) if isinstance(there, list) else 0
         if type(index) is not int or not 0 <= index < count:
@@ -223,7 +226,7 @@ class Reader:
         return None
 
     def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
-        """Targets of the keys of [derive]; a distribution is replaced by its parameter."""
+        """Keys of [derive] with their targets; a distribution as target is replaced by its parameter."""
         targets: dict[tuple[str, ...], Any] = {}
         if not isinstance(sections := self._tables.derive, dict):
             self._faulty(("derive",), "must be a table", sections)
@@ -256,12 +259,15 @@ class Reader:
         return None
 
     def _check_files(self, table: Mapping[str, Any], start: Location = ()) -> None:
-        """Register the files that the content of a scene file names; start: location of the object, for messages."""
+        """Register the files that the content of a scene file names.
+
+        start: location of an object in the distribution file, for messages; () for the whole scene.
+        """
         for place, name in named_files(table):
             self._check_file(name, (*start, place[-1]) if start else place)
 
     def _check_file(self, name: Any, key: Location) -> None:
-        """Register a file that an object names."""
+        """Register the file that an object names at a key."""
         kind = next((kind for kind in ("depth", "image") if kind in key), "texture")
         if isinstance(name, str) and names_file(kind, name):
             try:

@@ -1,4 +1,4 @@
-"""Data sets made again from their cards, and compared."""
+"""Copies of data sets: made again from the card and compared, or converted to another format."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def remake(
     out : path, optional
         Folder or address of the new set; by default a temporary folder that is removed.
     distribution : path, mapping or callable, optional
-        As for `clsco.data.make`; by default that of the card. If a function made the set, give the function, as code in
-        a set is never run.
+        As for `clsco.data.make`; by default the distribution in the card. If a function made the set, give this
+        function, because code in a set is never run.
     folder : path, optional
         Folder of the distribution file's textures; by default the current one.
     devices, workers, progress
@@ -56,7 +56,7 @@ def remake(
     Raises
     ------
     SceneError
-        A function made the set, and `distribution` is missing; or as `clsco.data.make`.
+        A function made the set, and `distribution` is missing; or `clsco.data.make` raises the error.
     FileError
         The set does not exist, or is damaged.
 
@@ -103,18 +103,19 @@ def _differences(original: DataSet, remade: DataSet) -> Iterator[str]:
             yield f"{key}: {f'samples {others}' if others else 'files'} must be what is made again; got others"
 
 
-OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # of a card, not carried over
+OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # entries made anew
 
 
 def convert(
     source: Storage, target: Storage, form: str, resume: bool, begin: Callable[[int], Callable[[], object]]
 ) -> tuple[DataSet, Status]:
-    """Write a whole set in another format, byte for byte as `clsco dataset make --format` would have made it.
+    """Write a complete set in another format, byte for byte as `clsco dataset make --format` would have made it.
 
-    target: empty, or with an interrupted conversion, whose finished shards stay with `resume`; begin: called with the
-    number of remaining shards, returns a function to call after each. Returns the set in `target` and its progress.
-    Raises SceneError: unknown format, or another set is in `target`; FileError: the set is incomplete, or the SHA-256
-    of an array differs from the manifest.
+    target: empty, or holds an interrupted conversion. resume: True to keep the shards that this conversion finished.
+    begin: called with the number of remaining shards; returns a function that is called after each shard.
+
+    Returns the new set and its progress. Raises SceneError if the format is unknown, or `target` holds another set;
+    FileError if the set is incomplete, or the SHA-256 of an array differs from the manifest.
     """
     container_named(form)
     source_set = open_set(source)
@@ -137,7 +138,7 @@ def convert(
 
 
 def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
-    """Convert the files of a shard, then write its part of the manifest."""
+    """Convert the files of a shard, then write the shard's part of the manifest."""
     rows, failures = source_set.lines(shard)
     old, new = CONTAINERS[source_set.identity.format], CONTAINERS[new_set.identity.format]
     by_file: dict[str, list[dict[str, Any]]] = {}
@@ -169,7 +170,7 @@ def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
 
 
 def _checked(file: str, records: Iterator[Record] | Any, rows: Sequence[Mapping[str, Any]]) -> Iterator[Record]:
-    """Records, checked against the hashes of arrays in the manifest."""
+    """The records of a file, each after a check of its arrays against the hashes in the manifest."""
     for record, row in zip(records, sorted(rows, key=lambda row: row["offset"]), strict=True):
         if record.key != f"{row['number']:09d}" or record.sha256() != row["arrays"]:
             raise FileError(f"{file}: sample {row['number']} must have the arrays of the manifest; got others")

@@ -1,4 +1,4 @@
-"""`clsco.data.make`, which also runs the command `clsco dataset make`."""
+"""The function `clsco.data.make`, which the command `clsco dataset make` calls."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ MOST_SAMPLES = 10**12
 DistributionLike = str | os.PathLike[str] | Mapping[str, Any] | DrawScene
 """A distribution file, its content, or a function that draws scenes."""
 Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
-"""Takes the number of samples to make; its context manager gives a function of the number just made."""
+"""Takes the number of samples to make, and returns a context manager. The manager returns a function that is called
+with the number of samples made since its last call."""
 
 
 class FailedSamplesError(ClscoError):
-    """More samples of a set failed than allowed; `status` has the progress of the set."""
+    """More samples of a set failed than allowed; status: progress of the set."""
 
     def __init__(self, message: str, status: Status) -> None:
         super().__init__(message)
@@ -47,12 +48,12 @@ class FailedSamplesError(ClscoError):
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers that make the shards of a set: processes of this machine, or those of a cluster, at `scheduler`."""
+    """Workers that make the shards of a set: processes of this machine, or workers of a cluster."""
 
-    places: Sequence[Place]
-    family: str
+    places: Sequence[Place]  # places of the processes; empty for a cluster
+    family: str  # device family
     precision: str
-    scheduler: str = ""
+    scheduler: str = ""  # address of the cluster's scheduler
 
 
 def make(  # noqa: PLR0913, a parameter for each option
@@ -85,10 +86,10 @@ def make(  # noqa: PLR0913, a parameter for each option
     Parameters
     ----------
     distribution : path, mapping or callable
-        A distribution file, its content, or a function `draw(rng, sample)` that returns the scene of a sample, as for
-        `clsco.render`; a list of scenes, its variants; or a pair of these and a mapping of parameters. `rng` is a
-        `numpy.random.Generator` seeded by `seed` and the number of the sample. Define the function at the top of a
-        module or script, as other processes import it.
+        A distribution file, its content, or a function `draw(rng, sample)`. `sample` is the number of a sample, and
+        `rng` is a `numpy.random.Generator` seeded by `seed` and this number. The function returns a scene, as for
+        `clsco.render`, or a list of scenes, the variants of the sample; or a tuple of either and a mapping of
+        parameters. Define the function at the top of a module or script, because other processes import it.
     data : path
         Folder of the set, or an address like "s3://bucket/set".
     count : int
@@ -96,42 +97,43 @@ def make(  # noqa: PLR0913, a parameter for each option
     seed : int
         0 to 2^63 - 1.
     truth : str or iterable of str
-        Names of the arrays besides color, as in files.
+        Names in files of the arrays besides color, such as "depth" and "coc".
     color : bool
-        True by default. False makes only the arrays of `truth`: the image, most of the work, is skipped.
+        False makes only the arrays of `truth`; the image, which is most of the work, is not computed.
     types : str or mapping
-        Stored types by array: {"color": "float32"} stores linear radiance, not 16-bit codes; or "depth=float16".
+        Stored type of each array: {"color": "float32"}, or "color=float32", stores linear radiance, not 16-bit codes.
     splits : str or mapping, optional
-        Shares of the splits, such as {"train": 0.9, "test": 0.1}, or integers, such as "train=90,test=10".
+        Shares of the splits, such as {"train": 0.9, "test": 0.1} or "train=90,test=10".
     format : str
         Format of the files: "webdataset", "npz", "hdf5" and so on, see docs/loading.md.
     shard_size : int
-        Samples of a shard, which is one file.
+        Number of samples in a shard, which is one file (or folder) for each split.
     devices : str or sequence of str
-        Devices that render, as parts of their names, or "all" devices of the best kind; by default the best device.
+        Parts of the names of the devices that render, or "all" for all devices of the best kind; by default the best
+        device.
     workers : int, optional
-        Processes; by default one for each graphics card, or for each core of a processor.
+        Number of processes; by default one for each graphics card, or for each core of a processor.
     scheduler : str
-        Address of a dask.distributed cluster that renders instead, like "tcp://host:8786".
+        Address of a dask.distributed cluster, like "tcp://host:8786", that renders instead of this machine.
     precision : {"double", "single"}, optional
-        Precision of the geometry; by default double where the devices have it.
+        Precision of the geometry; by default double if the devices support it.
     resume : bool
         Continue the set in `data`.
     only : range, optional
-        Numbers of the samples, instead of `count`.
+        Numbers of the samples to make, instead of 0 to `count` - 1.
     part : (int, int), optional
-        (I, N): make only every N-th shard from I on, for array jobs.
+        (I, N): make only every N-th shard, beginning with shard I; for array jobs.
     overrides : sequence of str
-        Keys and values as for `clsco.load_scene`; not for a function.
+        Keys and values as for `clsco.load_scene`, unless the distribution is a function.
     folder : path, optional
-        Folder of relative paths of textures, unless the distribution is a file; by default the current folder.
+        Base folder of relative paths of textures, unless the distribution is a file; by default the current folder.
     license : str
-        Text for the data card.
+        Name of the license, for the data card.
     allow_failures : int
-        Samples that may fail without an error.
+        Number of samples that may fail without an error.
     progress : callable, optional
-        Called with the number of samples to make; returns a context manager of a function that takes the number of
-        samples just made.
+        Called with the number of samples to make; returns a context manager. The manager returns a function that is
+        called with the number of samples made since its last call.
 
     Returns
     -------
@@ -143,14 +145,14 @@ def make(  # noqa: PLR0913, a parameter for each option
     SceneError, DeviceError
         An argument is invalid; nothing is written.
     FailedSamplesError
-        More than `allow_failures` samples failed. Finished shards stay, as after the next error, and can be resumed.
+        More than `allow_failures` samples failed. Finished shards stay, and the set can be resumed.
     ClscoError
-        The set cannot be written, or devices fail.
+        The set cannot be written, or devices fail. Finished shards stay, and the set can be resumed.
 
     Notes
     -----
-    The same distribution, seed and version give the same bytes on all devices of a family. Processes are spawned: call
-    this function under `if __name__ == "__main__":` in a script.
+    The same distribution, seed and version give the same bytes on all devices of a family. Processes are spawned, so a
+    script must call this function under `if __name__ == "__main__":`.
 
     Examples
     --------
@@ -208,7 +210,7 @@ def _distribution_of(
 
 
 def stored_arrays(truth: str | Iterable[str], color: bool = True) -> tuple[str, ...]:
-    """Names of the arrays of a sample, in order. Raises SceneError."""
+    """Names in files of the arrays of a sample, in order. Raises SceneError."""
     names = {*array_names(truth)}
     if not color and (named := OF_THE_IMAGE.intersection(names) - {"color"}):
         raise SceneError(f"truth: without color no image is made, so it must be without {min(named)}; got it")
@@ -233,9 +235,10 @@ def sample_numbers(count: int | None, only: range | None) -> range:
 
 
 def workers_of(names: Sequence[str], count: int | None) -> Workers:
-    """Processes of this machine on devices named in part; ("all",): all of the best kind, (): the best one.
+    """Processes of this machine on some devices; count: number of processes, None for the default number.
 
-    Raises DeviceError: no such device, or devices of several families.
+    names: parts of the names of devices; ("all",) for all devices of the best kind, () for the best device. Raises
+    DeviceError if there is no such device, or the devices are of several families.
     """
     from clsco.data.shards import device_family
     from clsco.opencl.device import choose, list_devices
@@ -278,6 +281,6 @@ def _make_shards(
         status = finish(new, shards)
         failures = [row for shard in shards if shard in status.done for row in new.lines(shard)[1]]
     finally:
-        storage.tidy()  # what processes left that were still about to end before
+        storage.tidy()  # removes the files of processes that had not ended at the first call
         storage.close()
     return status, failures

@@ -29,13 +29,13 @@ from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES
 from clsco.frame.views import Picture
 from clsco.scene.text import meant
 
-MOST_COPIES = 16  # of shards in an object store, beside each other
+MOST_COPIES = 16  # local copies of shards of an object store at a time
 
 
 class _Shards:
-    """The shards of a set, each opened at its first use; one in an object store is copied until it is closed.
+    """The shards of a set. Each is opened at its first use; a shard in an object store is copied to this machine first.
 
-    Threads and processes may share it.
+    Threads and processes may share the object.
     """
 
     def __init__(self, where: str, form: str, files: Sequence[tuple[str, int]]) -> None:
@@ -45,7 +45,7 @@ class _Shards:
 
     def _begin(self) -> None:
         self._process, self._lock = os.getpid(), threading.Lock()
-        self._readers: OrderedDict[int, tuple[ShardReader, threading.Lock]] = OrderedDict()  # the latest used last
+        self._readers: OrderedDict[int, tuple[ShardReader, threading.Lock]] = OrderedDict()  # latest use last
 
     def __reduce__(self) -> tuple[type[_Shards], tuple[Any, ...]]:
         return _Shards, (self.where, self.form, self.files)
@@ -61,7 +61,7 @@ class _Shards:
         return self._reader(number)[0].keys[place - self.ends[number] + self.files[number][1]]
 
     def _reader(self, number: int) -> tuple[ShardReader, threading.Lock]:
-        if self._process != os.getpid():  # after a fork: copies belong to the parent
+        if self._process != os.getpid():  # after a fork: the parent removes its own copies
             self._begin()
         with self._lock:
             storage = open_storage(self.where)
@@ -91,8 +91,8 @@ class _Shards:
 class Dataset(Sequence[Record]):
     """The samples of a data set, or of a part of it, in the order of its shards.
 
-    An index returns a `Record`, a slice a Dataset that is a view. A Dataset can be pickled, and used by forked and
-    spawned workers of a DataLoader; shards are opened when they are read.
+    An index gives a `Record`; a slice gives another Dataset, a view. A Dataset can be pickled, and forked and spawned
+    workers of a DataLoader can use it. Shards are opened when they are read.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Dataset(Sequence[Record]):
     @overload
     def __getitem__(self, index: slice) -> Dataset: ...
     def __getitem__(self, index: int | slice) -> Record | Dataset:
-        """One record, or for a slice a view. Raises IndexError beyond the end, FileError if a shard is damaged."""
+        """One record, or a view for a slice. Raises IndexError beyond the end, FileError if a shard is damaged."""
         if isinstance(index, slice):
             return self._view(span=self._span[index])
         if not -len(self) <= index < len(self):
@@ -147,12 +147,13 @@ class Dataset(Sequence[Record]):
         return Dataset(self.card, self._shards, self._names, **own | other)
 
     def map(self, function: Callable[[Any], Any]) -> Dataset:
-        """A view whose records go through a function when they are read.
+        """A view that applies a function to each record when the record is read.
 
         Parameters
         ----------
         function : callable
-            Takes a `Record`, or the result of the previous `map`. Spawned workers of a DataLoader import it.
+            Takes a `Record`, or the result of the previous `map`. Spawned workers of a DataLoader must be able to
+            import it.
 
         Returns
         -------
@@ -168,9 +169,10 @@ class Dataset(Sequence[Record]):
         return self._view(functions=(*self._functions, function))
 
     def shuffle(self, seed: int, epoch: int = 0) -> Dataset:
-        """A view in a random order, which follows from seed and epoch alone.
+        """A view in a random order, which depends only on seed and epoch.
 
-        Shards are in a random order, and the samples within each, so that consecutive reads are close together on disk.
+        The shards are in a random order, and so are the samples within each shard. Consecutive samples are therefore
+        close together on disk.
 
         Parameters
         ----------
@@ -198,7 +200,7 @@ class Dataset(Sequence[Record]):
         return self._view(span=span[order][np.argsort(rank[shard[order]], kind="stable")])
 
     def stacked(self) -> Dataset:
-        """A view of records with the variants of each array stacked, as `Record.stacked` gives them.
+        """A view of records in which the variants of each array are stacked, as by `Record.stacked`.
 
         Returns
         -------
@@ -219,8 +221,8 @@ class Dataset(Sequence[Record]):
         Returns
         -------
         Dataset
-            Images are linear float32 (3, rows, columns), gray ones (1, rows, columns); other arrays are float32, bool
-            or int64, depending on their stored type, also with components first.
+            Color images are linear float32 (3, rows, columns), gray images (1, rows, columns). Other arrays are
+            float32, bool or int64, depending on their stored type; their components are the first axis, too.
 
         Raises
         ------
@@ -244,7 +246,7 @@ class Dataset(Sequence[Record]):
         return f"<Dataset of {len(self)} samples, {self._shards.form}{named}>"
 
     def _repr_html_(self) -> str:
-        """The line of `print` with the images of the first samples, for notebooks."""
+        """The text of `repr` and the images of the first samples, for notebooks."""
         pictures = [radiance for record in self._view(functions=())[:4] for radiance in record.pictures().values()]
         return html_to_show(repr(self), pictures[:8])
 
@@ -281,11 +283,11 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     Parameters
     ----------
     data : path
-        Its folder, or an address like "s3://bucket/set", whose shards are copied one by one when they are read.
+        Folder of the set, or an address like "s3://bucket/set", from which each shard is copied when it is read.
     split : str, optional
-        Such as "train"; by default all.
+        Name of a split, such as "train"; by default all splits.
     arrays : iterable of str, optional
-        Names of arrays that are read, such as ("color", "depth"); by default all.
+        Names of the arrays to read, such as ("color", "depth"); by default all.
 
     Returns
     -------
@@ -300,8 +302,8 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
 
     Notes
     -----
-    Only the card is read: a set of 10^6 samples in 4,000 shards opens in 0.02 s. An unfinished set has the samples of
-    its finished shards.
+    Only the card is read: a set of 10^6 samples in 4,000 shards opens in 0.02 s. For an unfinished set, the manifest is
+    read instead, and the data set has the samples of the finished shards.
 
     Examples
     --------
@@ -321,19 +323,22 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ATTRIBUTES):
         hint = meant(unknown[0], ATTRIBUTES)
         raise SceneError(f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {unknown[0]}{hint}")
-    by_number = sorted(chosen, key=lambda file: file[0].partition("/")[::-1])  # of the shard, then by split
+    by_number = sorted(chosen, key=lambda file: file[0].partition("/")[::-1])  # by shard number, then by split
     shards = _Shards(storage.where, data_set.identity.format, by_number)
     return Dataset(card, shards, names, range(sum(count for _, count in chosen)))
 
 
 def _in_files(name: str) -> str:
-    """Name of an array in files, such as "v01.coc" for "v01.blur_radius"."""
+    """The name that an array has in files, such as "v01.coc" for "v01.blur_radius"."""
     prefix, dot, kind = name.rpartition(".")
     return f"{prefix}{dot}{FILE_NAMES.get(kind, kind)}"
 
 
 def _card_with_files(data_set: DataSet) -> dict[str, Any]:
-    """The card with the checked `files` of each split; for an unfinished set, those of its parts. Raises FileError."""
+    """The card with the checked files of each split as `files`. Raises FileError.
+
+    Files of an unfinished set, whose card does not list them yet, are read from its parts of the manifest.
+    """
     try:
         if "files" in data_set.about:
             listed = dict(data_set.about["files"])
@@ -358,7 +363,7 @@ TILE = 200  # px, the longer side of a picture
 
 
 def _shrink(codes: Picture) -> Picture:
-    """Shrink a picture to at most TILE px a side by its nearest pixels."""
+    """Shrink a picture to at most TILE px a side, by selecting the nearest pixels."""
     rows, columns = codes.shape[:2]
     scale = min(1.0, TILE / max(columns, rows))
     small = (max(1, round(rows * scale)), max(1, round(columns * scale)))
@@ -367,7 +372,9 @@ def _shrink(codes: Picture) -> Picture:
 
 
 def record_sheet(records: Iterable[Record]) -> Picture:
-    """Images of samples side by side; of several color images, only the first and the last."""
+    """Contact sheet of samples. Of a sample with several color images, it shows the first and the last of these; of any
+    other sample, the first and the last image.
+    """
     tiles = []
     for record in records:
         names = [name for name in record if name.rpartition(".")[2] in PICTURES]

@@ -34,7 +34,7 @@ from clsco.scene.sweep import Sweep, exposed_again, load_sweep, parse_sweep
 from clsco.scene.text import shown
 from clsco.scene.toml import toml_text
 
-VERSION = 3  # of how samples follow from a file: changed where the same file gives other samples
+VERSION = 3  # changed whenever the same file gives other samples
 MAX_ATTEMPTS = 100
 MAX_NUMBER = 2**63 - 1
 
@@ -45,9 +45,9 @@ class Sample:
 
     number: int
     split: str  # "" without splits
-    attempts: int  # draws until it was accepted, from 1
-    parameters: dict[str, Any]  # values by name, such as "camera.focus_distance", of types that JSON has
-    table: dict[str, Any]  # content of a scene file for the folder of the distribution file
+    attempts: int  # number of draws until the sample was accepted, at least 1
+    parameters: dict[str, Any]  # drawn values, of JSON types, by name, such as "camera.focus_distance"
+    table: dict[str, Any]  # content of a scene file, with paths relative to the folder of the distribution file
     labels: tuple[str, ...]  # one for each variant, as in a sweep; ("",) for a single scene
     scenes: tuple[Scene, ...]  # one for each label
 
@@ -58,17 +58,17 @@ Drawn = tuple[int, dict[str, Any], dict[str, Any], tuple[str, ...], tuple[Scene,
 
 @dataclass(frozen=True, eq=False)
 class _Distribution(ABC):
-    """All samples of a distribution, as a function of seed and number. It can be pickled."""
+    """A distribution, whose samples are a function of seed and number. It can be pickled."""
 
     where: str  # name of the file or function
-    folder: Path  # base of its paths, links resolved
+    folder: Path  # base folder of relative paths, links resolved
     splits: Splits
 
     def draw(self, seed: int, number: int) -> Sample:
         """Draw a sample; seed: 0 to 2^64 - 1; number: 0 to 2^63 - 1.
 
-        The sample depends only on the file, the files that it names, seed, number and version of this package. Raises
-        SceneError: the sample is no valid scene, or none of 100 attempts is accepted.
+        The sample depends only on seed, number, the distribution, the files that it names, and the version of this
+        package. Raises SceneError if the sample is no valid scene, or none of 100 attempts is accepted.
         """
         for name, value, most in (("seed", seed, MAX_SEED), ("number", number, MAX_NUMBER)):
             if type(value) is not int or not 0 <= value <= most:
@@ -84,14 +84,14 @@ class _Distribution(ABC):
 
     @abstractmethod
     def _draw(self, seed: int, number: int, split: int, noise_seed: int) -> Drawn:
-        """Draw a sample; split: position of its split; noise_seed: for a sensor that has none."""
+        """Draw a sample; split: position of its split in `splits`; noise_seed: seed for a sensor that has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Distribution(_Distribution):
-    """All samples of a distribution file.
+    """The distribution in a file.
 
-    digest: SHA-256 of everything that decides samples: the joined tables, the splits, and names and contents of the
+    digest: SHA-256 of everything that samples depend on: the joined tables, the splits, and names and contents of the
     files that samples may use.
     """
 
@@ -99,11 +99,11 @@ class Distribution(_Distribution):
     parts: VariedKeys
     accept: Bounds
     tables: DistributionTables  # joined with the base and overrides
-    recipe: str  # text of the tables, or of the file itself if it has no base and no overrides
+    recipe: str  # text of the file; if it has a base or overrides, text of the joined tables
 
     @property
     def about(self) -> dict[str, Any]:
-        """Entries of the data card: the text for readers, and for programs everything needed to make the set again."""
+        """Entries of the data card: `recipe` for readers, and `distribution`, from which the set can be made again."""
         return {"recipe": self.recipe, "distribution": self.tables.content()}
 
     def _draw(self, seed: int, number: int, split: int, noise_seed: int) -> Drawn:
@@ -121,7 +121,11 @@ class Distribution(_Distribution):
 
 
 def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Parameter, element: int) -> Any:
-    """Value of a parameter for an attempt at a sample, and an element of a population; split: the split's position."""
+    """Draw the value of a parameter.
+
+    split: position of the sample's split; attempt: number of the draw of the sample; element: number of the object in
+    its population, 0 for other parameters.
+    """
     words = stream_words(seed, number, parameter.name, parameter.form.words, attempt, element)
     return parameter.form.value(words, split)
 
@@ -134,8 +138,8 @@ def load_distribution(
 ) -> Distribution:
     """Read a distribution: a .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
 
-    overrides: as for `clsco.load_scene`; a key that is given does not vary any more. folder: start of the paths of a
-    mapping. Raises SceneError with one message per fault; scenes of extreme values are validated as well.
+    overrides: as for `clsco.load_scene`; an overridden key no longer varies. folder: base folder of relative paths, if
+    the content is given. Scenes with extreme values are validated, too. Raises SceneError with one message per fault.
     """
     if isinstance(distribution, Mapping):
         content, where, inside = distribution, "distribution", Folder((folder or Path()).absolute())
@@ -165,7 +169,7 @@ def _recipe(where: str, content: Mapping[str, Any] | None, tables: DistributionT
 
 
 def _not_analytic(parts: VariedKeys) -> list[str]:
-    """Names of objects that rays cannot be cast at, because they have no formula."""
+    """Messages on depth maps, at which rays cannot be cast because they have no formula."""
     shapes = [(f"object[{k}]", item.get("shape")) for k, item in enumerate(parts.scene.get("object", ()))]
     shapes += [(f"vary.object[{p.entry}]", shape) for p in parts.populations for shape in p.shapes]
     rule = "accept and derive need analytic objects, which rays can be cast at"
@@ -179,30 +183,30 @@ def _digest(tables: DistributionTables, splits: Splits, folder: Folder) -> str:
 
 
 DrawScene = Callable[[np.random.Generator, int], Any]
-"""Takes a generator and the number of the sample, and gives its scene or the scenes of its variants; or a pair of these
-and a mapping of parameters."""
+"""Takes a random generator and the number of a sample; returns the sample's scene or a list of scenes, its variants, or
+a tuple of either and a mapping of parameters."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScriptedDistribution(_Distribution):
-    """All samples that a function draws; source: text of its module. Pickling stores the function's name."""
+    """A distribution whose samples a function draws; source: text of its module. Only its name is pickled."""
 
     function: DrawScene
     source: str
 
     @property
     def digest(self) -> str:
-        """SHA-256 of known inputs of samples, among them the version of NumPy, whose generators may change."""
+        """SHA-256 of the known inputs of samples. The version of NumPy is one, because its generators may change."""
         content = [VERSION, self.function.__qualname__, self.source, np.__version__, self.splits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     @property
     def about(self) -> dict[str, Any]:
-        """Entries of the data card: the source text, and the name of the function in it."""
+        """Entries of the data card: `recipe`, the source text, and `function`, the name of the function in it."""
         return {"recipe": self.source, "function": self.function.__qualname__}
 
     def _draw(self, seed: int, number: int, split: int, noise_seed: int) -> Drawn:  # noqa: ARG002
-        rng = np.random.Generator(np.random.Philox(key=[seed, number]))  # whose bits depend on nothing else
+        rng = np.random.Generator(np.random.Philox(key=[seed, number]))  # its bits depend on the key alone
         try:
             drawn = self.function(rng, number)
             content, parameters = drawn if isinstance(drawn, tuple) and len(drawn) == 2 else (drawn, {})
@@ -217,7 +221,7 @@ class ScriptedDistribution(_Distribution):
         return 1, parameters, _joined_table(tables), sweep.labels, scenes
 
     def _table(self, scene: Scene) -> dict[str, Any]:
-        """Content of a scene file with paths in the folder; an array is replaced by its description."""
+        """Content of a scene file, with paths relative to `folder`; a description replaces each array."""
         table = dump(scene)
         for place, item in scene.inputs:
             arrays = {key: {"array": str(array)} for key, array in item.arrays().items()}
@@ -226,7 +230,7 @@ class ScriptedDistribution(_Distribution):
         return table
 
     def _inside(self, path: str) -> str:
-        """A path relative to the folder. Raises SceneError for a path outside of it."""
+        """The path relative to `folder`. Raises SceneError for a path outside of this folder."""
         whole = Path(os.path.normpath(self.folder / path))
         if not whole.is_relative_to(self.folder):
             raise SceneError(f"texture: files must lie in {self.folder}; got {path}")
@@ -249,9 +253,10 @@ def _as_json(parameters: Any) -> dict[str, Any]:
 
 
 def _sweep_of(content: Any, noise_seed: int) -> Sweep:
-    """Scenes of what a function gives: a scene, a list of scenes, or a file or mapping with several values.
+    """The scenes that a function returned: as a scene, a list of scenes, or a scene file or its content.
 
-    noise_seed: of the first scene, for sensors that have none; each further variant is another exposure.
+    noise_seed: seed of the first scene if its sensor has none. If several variants have one seed, each further variant
+    is another exposure.
     """
     if isinstance(content, list):
         sweep = Sweep(tuple(f"v{k:02d}" for k in range(len(content))), tuple(map(scene_of, content)))
@@ -272,7 +277,7 @@ def _sweep_of(content: Any, noise_seed: int) -> Sweep:
 
 
 def _joined_table(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Content of one scene file from that of each variant: sections that all share, and [[variant]] with the others."""
+    """Join the scene files of variants: sections that are equal in all stay, [[variant]] tables have the others."""
     first, *others = tables
     if not others:
         return first
@@ -282,10 +287,9 @@ def _joined_table(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None = None) -> ScriptedDistribution:
-    """The distribution of a function `draw(rng, sample)`, which takes a `numpy.random.Generator` and a sample number,
-    and returns a scene; arguments as for `clsco.data.make`.
+    """The distribution whose samples a function draws; arguments as for `clsco.data.make`.
 
-    Raises SceneError: other processes cannot import the function, or its source text is unknown.
+    Raises SceneError if other processes cannot import the function, or its source text is unknown.
     """
     name = getattr(function, "__qualname__", repr(function))
     try:

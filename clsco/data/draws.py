@@ -29,15 +29,16 @@ Floats = NDArray[np.float64]
 MAX_SEED = 2**64 - 1
 _LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)  # high part with 32 bits of 0, and the rest
 _LOG2E = 1.44269504088896338700
-# Coefficients, highest power first: of e^r for |r| <= ln(2) / 2, and of artanh(q) / q in q^2 for |q| <= 0.1716, twice.
+# Coefficients, highest power first: of e^r for |r| <= ln(2) / 2, and of 2 artanh(q) / q in q^2 for |q| <= 0.1716.
 _EXP = [1.0 / math.factorial(k) for k in range(13, -1, -1)]
 _ARTANH = [2.0 / k for k in range(23, 0, -2)]
 
 
 def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
-    """Words (count,) of a parameter of a sample, or of one element of a population, of Philox4x64-10.
+    """Random words (count,) of Philox4x64-10 for a parameter of a sample; element: number of an object in a population.
 
-    Key: (seed, number); counter: (block of four words, element + 2^32 attempt, 128 bits of the name's SHA-256).
+    The key is (seed, number), the counter (block of four words, element + 2^32 attempt, 128 bits of the SHA-256 of the
+    name).
     """
     name_hash = int.from_bytes(hashlib.sha256(name.encode()).digest()[:16], "little")
     counter = (element + (attempt << 32)) << 64 | name_hash << 128
@@ -46,7 +47,7 @@ def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1
 
 
 def unit(words: Words) -> Floats:
-    """Uniform numbers in [0, 1), multiples of 2^-53, from words."""
+    """Convert words to uniform numbers in [0, 1), which are multiples of 2^-53."""
     return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
@@ -58,7 +59,7 @@ def exp(x: Floats) -> Floats:
 
 
 def log(x: Floats) -> Floats:
-    """Natural logarithm of positive numbers, within 2 units of the last place, or 2^-53 near 1."""
+    """Natural logarithm of positive numbers. Its error is at most 2 units of the last place; 2^-53 near 1."""
     part, power = np.frexp(x)
     small = part < np.sqrt(0.5)
     part, power = np.where(small, 2.0 * part, part), power - small
@@ -91,7 +92,7 @@ _FAR_TAIL = (
     (2.04426310338993978564e-15, 1.42151175831644588870e-7, 1.84631831751005468180e-5, 7.86869131145613259100e-4,
      1.48753612908506148525e-2, 1.36929880922735805310e-1, 5.99832206555887937690e-1, 1.0),
 )  # fmt: skip
-LARGEST_NORMAL = 8.3  # |z| of the extreme words
+LARGEST_NORMAL = 8.3  # bound of |z|, which the smallest and the largest word nearly reach
 
 
 def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats) -> Floats:
@@ -99,7 +100,7 @@ def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats)
 
 
 def normal(words: Words) -> Floats:
-    """Standard normal numbers from words, by AS 241 as in `NormalDist.inv_cdf`, but with a portable logarithm."""
+    """Convert words to standard normal numbers, by AS 241 as in `NormalDist.inv_cdf`, but with a portable logarithm."""
     p = ((words >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52  # in (0, 1), symmetric
     q = p - 0.5
     middle = q * _ratio(_CENTRAL, 0.180625 - q * q)
@@ -109,7 +110,7 @@ def normal(words: Words) -> Floats:
 
 
 def exact_log(value: float) -> float:
-    """Natural logarithm, correctly rounded, because the C library's differs between machines."""
+    """Natural logarithm, correctly rounded; that of the C library differs between machines."""
     with localcontext() as context:
         context.prec = 40
         return float(Decimal(value).ln())
@@ -124,14 +125,14 @@ Splits = tuple[tuple[str, float], ...]
 SplitsLike = Mapping[str, float] | Sequence[tuple[str, float]] | str | None
 MAX_SPLITS = 32
 MOST_BLOCK = 1000  # samples among which each split has exactly its share
-TAKEN = (PARTS, LOG, UNSPLIT, CONFLICT)  # by folders that sets have besides
+TAKEN = (PARTS, LOG, UNSPLIT, CONFLICT)  # names of other folders of a set, which no split may have
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 def splits_of(splits: SplitsLike) -> Splits:
-    """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05" or "train=80,test=20"; None or "": no splits.
+    """Parse splits, such as "train=0.9,val=0.05,test=0.05" or "train=80,test=20"; None and "" give no splits.
 
-    Raises SceneError. Names must be valid for folders, and differ without regard to case.
+    Raises SceneError for invalid shares, names that are no folder names, and names that differ only in case.
     """
     if not splits:
         return ()
@@ -171,10 +172,11 @@ def _parsed_split(part: str) -> tuple[str, float]:
 
 
 def split_of(splits: Splits, seed: int, number: int) -> int:
-    """Position of a sample's split, from seed and number alone.
+    """Position of a sample's split, which depends only on splits, seed and number.
 
-    Each block of consecutive numbers has exactly its share of each split, in random order: with 80 and 20 %, one of
-    five. A block is as short as the shares, rounded to fractions of at most 1000, allow.
+    Sample numbers are divided into blocks, in each of which every split has exactly its share of the samples, in random
+    order. With 80 % and 20 %, a block has 5 samples. Blocks are as short as the shares allow, at most 1000 samples;
+    shares are rounded to fractions with denominators up to 1000.
     """
     if not splits:
         return 0
@@ -185,7 +187,7 @@ def split_of(splits: Splits, seed: int, number: int) -> int:
 
 @lru_cache(maxsize=16)
 def _split_ends(splits: Splits) -> tuple[int, ...]:
-    """Numbers of samples of a block in the first split, the first two, and so on."""
+    """For each split, the number of samples of a block in this split and all before it."""
     shares = [Fraction(share).limit_denominator(MOST_BLOCK) for _, share in splits]
     size = min(math.lcm(*(share.denominator for share in shares)), MOST_BLOCK)
     ends = [math.floor(sum(shares[: k + 1]) * size + Fraction(1, 2)) for k in range(len(shares) - 1)]
@@ -198,7 +200,7 @@ def _split_order(seed: int, size: int, block: int) -> NDArray[np.int64]:
 
 
 def of_files(splits: Splits, digests: Sequence[str]) -> NDArray[np.int64]:
-    """Position of the split of each file, (n,), from its SHA-256 alone, so that copies get the same split."""
+    """For each file, the position of its split (n,). It depends only on the file's SHA-256, so copies share a split."""
     words = np.array([int(digest[:16], 16) for digest in digests], np.uint64)
     ends = [math.fsum(share for _, share in splits[: k + 1]) for k in range(len(splits) - 1)]
     return np.searchsorted(ends, unit(words), side="right")

@@ -1,4 +1,4 @@
-"""Preview of a data set before it is made: parameters, measures of samples, size and time, and some pictures."""
+"""Forecast of a data set before it is made: parameters, measures of samples, size, time, and some pictures."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from clsco.files.images import write_png
 from clsco.frame.provenance import views
 from clsco.plan.prepare import prepare
 
-MOST_DRAWN = 128  # samples that are drawn, and at which rays are cast
-MOST_RENDERED, RENDER_S = 16, 30.0  # samples that are rendered, and s after which no further one is
+MOST_DRAWN = 128  # samples that are drawn and measured with rays
+MOST_RENDERED, RENDER_S = 16, 30.0  # largest number of rendered samples, and s after which no other one is rendered
 VALUES = 8  # values of a choice that are listed
 _MEMBER = re.compile(r"^(object\.[^.]+\.)\d+\.")  # name of a parameter of an object of a population
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Values of a parameter or measure: lowest, mean and highest number, shares of texts, or number of values."""
+    """Summary of the values of a parameter or measure."""
 
     name: str
-    low: float | None
+    low: float | None  # lowest, mean and highest value; None unless values are numbers
     mean: float | None
     high: float | None
-    note: str = ""
+    note: str = ""  # for other values: the share of each, or, if there are many, how many differ
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """Forecast for a set of `count` samples from `looked_at` of them, evenly spaced."""
+    """Forecast for a set of `count` samples, from `looked_at` evenly spaced samples of it."""
 
     count: int
     splits: dict[str, float]  # share of each split
@@ -50,20 +50,20 @@ class DryRun:
     attempts: int  # number of draws
     failed: tuple[str, ...]  # messages of samples that cannot be drawn or rendered
     measures: tuple[Summary, ...]
-    frames: float  # mean number per sample, over all variants and views
-    bytes: dict[str, float]  # mean size of a rendered sample by array, before compression
-    seconds: float | None  # for the set with one process
+    frames: float  # mean number of frames per sample, in all variants and views together
+    bytes: dict[str, float]  # by array, mean size in a rendered sample before compression
+    seconds: float | None  # time to render the whole set in one process
     basis: str  # samples that bytes and seconds come from, or why these are unknown
     sheet: Path | None
-    fails: bool  # each sample that was rendered failed
+    fails: bool  # True if samples were rendered, and all failed
 
 
 def dry_run(
     distribution: Distribution, seed: int, count: int, *, arrays: Sequence[str], sheet_path: Path | None = None
 ) -> DryRun:
-    """Draw and render some samples to forecast a data set; sheet_path: PNG for their pictures, if there is a device.
+    """Draw and render some samples to forecast a data set. Without a device, none is rendered.
 
-    Raises SceneError if no sample can be drawn.
+    sheet_path: PNG to which pictures of the rendered samples are written. Raises SceneError if no sample can be drawn.
     """
     many = min(count, MOST_DRAWN)
     samples, failed = list[Sample](), list[str]()
@@ -90,7 +90,7 @@ def dry_run(
         measures=measures,
         frames=fmean(frames),
         bytes=_sizes(records, arrays),
-        seconds=fmean(seconds[1:] or seconds) * count if seconds else None,  # the first one is compiled for
+        seconds=fmean(seconds[1:] or seconds) * count if seconds else None,  # the first one includes compilation
         basis=basis,
         sheet=sheet_path if records else None,
         fails=len(failed) > drawn and not records,
@@ -98,7 +98,7 @@ def dry_run(
 
 
 def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:
-    """Summaries of all parameters; objects of a population are summarized together, components of vectors apart."""
+    """Summaries of all parameters: one for all objects of a population together, and one per component of a vector."""
     values: dict[str, list[Any]] = {}
     for sample in samples:
         for name, value in sample.parameters.items():
@@ -118,7 +118,7 @@ def _summary(name: str, values: list[Any]) -> Summary:
 
 
 def _measures(samples: Sequence[Sample]) -> tuple[Summary, ...]:
-    """Summaries of depth, blur and motion over samples without depth maps, at which rays cannot be cast."""
+    """Summaries of depth, blur and motion, without samples with depth maps, because rays cannot be cast at these."""
     analytic = [sample for sample in samples if all(scene.is_analytic for scene in sample.scenes)]
     scenes = [[s if s.camera.resolution is not None else prepare(s).scene for s in each.scenes] for each in analytic]
     looks = [look for variants in scenes for look in looks_of(variants)]
@@ -136,8 +136,8 @@ def _measures(samples: Sequence[Sample]) -> tuple[Summary, ...]:
 def _render(
     samples: Sequence[Sample], seed: int, arrays: Sequence[str], failed: list[str]
 ) -> tuple[list[Record], list[float], str]:
-    """Records of the samples that were rendered in the allowed time, the seconds of each, and a text on their source;
-    messages of failed samples are added to `failed`.
+    """Render samples for at most about RENDER_S. Returns their records, the seconds of each, and a text that says how
+    they were rendered, or why not; messages of failed samples are added to `failed`.
     """
     try:
         from clsco.data.shards import SampleRenderer
@@ -164,7 +164,7 @@ def _render(
 
 
 def _sizes(records: Sequence[Record], arrays: Sequence[str]) -> dict[str, float]:
-    """Mean bytes of a sample by array, all frames together."""
+    """By array, its mean size in bytes in a sample, all frames together."""
     sizes = dict.fromkeys(arrays, 0.0) if records else {}
     for record in records:
         for name, array in record.arrays.items():

@@ -1,4 +1,4 @@
-"""Failures while a set is made: those of a sample, and those of the machine."""
+"""Failures while a set is made: failures of a sample, and failures of the machine."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ _ERRNOS_OF_MACHINE = {
 
 
 def failure_of(error: BaseException) -> tuple[str, str]:
-    """Class of an error: "fatal" if the machine or store failed, so that other shards would too, else "failed"."""
+    """Class of an error, and its text. The class is "fatal" if other shards would also fail, else "failed"."""
     text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
     is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
     return "fatal" if is_fatal else "failed", text
 
 
 def is_of_machine(error: BaseException) -> bool:
-    """True if an error is the machine's, not a sample's: no space, memory or file handles left, a failing disk, a
-    kernel that does not build, or a missing package. A set is not made with such failures, but resumed later.
+    """True if the machine, not a sample, caused an error: it is out of space, memory or file handles, its disk fails, a
+    kernel does not build, or a package is missing. Such an error ends the run, and the set is resumed later.
     """
     return any(
         isinstance(cause, KernelError | MissingDependencyError | MemoryError)

@@ -13,21 +13,21 @@ from clsco.scene.text import shown
 
 MAX_NAME = 1024
 MAX_FILES = 100_000
-MAX_LOOKED_AT = 1_000_000  # entries of folders that a pattern may visit
+MAX_LOOKED_AT = 1_000_000  # entries of folders that patterns may visit
 MAX_DEEP = 32  # nested folders
-MAX_BYTES = 2**31  # of a file
-MAX_TOTAL = 2**37
+MAX_BYTES = 2**31  # size of a file
+MAX_TOTAL = 2**37  # size of all files together
 
 
 class RefusedError(Exception):
-    """A value breaks a rule; `value` replaces the checked value in the message."""
+    """A value breaks a rule; got: text that replaces the checked value in the message, or None."""
 
     def __init__(self, rule: str, got: Any = None) -> None:
         self.rule, self.got = rule, got
         super().__init__(rule)
 
     def message(self, key: str, value: Any) -> str:
-        """`key: rule; got value`."""
+        """The message `key: rule; got value`."""
         return f"{key}: {self.rule}; got {shown(value) if self.got is None else self.got}"
 
 
@@ -37,11 +37,11 @@ class Folder:
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()
         self.digests: dict[str, str] = {}
-        """SHA-256 by name, of all files that samples may need."""
+        """SHA-256 of each file that samples may need, by the file's name."""
         self._bytes = self._entries = 0
 
     def inside(self, name: Any) -> Path:
-        """The path of a file in the folder by its name, links resolved. Raises RefusedError."""
+        """The path of a file in the folder, with links resolved. Raises RefusedError for files that may not be read."""
         if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME or not name.isprintable():
             raise RefusedError(f"must be the name of a file, of at most {MAX_NAME} characters")
         windows = PureWindowsPath(name)
@@ -53,7 +53,7 @@ class Folder:
                 raise RefusedError("must not lead out of the folder of the distribution file by a link")
             if not path.is_file():
                 raise RefusedError("must be a file")
-        except (OSError, ValueError, RuntimeError):  # the last: links that go round in a circle, before Python 3.13
+        except (OSError, ValueError, RuntimeError):  # RuntimeError: a cycle of links, before Python 3.13
             raise RefusedError("must be an existing file") from None
         return path
 
@@ -90,7 +90,7 @@ class Folder:
         return names
 
     def _matches(self, folder: Path, parts: list[str], before: str) -> Iterator[str]:
-        """Names of files under `folder` that match the parts of a pattern; before: prefix of the names."""
+        """Names of files below `folder` that match the parts of a pattern; before: prefix of the returned names."""
         if before.count("/") > MAX_DEEP:
             raise RefusedError(f"must not go through more than {MAX_DEEP} folders in each other")
         try:

@@ -1,4 +1,4 @@
-"""Distributions of values, such as { uniform = [1, 2] }: how they are read, and turn 64-bit words into values."""
+"""Distributions of values, such as { uniform = [1, 2] }: parses them, and turns random 64-bit words into values."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from clsco.data.draws import LARGEST_NORMAL, Splits, Words, cube_root, exact_log
 from clsco.data.folder import Folder, RefusedError
 from clsco.scene.text import shown
 
-LARGEST = 1e30  # of a number, so that sums and cubes are finite
+LARGEST = 1e30  # largest number: its sums and cubes are finite
 MAX_INTEGER = 2**53
 MAX_ENTRIES = 10_000
 MAX_SIZE = 16
 
 Table = Mapping[str, Any]
-"""A table of a file that stands for a value."""
+"""A table that replaces a value in a distribution file."""
 
 
 def _number(value: Any) -> float:
@@ -55,7 +55,7 @@ def _size(table: Table) -> int | None:
 
 
 def _at(key: str, table: Table, check: Callable[[Any], Any]) -> Any:
-    """A checked option of a table; RefusedError names its key."""
+    """The value of a key, after a check. A RefusedError of the check gets the key in its message."""
     try:
         return check(table[key])
     except RefusedError as error:
@@ -71,13 +71,13 @@ def _require_word(key: str, table: Table, *words: str) -> None:
 def _entries(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list) or not 1 <= len(value) <= MAX_ENTRIES:
         raise RefusedError(f"must be a list of 1 to {MAX_ENTRIES} values")
-    if not _is_plain(value, 3):  # at most the bounds of an object, pairs in a list
+    if not _is_plain(value, 3):  # the bounds of an object are the deepest: a list of pairs, within the choice's list
         raise RefusedError("must be a list of numbers, texts, or lists of numbers", "a table or a list of lists in it")
     return tuple(value)
 
 
 def _is_plain(value: Any, levels: int) -> bool:
-    """True without tables and without more than `levels` of lists in each other."""
+    """True if a value contains no tables, and at most `levels` nested lists."""
     if isinstance(value, list):
         return levels > 0 and all(_is_plain(part, levels - 1) for part in value)
     return not isinstance(value, Mapping)
@@ -85,27 +85,27 @@ def _is_plain(value: Any, levels: int) -> bool:
 
 @dataclass(frozen=True)
 class Form(ABC):
-    """Distribution of one value, or of `size` numbers."""
+    """Distribution of a value; size: number of its drawn components, None if the value is drawn as a whole."""
 
     size: int | None
 
     @property
     def words(self) -> int:
-        """Number of random words that a draw takes."""
+        """Number of random words that a draw uses."""
         return self.size or 1
 
     @abstractmethod
     def value(self, words: Words, split: int) -> Any:
-        """The value that words give in a sample of a split, in the form of a scene file."""
+        """Convert random words to a value as in a scene file; split: position of the sample's split."""
 
     @abstractmethod
     def extremes(self) -> tuple[Any, ...]:
-        """The lowest and the highest value, or all values, in the form of a scene file."""
+        """The lowest and the highest value, or all values, as in a scene file."""
 
 
 @dataclass(frozen=True)
 class Numbers(Form):
-    """Distribution of one number from `low` to `high`, or of `size` of them; draw: gives a number for each word."""
+    """Distribution of a number from `low` to `high`, or of `size` such numbers; draw: converts words to numbers."""
 
     low: float
     high: float
@@ -120,7 +120,7 @@ class Numbers(Form):
 
 
 def _between(low: float, high: float, share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate from `low` (share 0) to `high` (share 1), clipped to both."""
+    """Interpolate from `low` (share 0) to `high` (share 1), clipped to this range."""
     return np.clip(low + (high - low) * share, low, high)
 
 
@@ -179,7 +179,7 @@ def _draw_integers(low: int, high: int, words: Words) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class ChoiceForm(Form):
-    """{ choice = [...], weights = [...] }; below: cumulative weights up to each entry, normalized to 1."""
+    """{ choice = [...], weights = [...] }; below: for each entry, the sum of weights up to it, divided by the total."""
 
     entries: tuple[Any, ...]
     below: tuple[float, ...]
@@ -207,7 +207,8 @@ class ChoiceForm(Form):
 class Files(Form):
     """{ files = "pattern", split = "by_file" }: one of the files that match.
 
-    names: relative to the folder of the distribution file; of_split: positions of the files of each split.
+    names: of all files, relative to the folder of the distribution file; of_split: for each split, positions in `names`
+    of the files that its samples may have.
     """
 
     names: tuple[str, ...]
@@ -241,7 +242,8 @@ class Files(Form):
 class Frustum(Form):
     """{ frustum = { depth = [near, far], margin = px, density = "volume" } }: a point in the camera's field of view.
 
-    Horizontal and vertical coordinates range from -1 to 1 over the frame without its margin.
+    near, far: range of the depth, mm. margin: px at each border without points. by_volume: True if points are uniform
+    in the volume, False if they are uniform in depth.
     """
 
     near: float
@@ -278,22 +280,24 @@ class Frustum(Form):
 
 @dataclass(frozen=True)
 class Placed:
-    """A point in the frustum before the camera is known."""
+    """A point in the frustum of a camera that is not known yet."""
 
-    across: float
-    up: float
-    depth: float
-    margin: float
+    across: float  # from -1 to 1 over the frame without its margin
+    up: float  # likewise
+    depth: float  # mm
+    margin: float  # px
 
     def point(self, columns: int, rows: int, step: float) -> list[float]:
-        """The point (x, y, z) in mm; step: difference of slope between rays of neighboring pixels."""
+        """The point (x, y, z) in mm for a camera; step: difference in slope between rays of neighboring pixels."""
         x, y = (share * (0.5 * n - self.margin) * step for share, n in ((self.across, columns), (self.up, rows)))
         return [x * self.depth, y * self.depth, self.depth]
 
 
 @dataclass(frozen=True)
 class Rotated(Form):
-    """{ direction = "sphere" } with 3 numbers, { rotation = "uniform" } with 4: uniform on a sphere."""
+    """{ direction = "sphere" }: a unit vector; { rotation = "uniform" }: a unit quaternion. Both are uniform on their
+    sphere, in 3 and 4 dimensions.
+    """
 
     @classmethod
     def parse(cls, table: Table, *_: Any) -> Form:
@@ -329,7 +333,7 @@ FORMS: dict[str, tuple[Callable[[Table, Folder, Splits], Form], tuple[str, ...]]
 
 
 def is_form(value: Any) -> bool:
-    """True if a table is a distribution of a value."""
+    """True if a value is a table that states a distribution."""
     return isinstance(value, Mapping) and any(key in FORMS for key in value)
 
 

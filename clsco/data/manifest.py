@@ -1,7 +1,7 @@
 """Manifest of a data set: one part for each shard, and a merged file.
 
-A part is a file of JSON lines: the first describes the shard and its files, then follow a line for each sample and a
-line for each failed sample. It depends only on the set and the shard's number.
+A part is a file of JSON lines: the first line describes the shard and its files, and each further line describes a
+sample or, after these, a failed sample. A part depends only on the set and the shard's number.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from clsco.errors import FileError
 from clsco.files.strict_json import strict_json
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
-CONFLICT = "conflict"  # folder of shards that were made otherwise before
+CONFLICT = "conflict"  # folder of shards whose bytes differ from those of the same shard in the set
 UNSPLIT = "data"  # folder of the shards of a set without splits
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Everything that decides the bytes of a set except its number of samples."""
+    """Everything that the bytes of a set depend on, except its number of samples."""
 
-    distribution: str  # digest
+    distribution: str  # digest of the distribution
     seed: int
     first: int  # number of the first sample
     shard_size: int
@@ -36,7 +36,7 @@ class Identity:
     splits: tuple[tuple[str, float], ...]
     version: str  # of clsco
     device_family: str
-    types: tuple[tuple[str, str], ...] = ()  # of arrays that are not stored in their default type
+    types: tuple[tuple[str, str], ...] = ()  # names and types of arrays that are not stored in their default type
 
     @property
     def digest(self) -> str:
@@ -77,12 +77,12 @@ class ManifestPart:
 
 
 def line(value: Mapping[str, Any]) -> str:
-    """A line of JSON that depends only on the value and its order."""
+    """A mapping as one line of JSON, which depends only on the content and order of the mapping."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
 def part_key(shard: int) -> str:
-    """Storage key of the part of a shard."""
+    """Storage key of a shard's part."""
     return f"{PARTS}/{shard:06d}.jsonl"
 
 
@@ -90,7 +90,7 @@ def part_bytes(
     shard: int, identity: str, numbers: range, files: Mapping[str, tuple[int, str]],
     rows: Sequence[Mapping[str, Any]], failures: Sequence[Mapping[str, Any]],
 ) -> bytes:  # fmt: skip
-    """The content of a part."""
+    """The content of a shard's part."""
     body = "".join(f"{line(row)}\n" for row in (*rows, *failures)).encode()
     head = ManifestPart(
         shard, identity, numbers.start, len(numbers), len(rows), len(failures), files, hashlib.sha256(body).hexdigest()
@@ -114,7 +114,7 @@ def parsed_part(data: bytes) -> ManifestPart:
 
 
 def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """The samples and the failures of a part. Raises FileError if they contradict its first line."""
+    """The lines of a part on samples and on failed samples. Raises FileError if they contradict its first line."""
     part = parsed_part(data)
     require_rows(part, data)
     try:
@@ -134,7 +134,7 @@ _FAILURE = {"number": int, "error": str, "scene": dict | None}
 
 
 def _fits(row: Any, types: Mapping[str, Any]) -> bool:
-    """True if a row has entries of these types; integers are numbers of samples."""
+    """True if a row has entries of these types. Integers must be 0 to 10^12, as they are sample numbers or offsets."""
     if not isinstance(row, dict) or not all(isinstance(row.get(name, ...), kind) for name, kind in types.items()):
         return False
     numbers = [row[name] for name, kind in types.items() if kind is int]
@@ -148,22 +148,22 @@ def require_rows(part: ManifestPart, data: bytes) -> None:
 
 
 def shard_numbers(samples: range, size: int) -> range:
-    """Numbers of the shards of a set."""
+    """Numbers of the shards of a set; size: samples of a whole shard."""
     return range(samples.start // size, -(-samples.stop // size))
 
 
 def numbers_of(shard: int, samples: range, size: int) -> range:
-    """Numbers of the samples of a shard."""
+    """Numbers of the samples of a shard; size: samples of a whole shard."""
     return range(max(samples.start, shard * size), min(samples.stop, (shard + 1) * size))
 
 
 class Merged:
-    """Merges the lines and files of all parts, added in order; lines stay in the scratch folder until `put`."""
+    """Merges the lines and files of parts, which are added in order. Lines stay in the scratch folder until `put`."""
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage
         self.files: list[tuple[str, int]] = []
-        """Files with the number of samples in them."""
+        """Names of files, each with its number of samples."""
         self.paths = {key: storage.scratch() / key for key in (MERGED, FAILED)}
         for path in self.paths.values():
             path.write_bytes(b"")
@@ -184,14 +184,14 @@ class Merged:
 
 
 def files_of(part: ManifestPart, data: bytes) -> list[tuple[str, int]]:
-    """Files of a part with their numbers of samples, in order. Raises FileError if the part is damaged."""
+    """Names of the files of a part, each with its number of samples, in order. Raises FileError for a damaged part."""
     if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:
         return [(only, part.made)]
     return sorted(Counter(row["file"] for row in rows_of(data)[0]).items())
 
 
 def files_by_split(files: Iterable[tuple[str, int]]) -> dict[str, list[tuple[str, int]]]:
-    """Files of each split, in their order; the key is "" in a set without splits."""
+    """Group files by split, and keep their order; in a set without splits, the only key is ""."""
     by_split: dict[str, list[tuple[str, int]]] = {}
     for file, count in files:
         split = file.partition("/")[0]

@@ -1,4 +1,4 @@
-"""Pool of processes on one machine that make the shards of a set, each on one device."""
+"""Pool of processes on this machine that make the shards of a set. Each process uses one device."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from clsco.opencl.device import Device
 
 _LOG = logging.getLogger("clsco")
-RECYCLED_SHARDS = 32  # shards after which a process is replaced, because drivers leak memory
+RECYCLED_SHARDS = 32  # number of shards after which a process is replaced, because drivers leak memory
 END_S = 20.0  # s after which a process that was asked to end is killed
-# The first one is read by the wheel of PoCL 3.0, the second one by later versions.
+# The wheel of PoCL 3.0 reads the first variable, later versions of PoCL read the second one.
 _THREAD_VARIABLES = (
     "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
 )  # fmt: skip
@@ -36,14 +36,14 @@ _THREAD_VARIABLES = (
 
 @dataclass(frozen=True)
 class Place:
-    """Device of a worker process, and its number of CPU threads, 0 to leave the number open."""
+    """Device of a worker process; threads: limit of its CPU threads, 0 for no limit."""
 
     device: DeviceName
     threads: int = 0
 
 
 Advance = Callable[[int], object]
-"""Takes the number of samples made since its last call."""
+"""A function that is called with the number of samples made since its last call."""
 
 
 @dataclass
@@ -57,9 +57,10 @@ class _Worker:
 
 
 def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> list[Place]:
-    """List the places of worker processes: one per graphics card, and one per core of a processor.
+    """List the places of worker processes.
 
-    devices: names, each with True for a processor; workers: total number of processes, spread over the devices.
+    devices: names, each with True for a processor. workers: number of processes, which are spread over the devices;
+    None for one per graphics card, and one per core of a processor.
     """
     cores = processors()
     if workers is None:
@@ -74,9 +75,9 @@ def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> l
 
 
 def run_pool(job: SetJob, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
-    """Make shards in one process per place; a process above `memory` bytes is replaced after its shard.
+    """Make shards in one process per place. A process that uses more than `memory` bytes after a shard is replaced.
 
-    Raises ClscoError: no process starts, a device is of another family, the storage fails, or a shard cannot be made.
+    Raises ClscoError if no process starts, a device is of another family, the storage fails, or a shard cannot be made.
     """
     _Pool(job, shards, where, advance, memory).run()
 
@@ -110,7 +111,7 @@ class _Pool:
         return _Worker(child, place)
 
     def _step(self) -> None:
-        """Give tasks to idle processes, and handle the answer of any of them."""
+        """Send tasks to idle processes, wait for messages of processes, and handle these."""
         for worker in self.workers:
             if worker.is_ready and worker.task is None and not worker.is_leaving and self.schedule.waiting:
                 worker.task = self.schedule.waiting.popleft()
@@ -135,7 +136,7 @@ class _Pool:
             assert task is not None
             if kind == "failed":
                 self.schedule.died(task, content[0])
-                worker.is_leaving = True  # the driver may be lost in that process alone
+                worker.is_leaving = True  # the driver may be lost, but only in this process
             else:
                 self.schedule.done(task)
                 if task.tried is None:
@@ -152,7 +153,7 @@ class _Pool:
             self.advance(done - before)
 
     def _on_worker_exit(self, worker: _Worker) -> None:
-        """Handle the end of a process: queue its task again, and start another process in its place."""
+        """Handle the end of a process: record its task as failed, and start another process in its place."""
         status = worker.child.end(END_S)
         if not worker.is_leaving:
             _LOG.info("process %d: ended with %s", worker.child.pid, how_ended(status))
@@ -182,7 +183,7 @@ class _Pool:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Make SIGTERM end the block, and the code after it, as Ctrl-C does, unless the program handles SIGTERM."""
+    """Make SIGTERM raise SystemExit in the block, unless the program handles SIGTERM itself."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -199,7 +200,7 @@ def _exit(number: int, _: FrameType | None) -> NoReturn:
 
 
 def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
-    """Limit the threads of libraries that are loaded later, or of processes with this environment."""
+    """Limit, by environment variables, the threads of libraries that read them: in this process or in a new one."""
     for name in _THREAD_VARIABLES:
         environ.setdefault(name, str(count))
 
@@ -207,12 +208,15 @@ def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
 REPORT_S = 0.2  # s between reports on the progress of a shard
 
 DeviceName = str | int | None
-"""Part of a name as for `clsco.render`, or the number of a device among all, where several have one name."""
+"""Part of a device's name, as for `clsco.render`; or the number of the device, as several may have one name."""
 
 
 def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool) -> None:
-    """Make the tasks that arrive through the pipe, and report results there, until the parent sends None or ends."""
-    signal.signal(signal.SIGTERM, _exit)  # so that no file is written any more when all are removed
+    """Receive tasks through the pipe, run them, and send results back, until the parent sends None or ends.
+
+    name: device; overlapped: as for `ShardMaker`.
+    """
+    signal.signal(signal.SIGTERM, _exit)  # so that no file is written after `close` removes all files
     storage = open_storage(job.where)
     at_forced_end(storage.close)
     try:
@@ -237,7 +241,7 @@ def device_of(name: DeviceName) -> Device:
 
 
 def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> None:
-    """Run a task."""
+    """Run a task: deliver its shard, or, if only some samples are tried, drop their files."""
     made = maker.make(task.shard, task.tried, dict(task.failed), advance)
     if task.tried is None:
         maker.deliver(made, {"pid": os.getpid(), "device": str(maker.renderer.device), "rss": resident_bytes()})
@@ -257,19 +261,21 @@ def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, 
 
     try:
         perform(maker, task, advance)
-    except Exception as error:  # whatever it is, it is reported to the parent, which goes on
+    except Exception as error:  # any error is reported to the parent, which continues
         return failure_of(error)
     return "done", resident_bytes()
 
 
 RETRIES, RETRIES_OF_ERROR = 3, 2
-"""Number of processes that try a task: if each one dies, and if each reports an error."""
+"""Attempts at a task before it counts as failed: if its process dies each time, and if an attempt reports an error."""
 DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard to make. failed: samples to skip, with messages; tried: samples to test instead, to find faulty ones."""
+    """A shard to make. failed: numbers and messages of samples to skip; tried: None, or the only samples to make, which
+    are then dropped: this finds samples that fail.
+    """
 
     shard: int
     tried: range | None = None
@@ -277,18 +283,18 @@ class ShardTask:
 
 
 class Schedule:
-    """Schedule of the shards of a set, by shard number, each with its sample numbers.
+    """Schedule of the shards of a set; shards: number of each shard, and its sample numbers.
 
-    A shard whose process dies is retried up to `RETRIES` times in all; then it is bisected to find the samples that
-    fail by themselves, and made without them.
+    If all attempts at a shard fail, the shard is bisected to find the samples that fail by themselves, and is then made
+    without these.
     """
 
     def __init__(self, shards: Iterable[tuple[int, range]]) -> None:
         self.samples = dict(shards)
         self.waiting = deque(ShardTask(shard) for shard in self.samples)
         self._deaths: Counter[ShardTask] = Counter()
-        self._trials: Counter[int] = Counter()  # of each shard, those that are waiting or under way
-        self._rounds: Counter[int] = Counter()  # of trials of each shard
+        self._trials: Counter[int] = Counter()  # by shard, number of trials that wait or run
+        self._rounds: Counter[int] = Counter()  # by shard, number of bisections
         self._failed: dict[int, dict[int, str]] = {}
         self._left = len(self.samples)
 
@@ -305,9 +311,9 @@ class Schedule:
             self._after_trial(task.shard)
 
     def died(self, task: ShardTask, cause: str | None = None) -> None:
-        """Record that a task failed; cause: message of its error, None if its process died.
+        """Record that a task failed; cause: message of the error, None if the process died.
 
-        Raises ClscoError if a shard fails although each of its samples succeeds alone.
+        Raises ClscoError if a shard fails although each of its samples succeeds by itself.
         """
         self._deaths[task] += 1
         again = self._deaths[task] < (RETRIES if cause is None else RETRIES_OF_ERROR)

@@ -33,7 +33,7 @@ CODES = {"uint8": 8, "uint16": 16}
 PICTURES = ("color", "sharp")  # arrays that can be stored as codes
 OF_THE_LENS = frozenset(FILE_NAMES[name] for name in (*OF_THE_IMAGE, "blur_radius", "throughput"))
 _VARIANT = re.compile(r"v\d{2,}")
-# Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
+# Keys of a frame's metadata that depend only on the scene, not on memory, devices or clocks.
 _OF_FRAMES = (
     "frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities",
     "check",
@@ -42,19 +42,21 @@ _OF_FRAMES = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Record(Mapping[str, NDArray[Any]]):
-    """One sample: a mapping of its arrays by name, which the default collation of PyTorch takes.
+    """One sample: a mapping of names to arrays, which the default collation of PyTorch accepts.
 
     Attributes
     ----------
     key : str
         Number of the sample in nine digits.
     arrays : mapping of str to ndarray
-        By name in files, such as "color" or "coc". With several frames "f0003.depth", with a stereo pair "left.color",
-        with variants "v01.color", with all three "v01.f0003.left.color". Variants that differ only in lens and sensor
-        share other arrays, such as "depth" and "mask". Images are codes, uint8 or uint16, or linear floats.
+        Arrays by their names in files, such as "color" or "coc". Names of a sample with several frames are like
+        "f0003.depth", with a stereo pair "left.color", with variants "v01.color", with all three
+        "v01.f0003.left.color". If variants differ only in lens and sensor, arrays that do not depend on these, such as
+        "depth" and "mask", are stored once. Images are codes (uint8 or uint16) or linear floats.
     meta : mapping
-        Content of the sample's JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with
-        dtype, shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
+        Content of the sample's JSON: number, seed, split, attempts, version, parameters, scene, labels and `frames`;
+        and `arrays`, with dtype, shape, unit and convention of each array. For codes, it also has the transfer curve
+        and `clipped`, the share of clipped values.
 
     Examples
     --------
@@ -71,7 +73,7 @@ class Record(Mapping[str, NDArray[Any]]):
     meta: Mapping[str, Any]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """An array by its name; raises KeyError, which lists the names that exist."""
+        """An array by its name. Raises KeyError, whose message lists the names that exist."""
         try:
             return self.arrays[name]
         except KeyError:
@@ -84,7 +86,7 @@ class Record(Mapping[str, NDArray[Any]]):
     def __len__(self) -> int:
         return len(self.arrays)
 
-    __eq__, __hash__ = object.__eq__, object.__hash__  # by identity: arrays have no truth
+    __eq__, __hash__ = object.__eq__, object.__hash__  # by identity, because `array == array` is no single bool
 
     def __repr__(self) -> str:
         arrays = (f"{name} {'x'.join(map(str, array.shape))} {array.dtype}" for name, array in self.arrays.items())
@@ -97,7 +99,7 @@ class Record(Mapping[str, NDArray[Any]]):
         Parameters
         ----------
         name : str
-            Such as "color", or of a stereo pair "left.sharp".
+            Name of the image, such as "color", or "left.sharp" in a stereo pair.
 
         Returns
         -------
@@ -118,19 +120,19 @@ class Record(Mapping[str, NDArray[Any]]):
         Parameters
         ----------
         path : path
-            .png in sRGB codes of 16 bits, .tif, .tiff and .exr in linear float32; .npz holds all arrays as they are
-            stored.
+            A .png stores 16-bit sRGB codes; .tif, .tiff and .exr store linear float32; .npz stores all arrays as they
+            are in the record.
         name : str
-            Name of the image.
+            Name of the image; not used for .npz.
 
         Raises
         ------
         KeyError
             The record has no such array.
         SceneError
-            The array is no image, and the format stores codes.
+            The array is no image, but the format stores only codes.
         FileError
-            The extension is another one, the extra that the format needs is missing, or the file cannot be written.
+            The extension is unknown, the extra that the format needs is missing, or the file cannot be written.
         """
         if Path(path).suffix.lower() == ".npz":
             write_npz(path, self.arrays)
@@ -143,15 +145,15 @@ class Record(Mapping[str, NDArray[Any]]):
             save_image(path, values, color=exr_color(next(iter(known), ())))
 
     def pictures(self) -> dict[str, NDArray[np.float32]]:
-        """Linear radiance of each image of the record, by its name."""
+        """Linear radiance of each image of the record, by the image's name."""
         return {name: self.radiance(name) for name in self.arrays if name.rpartition(".")[2] in PICTURES}
 
     def _repr_html_(self) -> str:
-        """The line of `print` with the images, for notebooks."""
+        """The text of `repr` and the images, for notebooks."""
         return html_to_show(repr(self), list(self.pictures().values())[:8])
 
     def radiance(self, name: str = "color") -> NDArray[np.float32]:
-        """Linear radiance of an image, 1 = white, whether it is stored as codes or as floats.
+        """Linear radiance (1 = white) of an image, which may be stored as codes or as floats.
 
         Parameters
         ----------
@@ -164,13 +166,13 @@ class Record(Mapping[str, NDArray[Any]]):
         return decode(self[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
 
     def stacked(self) -> Record:
-        """The record with the arrays of its variants stacked: "color" (variants, rows, columns[, 3]) instead of
-        "v00.color", "v01.color".
+        """A record in which arrays of variants are stacked: "color" (variants, rows, columns[, 3]) replaces
+        "v00.color", "v01.color" and so on.
 
         Returns
         -------
         Record
-            Arrays that variants share, such as "depth", stay as they are. Without variants, the record itself.
+            Arrays that variants share, such as "depth", stay as they are. Without variants, it is the record itself.
 
         Raises
         ------
@@ -191,19 +193,19 @@ class Record(Mapping[str, NDArray[Any]]):
         return Record(self.key, arrays, {**self.meta, "arrays": about}) if arrays.keys() != self.arrays.keys() else self
 
     def _light(self, name: str) -> NDArray[np.float32]:
-        """`radiance` of what codes can show: an image. Raises SceneError for other arrays."""
+        """Linear radiance of an image. Raises SceneError for other arrays."""
         radiance = self.radiance(name)
         if name.rpartition(".")[2] not in PICTURES:
             raise SceneError(f"name: must be an image, {' or '.join(PICTURES)}; got {name}, which is no light")
         return radiance
 
     def sha256(self) -> dict[str, str]:
-        """SHA-256 of each array's dtype, shape and bytes, which do not depend on the format."""
+        """SHA-256 of dtype, shape and bytes of each array, by the array's name; it does not depend on the container."""
         return {name: array_sha256(array) for name, array in self.arrays.items()}
 
 
 def array_sha256(array: NDArray[Any]) -> str:
-    """SHA-256 in hexadecimal of dtype, shape and bytes, in C order and little endian."""
+    """SHA-256, hexadecimal, of an array's dtype, shape and bytes, which are taken in C order and little endian."""
     plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
     digest = hashlib.sha256(f"{array.dtype.name} {','.join(map(str, array.shape))}\n".encode())
     digest.update(plain.data.cast("B"))
@@ -211,15 +213,15 @@ def array_sha256(array: NDArray[Any]) -> str:
 
 
 def is_named(name: str, names: Collection[str] | None) -> bool:
-    """True if `names`, or None for all, include an array by its full name or its kind: "left.color" is a "color"."""
+    """True if `names` is None, or contains an array's full name, like "left.color", or its kind, like "color"."""
     return names is None or name in names or name.rpartition(".")[2] in names
 
 
 def parse_stored(text: str) -> dict[str, str]:
-    """Types in which arrays are stored, by name, from a text such as "color=float32,depth=float16", or "all=float16".
+    """Parse a text such as "color=float32,depth=float16" or "all=float16"; returns the stored type of each array.
 
-    Images can be codes, uint8 or uint16 (default), or linear floats; other float arrays can be float32 (default) or
-    float16. Raises SceneError with one message per invalid entry.
+    Images can be codes (uint8, or by default uint16) or linear floats (float32 or float16). Other float arrays can be
+    float32 (default) or float16. Raises SceneError with one message per invalid entry.
     """
     known = {name: (*FLOATS, *(CODES if name in PICTURES else ())) for name in ATTRIBUTES}
     return parse_types(text, known)
@@ -232,13 +234,14 @@ def make_record(
     names: Collection[str],
     stored: Mapping[str, str] | None = None,
 ) -> Record:
-    """Make the record of a sample from the frames of each variant; of a stereo pair, the left view is first.
+    """Make the record of a sample from the frames of each variant. In a stereo pair, the left view is first.
 
-    names: arrays as in files; an array that a frame does not have is left out, such as `uv` without a texture. stored:
-    types as `parse_stored` gives them. Raises FileError: radiance that is not finite, or floats beyond float16.
+    names: names of the arrays in files; arrays that a frame does not have, such as `uv` without a texture, are left
+    out. stored: types from `parse_stored`. Raises FileError if an image to be stored as codes is not finite, or a value
+    is too large for float16.
 
-    Codes are clipped at white, as in a sensor, and at black, which interpolated textures may undershoot at an edge.
-    Clipping is not an error: `meta["arrays"][name]["clipped"]` is the share of clipped values. float32 is not clipped.
+    Codes are clipped at white, as in a sensor, and at black, because interpolated textures may be negative at an edge.
+    `meta["arrays"][name]["clipped"]` is the share of clipped values. Floats are not clipped.
     """
     types = dict.fromkeys(PICTURES, "uint16") | dict(stored or {})
     arrays: dict[str, NDArray[Any]] = {}
@@ -280,7 +283,7 @@ def make_record(
 
 
 def _without_blur(scene: Scene) -> Scene:
-    """The scene without its lens, PSF and sensor: equal for scenes whose rays meet the same surfaces."""
+    """The scene without lens, PSF and sensor. It is equal for two scenes if their rays meet the same surfaces."""
     return without_lens(scene).model_copy(update={"psf": None, "aperture": None})
 
 
@@ -291,7 +294,7 @@ def _without_variant(name: str) -> str:
 
 
 def _share(arrays: dict[str, NDArray[Any]], about: dict[str, dict[str, Any]]) -> None:
-    """Store arrays that do not depend on the lens, and are equal in all variants, once: "depth" for "v00.depth"."""
+    """Store an array once, as "depth" for "v00.depth", if it is equal in all variants and independent of the lens."""
     groups: dict[str, list[str]] = {}
     for name in arrays:
         groups.setdefault(_without_variant(name), []).append(name)
@@ -307,14 +310,14 @@ def _share(arrays: dict[str, NDArray[Any]], about: dict[str, dict[str, Any]]) ->
 def _stored(
     where: str, name: str, array: NDArray[Any], dtype: str | None, transfer: str
 ) -> tuple[NDArray[Any], dict[str, Any]]:
-    """An array in its stored type, and its description."""
+    """An array converted to its stored type, and its description; where: name of the array in messages."""
     output = OUTPUTS[ATTRIBUTES[name]]
     more: dict[str, Any] = {}
     if dtype in CODES:
         bits = CODES[dtype]
-        half = 0.5 / (2**bits - 1)  # what rounds to white or black is not clipped
+        half = 0.5 / (2**bits - 1)  # values that round to white or black do not count as clipped
         check_values(where, "radiance must be a finite number", array, ~np.isfinite(array))
-        # Below black: where the cubic between texels, and what sharpens it, goes below them at an edge.
+        # Values below black: at edges, the sharpened cubic interpolation of textures undershoots the texels.
         beyond = np.count_nonzero((array > 1 + half) | (array < -half))
         more = {"transfer": transfer, "clipped": float(beyond / array.size)}
         array = encode(array, bits, transfer)

@@ -17,13 +17,13 @@ from clsco.files.strict_json import strict_json
 
 MOST_SHARDS = 10**6
 LARGEST_CARD = 2**26
-LATEST = 64  # shards from whose times the rate is taken
+LATEST = 64  # number of shards whose times give the rate
 AT_ONCE = 16  # parts that are read at the same time
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """A data set in a storage; about: the content of its card (`dataset.json`), {} if the set has none yet."""
+    """A data set in a storage; about: content of its card (`dataset.json`), or {} if the card was not read."""
 
     storage: Storage
     identity: Identity
@@ -44,10 +44,10 @@ class DataSet:
         return sorted(key for key in self.storage.sizes(manifest.PARTS) if key.endswith(".jsonl"))
 
     def parts(self, keys: Sequence[str] | None = None) -> Iterator[tuple[str, bytes]]:
-        """Content of all existing parts or of those with `keys`, in order; several are read at a time."""
+        """Keys and contents of manifest parts, all or those with `keys`, in order. Several are read at a time."""
         keys = self.part_keys() if keys is None else keys
         with ThreadPoolExecutor(AT_ONCE) as threads:
-            for start in range(0, len(keys), 8 * AT_ONCE):  # not all of them in memory
+            for start in range(0, len(keys), 8 * AT_ONCE):  # to limit the number of parts in memory
                 chunk = keys[start : start + 8 * AT_ONCE]
                 for key, data in zip(chunk, threads.map(self.storage.read, chunk), strict=True):
                     if data is not None:
@@ -56,10 +56,11 @@ class DataSet:
     def done(
         self, shards: Iterable[int], hashes: bool, faults: list[str], merged: Merged | None = None
     ) -> dict[int, ManifestPart]:
-        """Parts of finished shards: they belong to this set, have all samples, and their files are complete.
+        """Parts of those shards that are complete, by shard number: parts of this set that have all samples, and whose
+        files are complete.
 
-        hashes: compare the files' SHA-256 with the part, else only sizes. `faults` gets a line for each part whose
-        shard is not complete; `merged` gets the lines of the complete ones.
+        hashes: True to compare the SHA-256 of files with the part, False to compare only their sizes. faults: gets a
+        line for each part whose shard is not complete. merged: gets the parts of complete shards.
         """
         present, whole, sizes = set(self.part_keys()), dict[int, ManifestPart](), dict[str, dict[str, int]]()
         keys, digest = {key: shard for shard in shards if (key := part_key(shard)) in present}, self.identity.digest
@@ -85,7 +86,10 @@ class DataSet:
         return whole
 
     def _file_fault(self, part: ManifestPart, data: bytes, sizes: dict[str, dict[str, int]] | None) -> str:
-        """Message on the first fault of a part's files, or ""; sizes: of files by folder, None to compare hashes."""
+        """Message on the first fault of a part's files, or "".
+
+        sizes: cache of the sizes of files, by folder; None to compare hashes instead of sizes.
+        """
         if sizes is None:
             manifest.require_rows(part, data)
         for name, (size, digest) in part.files.items():
@@ -101,18 +105,18 @@ class DataSet:
         return ""
 
     def lines(self, shard: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Manifest rows of a shard's samples, and of its failed samples; empty without a part."""
+        """Manifest lines on a shard's samples, and on its failed samples; both lists are empty if it has no part."""
         data = self.storage.read(part_key(shard))
         return ([], []) if data is None else manifest.rows_of(data)
 
     def write(self, about: Mapping[str, Any]) -> None:
-        """Write the card, before any shard is made. about: other entries of the card."""
+        """Write the card, before any shard is made; about: entries besides identity and samples."""
         card = {"identity": self.identity.record(), "samples": [self.samples.start, self.samples.stop], **about}
         self.storage.write(CARD, f"{json.dumps(card, indent=2, allow_nan=False)}\n".encode())
 
 
 def open_set(storage: Storage) -> DataSet:
-    """The set in a storage. Raises FileError if there is none, or its card is damaged."""
+    """The set in a storage. Raises FileError if the storage has no set, or the set's card is damaged."""
     data = storage.read(CARD)
     if data is None:
         raise FileError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
@@ -136,9 +140,10 @@ def open_set(storage: Storage) -> DataSet:
 
 
 def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
-    """The card of the stored set if `new` may resume it, {} for an empty storage, or a set of which nothing was made.
+    """Check that the set `new` can be made in its storage; returns the card of a stored set that is resumed, else {}.
 
-    Raises SceneError: another set, one with more samples, or other files are there, or `resumes` is False.
+    resumes: False to replace a stored set without samples, True to resume a stored set. Raises SceneError if the
+    storage has other files, or a set that has samples (`resumes` is False) or is not a part of `new` (True).
     """
     storage, where = new.storage, new.storage.where
     if storage.read(CARD) is None:
@@ -161,7 +166,7 @@ def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
 
 
 def _made_some(part: bytes) -> bool:
-    """True if a shard has samples, by its part of the manifest; also if that is damaged."""
+    """True if a shard has samples, according to its part of the manifest, or if this part is damaged."""
     try:
         return manifest.parsed_part(part).made > 0
     except FileError:
@@ -170,7 +175,7 @@ def _made_some(part: bytes) -> bool:
 
 @dataclass(frozen=True, repr=False)
 class Status:
-    """Progress of a set: its number of shards and samples, and those done."""
+    """Progress of a set; shards, samples: numbers of all of them, done or not."""
 
     shards: int
     samples: int
@@ -188,7 +193,7 @@ class Status:
 
     @property
     def made(self) -> int:
-        """Number of samples in files."""
+        """Number of samples that were made."""
         return sum(part.made for part in self.done.values())
 
     @property
@@ -198,19 +203,19 @@ class Status:
 
     @property
     def bytes(self) -> int:
-        """Size of all files of shards."""
+        """Size of all files of complete shards."""
         return sum(size for part in self.done.values() for size, _ in part.files.values())
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds until the set is complete at the current rate."""
+        """Seconds until the set is complete at the current rate; None if the rate is unknown."""
         return None if not self.rate else (self.samples - self.made - self.failed) / self.rate
 
 
 def status_of(
     data_set: DataSet, hashes: bool = False, shards: Sequence[int] | None = None, merged: Merged | None = None
 ) -> Status:
-    """Measure the progress of a set, of all shards or some; arguments are those of `DataSet.done`."""
+    """Measure the progress of a set; shards: those to examine, None for all; other arguments as for `DataSet.done`."""
     faults: list[str] = []
     done = data_set.done(data_set.shards if shards is None else shards, hashes, faults, merged)
     return Status(len(data_set.shards), len(data_set.samples), done, tuple(faults), _rate(data_set, done))
@@ -219,7 +224,8 @@ def status_of(
 def finish(data_set: DataSet, own: Sequence[int] | None = None) -> Status:
     """Measure the progress of a set; if it is complete, merge its manifest and complete its card.
 
-    Each part is read once; while some are missing, only those of `own`, so that many jobs do not read all parts each.
+    own: shards of this job. While parts are missing, only the parts of these shards are read, because each of many jobs
+    would otherwise read all parts.
     """
     if {part_key(shard) for shard in data_set.shards} - set(data_set.part_keys()):
         return status_of(data_set, shards=own)
@@ -233,7 +239,7 @@ def finish(data_set: DataSet, own: Sequence[int] | None = None) -> Status:
 
 
 def _rate(data_set: DataSet, done: Iterable[int]) -> float | None:
-    """Samples per second by the log, which is used for nothing else."""
+    """Samples per second of the latest shards, from the log; None if the log is missing. Nothing else uses the log."""
     times = []
     for shard in sorted(done)[-LATEST:]:
         data = data_set.storage.read(f"{manifest.LOG}/{shard:06d}.jsonl")

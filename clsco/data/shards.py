@@ -1,4 +1,4 @@
-"""One shard of a data set: draws, renders and writes its samples, and its part of the manifest."""
+"""Makes a shard of a data set: draws, renders and writes its samples, and writes its part of the manifest."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
 
-CACHE_BYTES = 2**28  # size of the cache on the device, and of that on the host
+CACHE_BYTES = 2**28  # size of the cache on the device, and size of the cache on the host
 MEASURED = ("depth", "coc", "flow")
-MOST_MEASURED = 4096  # pixels of an array of which quantiles are taken
+MOST_MEASURED = 4096  # number of pixels of an array from which quantiles are computed
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 
 @dataclass(frozen=True)
 class SetJob:
-    """A set to be made in a folder or at an address; it is pickled to worker processes."""
+    """A set to make; where: its folder or address. It is pickled and sent to worker processes."""
 
     distribution: Distribution | ScriptedDistribution
     identity: Identity
@@ -59,26 +59,29 @@ class SetJob:
 
 @dataclass(frozen=True)
 class MadeShard:
-    """Files of a shard in the scratch folder, and the content of its part."""
+    """A shard that is made, but not delivered to the set yet."""
 
     shard: int
-    files: Mapping[str, Path]
-    part: bytes
-    samples: int
-    failed: int
-    began: float
-    seconds: Mapping[str, float]
+    files: Mapping[str, Path]  # paths in the scratch folder, by key
+    part: bytes  # content of the part of the manifest
+    samples: int  # number of samples
+    failed: int  # number of failed samples
+    began: float  # s since 1970
+    seconds: Mapping[str, float]  # time of each stage
 
 
 def device_family(device: Device) -> str:
-    """Name of the family of devices that give the same bits; for processors without the model."""
+    """Name of the family of a device; all devices of a family give the same bits. Processors have no model in it."""
     if device.kind == "cpu":
         return f"cpu, {device.platform} {device.driver}, vectors of {device.vector_width} floats"
     return f"{device.kind}, {device.platform}, {device.name}, {device.driver}"
 
 
 class SampleRenderer:
-    """Renders samples on one device; data that they share stay in memory. Without "color" no image is rendered."""
+    """Renders samples on one device; keeps data that samples share in memory.
+
+    arrays: names of arrays in files; if "color" is not among them, no image is rendered.
+    """
 
     def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:
         self.device = device
@@ -89,11 +92,11 @@ class SampleRenderer:
         self._before: Scene | None = None
 
     def render(self, sample: Sample) -> list[list[Frame]]:
-        """Frames of each variant of a sample; of a stereo pair, the left view is first. Raises as `clsco.render`."""
+        """Frames of each variant of a sample. In a stereo pair, the left view is first. Raises as `clsco.render`."""
         sweep = Sweep(sample.labels, sample.scenes)
         prepared = prepare_sweep(sweep, self.request, self.device, self.files)
         bare = without_lens(sample.scenes[0])
-        keeps, self._before = bare == self._before, bare  # rays, where samples differ in lens and sensor alone
+        keeps, self._before = bare == self._before, bare  # rays are kept if samples differ only in lens and sensor
         frames: list[list[Frame]] = [[] for _ in sample.labels]
         for variant, frame in render_prepared(self.session, prepared, keeps_rays=keeps):
             frames[variant].append(frame)
@@ -101,7 +104,7 @@ class SampleRenderer:
 
 
 class ShardMaker:
-    """Makes shards of a set on one device; overlapped: a thread encodes samples while the next ones are rendered."""
+    """Makes shards of a set on one device; overlapped: True to render the next sample while a sample is encoded."""
 
     def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
@@ -122,10 +125,10 @@ class ShardMaker:
         failed: Mapping[int, str] | None = None,
         advance: Callable[[], object] = lambda: None,
     ) -> MadeShard:
-        """Make the files of a shard in the scratch folder, with all samples or those in `numbers`.
+        """Make the files of a shard in the scratch folder, with all samples, or only those in `numbers`.
 
-        failed: samples to skip, with their messages; advance: called after each sample. Raises ClscoError if the
-        machine fails (`is_of_machine`), or files cannot be written; other samples that fail are noted.
+        failed: numbers and messages of samples to skip; advance: called after each sample. Raises ClscoError if the
+        machine fails (`is_of_machine`), or files cannot be written. All other failures are recorded for their samples.
         """
         began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
         rows: dict[int, dict[str, Any]] = {}
@@ -192,15 +195,16 @@ class ShardMaker:
         return MadeShard(shard, files, part, len(rows), len(failures), began, spent)
 
     def _portable(self, error: object) -> str:
-        """Message of an error without the path of the distribution's folder on this machine."""
+        """Message of an error, without the path that the distribution's folder has on this machine."""
         distribution = self.job.distribution
         text = str(error).replace(distribution.where, Path(distribution.where).name)
         return text.replace(f"{distribution.folder}/", "")
 
     def deliver(self, made: MadeShard, about: Mapping[str, Any]) -> None:
-        """Move the files of a shard to the set, then its part, and log how long it took.
+        """Move the files of a shard to the set, then write its part, and log how long it took.
 
-        about: the process. Raises FileError if another one has made other bytes; then both are kept.
+        about: entries of the log on this process. Raises FileError if another process has made the same shard with
+        other bytes; both shards stay.
         """
         key = part_key(made.shard)
         present = self.storage.read(key)
@@ -212,7 +216,7 @@ class ShardMaker:
                 self.storage.write(f"{beside}/{key}", made.part)
                 rule = "all that make a shard must make the same bytes"
                 raise FileError(f"{key}: {rule}; got others, which are in {beside}") from OSError(rule)
-            self.storage.remove(key)  # what it names is about to change
+            self.storage.remove(key)  # files that this part names are about to change
         for name, path in made.files.items():
             self.storage.put(name, path)
         self.storage.write(key, made.part)
@@ -232,7 +236,7 @@ def _failure(sample: Sample, error: str) -> dict[str, Any]:
 
 
 def _row(sample: Sample, key: str, offset: int, record: Record) -> dict[str, Any]:
-    """The manifest line of a sample; offset: its place in the file."""
+    """The manifest line of a sample; key: the file that has it; offset: its position among the records of this file."""
     return {
         "number": sample.number,
         "split": sample.split,
@@ -246,7 +250,10 @@ def _row(sample: Sample, key: str, offset: int, record: Record) -> dict[str, Any
 
 
 def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
-    """Share of valid pixels, and quantiles of depth, |R| and the flow's length over some of the pixels."""
+    """For each array of depth, R and flow: the share of finite pixels, and quantiles of Z, |R| or the flow's length.
+
+    They are computed from a regular grid of pixels, to take less time.
+    """
     quantiles: dict[str, list[float | None]] = {}
     for name, array in arrays.items():
         kind = name.rpartition(".")[2]
@@ -265,7 +272,7 @@ V = TypeVar("V")
 
 
 def prefetch(produced: Generator[V, None, None]) -> Generator[V, None, None]:
-    """Yield the items of a generator; a thread computes the next one meanwhile, and its errors are raised here."""
+    """Yield the items of a generator; meanwhile a thread computes the next item. Its errors are raised here."""
     end = object()
     with ThreadPoolExecutor(1) as thread:
         following = thread.submit(next, produced, end)

@@ -1,4 +1,4 @@
-"""Storage of a data set: a local folder, or an object store by fsspec. Writes are atomic."""
+"""Storage of a data set: a local folder, or an object store that fsspec opens. Writes are atomic."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from clsco.errors import ClscoError, FileError, import_extra
 from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular, read_regular, remove_left, work_name
 
-MOST_BYTES = 2**30  # of a card or a part of a manifest
+MOST_BYTES = 2**30  # largest size of a card or a part of a manifest
 _MISSING = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
 Call = TypeVar("Call", bound=Callable[..., Any])
 
@@ -31,7 +31,7 @@ def remove_path(path: Path) -> None:
 
 
 def checked_key(key: str) -> str:
-    """The key, if it is inside its storage; raises FileError for other keys, as in untrusted files."""
+    """Return a key that is inside its storage. Raises FileError for other keys, which untrusted files may contain."""
     parts = key.split("/")
     if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
         raise FileError(f"{key!a}: a file of a data set must lie in its folder; got another place")
@@ -39,7 +39,7 @@ def checked_key(key: str) -> str:
 
 
 def _failing(function: Call) -> Call:
-    """Turn errors of a storage's method into a FileError in one line, with the place of the storage."""
+    """Decorate a method of a storage: its errors become a FileError with one line that names the storage."""
 
     @wraps(function)
     def call(self: Any, *args: Any) -> Any:
@@ -53,14 +53,14 @@ def _failing(function: Call) -> Call:
         except Exception as error:
             if self.is_local:
                 raise
-            got = " ".join(str(error).split()) or type(error).__name__  # of the store's own client
+            got = " ".join(str(error).split()) or type(error).__name__  # clients of stores have errors of their own
             raise FileError(f"{self.where}: the store must answer; got {got}") from OSError(got)
 
     return call  # type: ignore[return-value]
 
 
 def _sync(path: Path) -> None:
-    """Flush a file or a folder's entries to the disk; a folder on Windows cannot be flushed."""
+    """Flush a file, or the entries of a folder, to the disk. On Windows, folders cannot be flushed and are skipped."""
     if os.name != "posix" and path.is_dir():
         return
     handle = os.open(path, os.O_RDONLY)
@@ -71,9 +71,9 @@ def _sync(path: Path) -> None:
 
 
 class _Storage:
-    """Objects by key, a relative path with "/". All methods raise FileError on failure.
+    """Files and folders by key, which is a relative path with "/". All methods raise FileError on failure.
 
-    Unfinished files of a process are in a folder in `base`, whose name begins with `prefix`.
+    Each process has a scratch folder for unfinished files. It is in `base`, and its name begins with `prefix`.
     """
 
     where: str
@@ -83,7 +83,7 @@ class _Storage:
 
     @_failing
     def scratch(self) -> Path:
-        """This process's folder for temporary files."""
+        """The scratch folder of this process, which is made if it does not exist."""
         path = self.base / work_name(self.prefix)
         path.mkdir(self.mode, parents=True, exist_ok=True)
         return path
@@ -119,7 +119,7 @@ class _Folder(_Storage):
         self.where = str(self.root)
 
     def _path(self, key: str) -> Path:
-        """Path of a key. Raises FileError if a link leads out of the set, as may happen in an untrusted set."""
+        """Path of a key. Raises FileError if a link leads out of the set, which is possible in an untrusted set."""
         path = self.root / checked_key(key)
         if not path.parent.resolve().is_relative_to(self.root.resolve()):
             raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
@@ -130,7 +130,7 @@ class _Folder(_Storage):
 
     @_failing
     def put(self, key: str, path: Path) -> None:
-        """Move a file, or a folder of files, from the scratch folder to its final key."""
+        """Move a file, or a folder of files, from the scratch folder to a key."""
         target = self._path(key)
         for each in path.rglob("*") if path.is_dir() else (path,):
             _sync(each)
@@ -155,7 +155,7 @@ class _Folder(_Storage):
         return None
 
     def local(self, key: str) -> Path:
-        """A local file or folder with the content of a key."""
+        """Path of a local file or folder with the content of a key."""
         path = self._path(key)
         if not path.resolve().is_relative_to(self.root.resolve()):
             raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
@@ -163,12 +163,12 @@ class _Folder(_Storage):
 
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
-        """Size in bytes by key in the folder `prefix`."""
+        """Sizes in bytes of all files in the folder `prefix`, by key."""
         folder, sizes = self.root / checked_key(prefix), dict[str, int]()
         for inside, _, names in os.walk(folder):
             for name in names:
                 path = Path(inside) / name
-                with suppress(FileNotFoundError):  # replaced meanwhile
+                with suppress(FileNotFoundError):  # another process may replace the file
                     sizes[path.relative_to(self.root).as_posix()] = path.lstat().st_size
         return sizes
 
@@ -254,6 +254,6 @@ Storage = _Folder | _Remote
 
 
 def open_storage(where: str | os.PathLike[str]) -> Storage:
-    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises FileError for other texts."""
+    """The storage in a folder, or at an address such as s3://bucket/set. Raises FileError for an invalid address."""
     text = os.fspath(where).removeprefix("file://")
     return _Remote(text) if "://" in text else _Folder(Path(text))

@@ -1,4 +1,4 @@
-"""Reader of distribution files: their tables, joined with those of their base."""
+"""Reader of distribution files: joins their tables with the tables of their base."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from clsco.scene.text import shown
 
 OWN = ("base", "vary", "accept", "derive", "check")
 MAX_BASES = 8
-EVERY = 1000  # samples of which one is compared with rays
-MAX_DEPTH = 12  # nested tables and lists
+EVERY = 1000  # by default, one of this many samples is compared with rays
+MAX_DEPTH = 12  # largest number of nested tables and lists
 
 
 @dataclass(frozen=True)
 class DistributionTables:
-    """Tables of a distribution file with its base: the scene, what varies, [accept] and [derive]."""
+    """Tables of a distribution file, joined with the tables of its base."""
 
     scene: dict[str, Any]
     vary: dict[str, Any]
     accept: Any
     derive: Any
-    check: dict[str, int]  # `every`: of one sample in so many the first frame is compared with rays; empty for none
-    is_joined: bool = False  # with those of a base
+    check: dict[str, int]  # `every`: one of this many samples has its first frame compared with rays; {} for none
+    is_joined: bool = False  # True if the file has a base
 
     def content(self) -> dict[str, Any]:
         """Content of a single file, without a base, that gives the same samples."""
@@ -44,7 +44,7 @@ class DistributionTables:
 def read_tables(
     where: str, overrides: Sequence[str], folder: Folder, content: Mapping[str, Any] | None = None
 ) -> DistributionTables:
-    """Read a distribution file, or its content, with its bases, and apply overrides. Raises SceneError."""
+    """Read a distribution file, or its `content`; join it with its bases, and apply overrides. Raises SceneError."""
     data = read_mapping(where, ()) if content is None else _plain(content, where)
     is_joined = "base" in data
     data = _with_base(data, where, where, folder, [])
@@ -69,7 +69,7 @@ def read_tables(
 
 
 def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, names: list[str]) -> dict[str, Any]:
-    """Content of a file joined with its base, recursively; names: files that led to it."""
+    """Content of a file joined with its base, recursively; names: files that have this file as a base."""
     if "base" not in data:
         return data
     name = data.pop("base")
@@ -88,7 +88,7 @@ def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, name
 
 
 def _plain(content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Content with the types of a file: NumPy arrays and tuples become lists, NumPy numbers numbers."""
+    """Content with types that files have: arrays and tuples become lists, and NumPy numbers become Python numbers."""
     try:
         plain: dict[str, Any] = json.loads(json.dumps(dict(content), default=_of_json))
     except (TypeError, ValueError, RecursionError) as error:
@@ -105,10 +105,10 @@ def _of_json(value: Any) -> Any:
 
 
 def joined(base: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
-    """A file's tables merged over its base: tables are merged key by key, other values replace those of the base.
+    """Join the content of a file with its base: tables are merged key by key, other values replace those of the base.
 
-    A table that is a value, such as a distribution or a range, counts as a value. A key also replaces keys that
-    contradict it, as f_number replaces aperture_diameter.
+    A table that is one value, such as a distribution or a range, is replaced as a whole. A key also removes keys of the
+    base that contradict it, as f_number removes aperture_diameter.
     """
     remaining = dict(base)
     for section, value in data.items():
@@ -133,13 +133,13 @@ def _is_value(table: Any) -> bool:
 
 
 def _is_deeper(value: Any, most: int) -> bool:
-    """True if tables and lists with content are in more than `most` others."""
+    """True if a value has more than `most` levels of nested tables and lists."""
     inner = list(value.values()) if isinstance(value, Mapping) else value if isinstance(value, list) else []
     return bool(inner) and (most == 0 or any(_is_deeper(part, most - 1) for part in inner))
 
 
 def _unvaried(vary: dict[str, Any], parts: list[str], scene: Mapping[str, Any]) -> None:
-    """Remove distributions at keys that now have values, and at keys that contradict these."""
+    """Remove the distribution of a key that an override has set, and distributions of keys that contradict it."""
     displace(vary, ".".join(parts), entry_at(scene, parts))
     node: Any = vary
     if parts[0] in ("object", "group") and len(parts) > 1:

@@ -1,4 +1,4 @@
-"""Checks of a data set: compares files with the manifest, and renders samples again."""
+"""Checks a data set: compares its files with the manifest, and renders samples again."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ Advance = Callable[[], object]
 
 
 def chosen_samples(data_set: DataSet, count: int) -> list[int]:
-    """Numbers of `count` samples, spread over a set."""
+    """Numbers of `count` samples, evenly spread over a set."""
     count = min(count, len(data_set.samples))
     return [data_set.samples[k * len(data_set.samples) // count] for k in range(count)]
 
 
 def hold_arrays(data_set: DataSet, numbers: Sequence[int]) -> list[int]:
-    """Samples whose scenes contain arrays, which only their Python function can make again."""
+    """Numbers of the samples whose scenes contain arrays: only the function that made the set can draw them."""
     with_arrays = []
     for number in numbers if "function" in data_set.about else ():
-        with suppress(ClscoError):  # which is a finding of its own
+        with suppress(ClscoError):  # other checks report the error
             table = scene_table(data_set, number)
             items = [*table.get("object", ()), table.get("aperture", {})]
             if any(isinstance(item.get(key), Mapping) for item in items for key in FILE_KEYS):
@@ -45,7 +45,7 @@ def hold_arrays(data_set: DataSet, numbers: Sequence[int]) -> list[int]:
 
 
 def verify_files(data_set: DataSet, advance: Advance) -> list[str]:
-    """List differences of a set from its manifest, one line each: parts, files, and arrays in them."""
+    """List how a set differs from its manifest, in its parts, files and arrays; one line for each difference."""
     findings: list[str] = []
     for shard in data_set.shards:
         faults: list[str] = []
@@ -60,7 +60,7 @@ def verify_files(data_set: DataSet, advance: Advance) -> list[str]:
 
 
 def drawn_again(data_set: DataSet, name: str, folder: Path) -> ScriptedDistribution:
-    """The distribution of the function "module:function" that made a set. Raises SceneError for another function."""
+    """The distribution of the function that made a set; name: "module:function". Raises SceneError for another one."""
     try:
         function = resolve_name(name) if ":" in name else None
     except Exception as error:  # the module may raise anything
@@ -81,9 +81,10 @@ def verify_samples(
     folder: Path,
     drawn: ScriptedDistribution | None = None,
 ) -> list[str]:
-    """Render samples again, and list those that differ, one line each.
+    """Render samples again, and list the differences from the set, one line each.
 
-    folder: of the distribution file, base of texture paths; drawn: draws the samples, None for the scenes in the set.
+    folder: folder of the distribution file, where paths of textures begin. drawn: distribution that draws the samples;
+    None to use the scenes that the set stores.
     """
     chosen = choose(device, "device")
     if numbers and device_family(chosen) != data_set.identity.device_family:
@@ -103,7 +104,10 @@ def verify_samples(
 
 
 def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
-    """The scene of a sample, even of a failed one, with paths in the distribution's folder. Raises SceneError."""
+    """The scene file of a sample or a failed sample; its paths are relative to the distribution's folder.
+
+    Raises SceneError if the set has no such sample, or no scene of it.
+    """
     if number not in data_set.samples:
         raise SceneError(f"sample: must be from {data_set.samples.start} to {data_set.samples.stop - 1}; got {number}")
     shard = number // data_set.identity.shard_size
@@ -118,7 +122,7 @@ def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
 
 
 def _verify_shard(data_set: DataSet, shard: int) -> Iterator[str]:
-    """Lines on damaged arrays of a shard whose files are complete."""
+    """Findings on the samples and arrays of a shard, whose files match the manifest, one line each."""
     rows, failures = data_set.lines(shard)
     numbers = sorted(row["number"] for row in (*rows, *failures))
     if numbers != list(data_set.numbers(shard)):
@@ -143,7 +147,7 @@ def _compared(where: str, data_set: DataSet, row: Mapping[str, Any], record: Rec
 
 
 def _differing(hashes: Mapping[str, str], others: Mapping[str, str]) -> list[str]:
-    """Names of arrays whose hashes differ, or that only one mapping has."""
+    """Names of arrays whose hashes differ, or that are in only one of the mappings."""
     return sorted(name for name in hashes.keys() | others.keys() if hashes.get(name) != others.get(name))
 
 
@@ -170,7 +174,7 @@ def _verify_sample(
 
 
 def _stored(data_set: DataSet, row: Mapping[str, Any]) -> Record:
-    """The record of a sample, from its line in the manifest."""
+    """The record of a sample; row: line of the sample in the manifest."""
     reader = container_named(data_set.identity.format).read(data_set.storage.local(row["file"]))
     if row["offset"] >= len(reader):
         raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
@@ -193,7 +197,7 @@ def _unknown_files(data_set: DataSet) -> list[str]:
 
 
 def _merged_faults(data_set: DataSet) -> list[str]:
-    """Differences of the merged manifest, if it exists, from the parts."""
+    """Messages on differences between the merged manifest, if it exists, and the parts."""
     merged = Merged(data_set.storage)
     for _, data in data_set.parts():
         merged.add(parsed_part(data), data)

@@ -1,4 +1,4 @@
-"""Untrusted NPY arrays and members of ZIP archives: no more bytes are unpacked than requested."""
+"""Reader of untrusted NPY files and ZIP archives, which unpacks no more bytes than requested."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class NpyHeader(NamedTuple):
 
 
 def npy_header(file: BinaryIO | zipfile.ZipExtFile) -> NpyHeader:
-    """Header at the start of an NPY file. Raises ValueError if there is none."""
+    """Read the header at the start of an NPY file. Raises ValueError if there is none."""
     head = io.BytesIO(file.read(HEADER))
     version = np.lib.format.read_magic(head)
     if version not in ((1, 0), (2, 0)):
@@ -41,7 +41,7 @@ def npy_header(file: BinaryIO | zipfile.ZipExtFile) -> NpyHeader:
 
 
 def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Shape of an image or a map without leading and trailing axes of length 1, as in (1, rows, columns)."""
+    """Shape of an image or a map without outer axes of length 1: (rows, columns) for (1, rows, columns)."""
     while len(shape) > 2 and shape[-1] == 1:
         shape = shape[:-1]
     while len(shape) > 2 and shape[0] == 1 and (len(shape) > 3 or shape[-1] != 3):
@@ -62,7 +62,7 @@ def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
 
 
 def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """The array of an NPY file, in the memory of `content` if writable. Raises ValueError for another type or shape."""
+    """The array in an NPY file; shares writable memory of `content`. Raises ValueError for another type or shape."""
     header = npy_header(io.BytesIO(content[:HEADER]))
     if header.dtype.hasobject or (header.dtype.newbyteorder("="), header.shape) != (dtype, shape):
         raise ValueError(f"{header.dtype} of shape {header.shape} for {dtype} {shape}")
@@ -97,7 +97,7 @@ def open_member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipExtFile:
 
 
 def member_bytes(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Content of a member, of at most `most` bytes. Raises ValueError if it has more, or is damaged."""
+    """Content of a member. Raises ValueError if it has more than `most` bytes, or is damaged."""
     size = archive.getinfo(name).file_size
     if size > most:
         raise ValueError(f"{size} bytes in {name}")
@@ -109,7 +109,7 @@ def member_bytes(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
 
 
 def member_array(archive: zipfile.ZipFile, name: str, header: NpyHeader) -> NDArray[Any]:
-    """The array of an NPY member with this header and nothing after it."""
+    """The array in a member that is an NPY with this header, and has no bytes after the array."""
     needed = header.start + math.prod(header.shape) * header.dtype.itemsize
     if archive.getinfo(name).file_size > needed:
         raise ValueError("bytes after the array")

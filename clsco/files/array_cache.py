@@ -1,4 +1,4 @@
-"""Cache on disk of arrays that are slow to compute: a file per key with a checksum. Damaged files count as missing."""
+"""Cache on disk of arrays that are slow to compute. Each key has a file with a checksum; damaged files are ignored."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DIGEST = hashlib.sha256().digest_size
 
 
 def user_cache(name: str) -> ArrayCache:
-    """A cache in the user's cache folder; stores nothing if that cannot be made, or other users could write to it."""
+    """A cache in the user's cache folder. It stores nothing if the folder cannot be made or is writable by others."""
     try:
         return ArrayCache(private_folder("clsco", name))
     except (ExposedFolderError, OSError, RuntimeError):
@@ -34,7 +34,7 @@ def user_cache(name: str) -> ArrayCache:
 
 
 class ArrayCache:
-    """Named arrays by key, in a folder of its own that several processes may use; folder: None to store nothing."""
+    """Named arrays by key. folder: used by this cache alone, also in several processes; None to store nothing."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder, self._written = folder, MOST_BYTES
@@ -86,13 +86,13 @@ def _shrink(folder: Path) -> None:
 
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """A line with the dtype and shape of each array, then their contents: read faster than an NPZ with its literals."""
+    """Bytes of a file: a line with dtype and shape of each array, then the contents. It is read faster than an NPZ."""
     about = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])
 
 
 def _read(path: Path) -> mmap.mmap:
-    """The content of a file in its own memory pages: arrays need no copy, and freeing them leaves no gaps."""
+    """Read a file into memory pages of its own, so that arrays need no copy, and freeing them leaves no gaps."""
     with open_regular(path, 2 * LARGEST) as file:
         content = mmap.mmap(-1, os.fstat(file.fileno()).st_size)  # ValueError for an empty file
         if file.readinto(content) != len(content):

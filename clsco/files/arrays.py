@@ -1,4 +1,4 @@
-"""Named arrays from untrusted NPZ and EXR files: headers limit the bytes that are read."""
+"""Reader of named arrays in untrusted NPZ and EXR files, whose headers limit the bytes that are read."""
 
 from __future__ import annotations
 

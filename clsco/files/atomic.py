@@ -20,7 +20,7 @@ _BLOCK = 2**18  # bytes that are read at once
 
 
 def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
-    """Raise FileError with the line `path: rule; got value`; of an OSError as `got`, only the reason is shown."""
+    """Raise FileError with the line `path: rule; got value`. If `got` is an OSError, only its reason is shown."""
     where = str(path)
     if isinstance(got, OSError):
         got = got.strerror or got
@@ -55,7 +55,10 @@ def atomic_write_bytes(path: Path, content: bytes) -> None:
 
 @contextlib.contextmanager
 def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Create a hidden folder whose files (`name` in messages) move to `folder` when all are written; or are removed."""
+    """Create a hidden folder. Its files move to `folder` at the end of the block, or are removed after an error.
+
+    name: name of the files in messages.
+    """
     temporary = _temporary(folder / name)
     try:
         temporary.mkdir()
@@ -71,7 +74,7 @@ def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
 
 
 def remove_file(path: Path) -> None:
-    """Remove a file if it exists. Raises FileError if that is not allowed."""
+    """Remove a file if it exists. Raises FileError if it cannot be removed."""
     try:
         path.unlink(missing_ok=True)
     except (OSError, ValueError) as error:
@@ -92,7 +95,7 @@ def make_writable_folder(path: AnyPath) -> Path:
 
 
 def is_same_place(path: AnyPath, other: AnyPath) -> bool:
-    """True if two paths, existing or not, are equal once symbolic links are resolved; link cycles remain unresolved."""
+    """True if two paths, existing or not, are equal after symbolic links are resolved; cycles of links are kept."""
     return os.path.realpath(path) == os.path.realpath(other)
 
 
@@ -103,7 +106,7 @@ def sha256(path: Path) -> str:
 
 
 def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
-    """Size in bytes and SHA-256 by key: `key` for a file, and `key`/NAME for each file in a folder. Raises OSError."""
+    """Size in bytes and SHA-256, by key, of a file (`key`) or of each file in a folder (`key`/NAME). Raises OSError."""
     inside = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     keys = (key if each == path else f"{key}/{each.relative_to(path).as_posix()}" for each in inside)
     return {name: (each.stat().st_size, sha256(each)) for name, each in zip(keys, inside, strict=True)}
@@ -119,5 +122,5 @@ def file_sha256(file: BinaryIO) -> str:
 
 
 def _temporary(path: Path) -> Path:
-    """A hidden, unique name in the same folder, because renaming is atomic only there."""
+    """A hidden, unique path in the same folder, because a file can be renamed atomically only within its folder."""
     return path.parent / work_name(f".{path.name}", secrets.token_hex(4))

@@ -32,7 +32,7 @@ class Pinhole:
 def _quaternion(rotation: Array) -> Array:
     """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; from the largest component to avoid cancellation."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    # Four times the products of the components with each other, such as 4 w x at row 0, column 1.
+    # Four times the product of each pair of components, such as 4 w x in row 0, column 1.
     products = np.array(
         [
             [1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
@@ -46,10 +46,10 @@ def _quaternion(rotation: Array) -> Array:
 
 
 def colmap_texts(images: Iterable[tuple[str, Pinhole]]) -> dict[str, bytes]:
-    """A sparse model of COLMAP without points, in mm, by file name; images: name and camera of each.
+    """Files of a sparse model of COLMAP, in mm and without points: content by file name.
 
-    COLMAP has pixel centers at halves, so the principal point is written half a pixel farther right and down.
-    Validated by pycolmap, and by points projected into the frame.
+    images: name and camera of each image. COLMAP has pixel centers at halves, so the principal point is written half a
+    pixel farther right and down. Tests compare with pycolmap, and with points projected into the frame.
     """
     cameras: dict[str, int] = {}
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from world to camera, mm; then a line of no points"]

@@ -1,4 +1,4 @@
-"""Color spaces of image files: curves that decode codes, and profiles with which an output looks like its input.
+"""Color spaces of image files: curves that decode codes, and profiles that make an output look like its input.
 
 Codes become linear radiance in the primaries of their own profile, and outputs get the same curve and profile. If
 images with different profiles are used together, a matrix converts each to the primaries of sRGB.
@@ -25,7 +25,7 @@ MOST_TAGS = 256
 LARGEST_FALL = 1e-3  # largest decrease in radiance, by rounding where two parts of a curve meet
 SRGB_LIKE = 2e-4  # largest difference in radiance from sRGB; half a code of 8 bits next to black is 1.5e-4
 _CHANNELS = {b"GRAY": 1, b"RGB ": 3}
-# Parameters g, a, b, c, d, e, f of a curve that is (a x + b)^g + e from x = d on, and c x + f below.
+# Parameters g, a, b, c, d, e, f of a curve that is (a x + b)^g + e for x >= d, and c x + f for x < d.
 _ALPHA, _BETA = 1.09929682680944, 0.018053968510807  # digits of BT.2020, with which the curve of BT.709 is continuous
 _BT709 = (1 / 0.45, 1 / _ALPHA, 1 - 1 / _ALPHA, 1 / 4.5, 4.5 * _BETA, 0.0, 0.0)
 _LINEAR = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -57,8 +57,8 @@ class Color:
     """Color space of an image file; by default sRGB, which needs no profile.
 
     name: printable. icc: the ICC profile, or b"". chunks: kind and content of PNG chunks that act as a profile.
-    channels: of images that the profile fits, 0 for any. curve: None for that of sRGB. chromaticities: x and y of
-    white, red, green and blue, None if unknown or those of sRGB. note: why a profile could not be read, or "".
+    channels: number that images need for the profile, 0 for any. curve: None for the curve of sRGB. chromaticities: x
+    and y of white, red, green and blue; None if unknown or equal to sRGB. note: why a profile was not read, or "".
     """
 
     name: str = "sRGB"
@@ -89,22 +89,22 @@ class Color:
         return len(self.icc) + (0 if self.curve is None else self.curve.radiance.nbytes)
 
     def transfer(self, curve_of_scene: str) -> str | Curve:
-        """Transfer curve of codes: a scene's "srgb" or "linear"; a curve of this color space replaces "srgb"."""
+        """Transfer curve of codes: that of the scene; but the curve of this color space, if any, replaces "srgb"."""
         return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
-        """ICC profile of an RGB image, the file's or made of its primaries for codes or linear values; or b""."""
+        """ICC profile of an RGB image: the file's, or one made of primaries for codes or `linear` values, or b""."""
         if self.icc or self.chromaticities is None:
             return self.icc
         return _profile(self.name, self.chromaticities, _curve_tag(self.curve, linear))
 
     def png_chunks(self, colored: bool) -> tuple[tuple[bytes, bytes], ...]:
-        """Kind and content of chunks that store this color space in a PNG, `colored` or gray."""
+        """Kind and content of chunks that store this color space in a PNG; colored: False for a gray PNG."""
         icc = self.icc or (self.profile(False) if colored and not self.chunks else b"")
         return ((b"iCCP", b"icc\0\0" + zlib.compress(icc, 9)),) if icc else self.chunks
 
     def exr_attributes(self) -> dict[str, Any]:
-        """Attributes of an EXR with these primaries; empty for those of sRGB, the default."""
+        """Attributes of an EXR with these primaries; empty for sRGB, which is the default of EXR."""
         known = self.chromaticities
         return {} if known is None else {"chromaticities": (*known[2:], *known[:2])}
 
@@ -129,7 +129,7 @@ def icc_color(icc: bytes, channels: int) -> Color:
 
 
 def exr_color(chromaticities: Sequence[float]) -> Color:
-    """The color space of linear values from an EXR's attribute: x and y of red, green, blue and white, or ()."""
+    """The color space of linear values in an EXR; chromaticities: x and y of red, green, blue and white, or ()."""
     if not chromaticities:
         return SRGB
     numbers = tuple(map(float, chromaticities))
@@ -144,7 +144,7 @@ def exr_color(chromaticities: Sequence[float]) -> Color:
 
 
 def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
-    """The color space from the chunks cICP, sRGB, gAMA and cHRM of a PNG; the first of these decides."""
+    """The color space from the chunks of a PNG: from the first that exists of cICP, sRGB, gAMA and cHRM."""
     carried: tuple[tuple[bytes, bytes], ...]
     cicp, gamma = chunks.get(b"cICP", b""), chunks.get(b"gAMA", b"")
     if len(cicp) == 4:
@@ -159,7 +159,7 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
     if b"sRGB" in chunks:
         return SRGB
     exponent = int.from_bytes(gamma, "big") / 1e5 if len(gamma) == 4 else 0.0
-    kinds = (b"gAMA", b"cHRM") if exponent > 0.0 else (b"cHRM",)  # primaries alone have the curve of sRGB
+    kinds = (b"gAMA", b"cHRM") if exponent > 0.0 else (b"cHRM",)  # without gAMA, the curve is that of sRGB
     carried = tuple((kind, chunks[kind]) for kind in kinds if kind in chunks)
     chrm, numbers = chunks.get(b"cHRM"), SRGB_CHROMATICITIES
     if chrm is not None:
@@ -174,7 +174,7 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
 
 
 def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
-    """The curve from radiance tables of each channel or of all channels; None if it is the curve of sRGB."""
+    """The curve from tables of radiance, one for all channels or one for each; None if it is the curve of sRGB."""
     srgb = decode(CODES, "srgb")
     if all(float(np.abs(table - srgb).max()) <= SRGB_LIKE for table in tables):
         return None
@@ -183,7 +183,7 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
 
 
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
-    """Name, channels, radiance of 2^16 codes per channel or None, and chromaticities or None, by ICC.1:2022."""
+    """Parse a profile (ICC.1:2022): name, channels, radiance by 16-bit code or None, and chromaticities or None."""
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
     if len(icc) < 132 or icc[36:40] != b"acsp":
@@ -206,8 +206,8 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tup
 
 
 def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
-    """Chromaticities of an RGB profile, whose colorants are adapted to D50; None if unknown.
-    The white before adaptation follows from the tag `chad`, or from `wtpt` before version 4.
+    """Chromaticities of an RGB profile, or None if unknown. Its colorants are adapted to D50; the white before this
+    adaptation is computed from the tag `chad`, or, before version 4, from `wtpt`.
     """
     columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
     if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):
@@ -223,7 +223,7 @@ def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] |
 
 
 def _profile(name: str, chromaticities: Sequence[float], curve: bytes) -> bytes:
-    """An ICC profile, version 4.4, from primaries and the tag of a curve."""
+    """An ICC profile of version 4.4; curve: content of the tag of its curve."""
 
     def text(words: str) -> bytes:
         coded = words.encode("utf-16-be")
@@ -262,7 +262,7 @@ def _curve_tag(curve: Curve | None, linear: bool) -> bytes:
 
 
 def _name(desc: bytes) -> str:
-    """Name in a profile of version 2 or 4, printable and short."""
+    """The name in a tag `desc` of version 2 or 4, made printable and short."""
     if desc[:4] == b"mluc" and len(desc) >= 28:
         size, start = struct.unpack_from(">II", desc, 20)
         text = desc[start : start + min(size, 200)].decode("utf-16-be", "replace")
@@ -303,7 +303,7 @@ def _parametric(parameters: tuple[float, ...]) -> NDArray[np.float64]:
 
 
 def _increasing(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The table of a curve, without falls by rounding, clipped to 0 to 1. Raises ValueError if it has no inverse."""
+    """The table of a curve, clipped to 0 to 1, without falls by rounding. Raises ValueError if it has no inverse."""
     highest = np.maximum.accumulate(table)
     if not np.isfinite(table).all() or (highest - table).max() > LARGEST_FALL or highest[-1] <= highest[0]:
         raise ValueError("a curve that does not increase")
@@ -311,8 +311,8 @@ def _increasing(table: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def chromaticities_to_srgb(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
-    """Matrix (3, 3) to linear sRGB from primaries given as x and y of white, red, green and blue; None if they are
-    collinear. White stays white, by Bradford's adaptation; exactly the identity for those of sRGB up to rounding.
+    """Matrix (3, 3) that converts to linear sRGB; None if the primaries are collinear. White stays white, by Bradford's
+    adaptation. chromaticities: x and y of white, red, green, blue; if nearly those of sRGB, the matrix is the identity.
     """
     xyz, srgb = colorants(chromaticities), colorants(SRGB_CHROMATICITIES)
     if xyz is None or srgb is None:
@@ -322,14 +322,17 @@ def chromaticities_to_srgb(chromaticities: Sequence[float] | Matrix) -> Matrix |
 
 
 def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
-    """Chromaticities, white first, from X, Y and Z of primaries as columns, adapted to D50 from those of the white."""
+    """Chromaticities x and y of white and of the primaries, before adaptation.
+
+    xyz: columns X, Y, Z of the primaries, adapted to D50. white: X, Y, Z of the white from which they were adapted.
+    """
     with np.errstate(all="ignore"):  # `colorants` rejects chromaticities that are not finite
         native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])
         return tuple((native[:2] / native.sum(axis=0)).T.ravel().tolist())
 
 
 def adaptation(white: Matrix) -> Matrix:
-    """Bradford's matrix from X, Y and Z under a white to X, Y and Z under D50."""
+    """Bradford's matrix, which converts X, Y and Z under a white to X, Y and Z under D50."""
     return np.asarray(np.linalg.solve(_BRADFORD, ((_BRADFORD @ D50) / (_BRADFORD @ white))[:, None] * _BRADFORD))
 
 
@@ -339,7 +342,7 @@ def white_of(chromaticities: Sequence[float] | Matrix) -> Matrix:
 
 
 def colorants(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
-    """X, Y and Z of red, green and blue as columns, adapted to D50; None if the primaries are collinear."""
+    """Matrix with columns X, Y and Z of red, green and blue, adapted to D50; None if the primaries are collinear."""
     x, y = np.asarray(chromaticities, np.float64).reshape(4, 2).T
     if not np.isfinite([x, y]).all() or y[0] <= 0:
         return None

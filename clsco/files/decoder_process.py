@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     import subprocess
 
 MEMORY = 2**28  # bytes of memory that any decoder may use
-FACTOR = 4  # further memory, as a multiple of the bytes of its arrays
+FACTOR = 4  # further memory of a decoder, as a multiple of the bytes of its arrays
 SECONDS, RATE = 20.0, 2**25  # s of CPU time for any decoder, and bytes of arrays for each further second
-PATIENCE = 6  # limit of wall-clock time, as a multiple of that of CPU time: the processor may have other work
-_ROOT = Path(__file__).resolve().parents[2]  # folder of this package; the current folder may hold another
+PATIENCE = 6  # wall-clock limit, as a multiple of the CPU limit: the processor may have other work
+_ROOT = Path(__file__).resolve().parents[2]  # folder with this package; the current folder may have another clsco
 _COMMAND = "from clsco.files.decoder_process import serve; serve()"
 _PIPE = 2**20  # bytes of a pipe's buffer, if the system supports it
 _MOST_LINE = 2**24  # bytes of a reply without its arrays
@@ -53,7 +53,7 @@ class _Serving:
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _COMMAND], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL, pipesize=_PIPE,
-                start_new_session=True,  # or Ctrl-C would end it before its parent
+                start_new_session=True,  # otherwise Ctrl-C would end it before its parent
                 env={**os.environ, "PYTHONPATH": path, "MALLOC_ARENA_MAX": "1"},
             )  # fmt: skip
         return self.process
@@ -81,11 +81,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Output:
-    """Call a function on a file, opened again at its first byte, in the decoder process; returns its result.
+    """Call a function in the decoder process, and return its result.
 
-    function: "module:name" of a function that takes an open file and JSON-compatible `options`, and returns a
-    JSON-compatible mapping and arrays. most: bytes of all arrays, by which limits grow. Raises ValueError if the
-    function fails, crashes the process, or exceeds a limit.
+    function: "module:name". The function takes the file, opened again at its first byte, and JSON-compatible `options`;
+    it returns a JSON-compatible mapping and arrays. most: bytes of all arrays together, from which limits follow.
+    Raises ValueError if the function fails, crashes the process, or exceeds a limit.
     """
     about, seconds = os.fstat(file.fileno()), SECONDS + most / RATE
     memory = MEMORY + FACTOR * most
@@ -105,7 +105,7 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Out
             limits = f"{memory >> 20} MiB and {seconds:.0f} s"
             raise ValueError(f"a decoder that ended with status {status}, allowed {limits}") from None
         except BaseException:
-            process.kill()  # or the next call would read the rest of this answer
+            process.kill()  # otherwise the next call would read the rest of this answer
             _serving.end()
             raise
         finally:
@@ -116,7 +116,7 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Out
 
 
 def _exchange(process: subprocess.Popen[bytes], request: bytes, most: int) -> Output | str:
-    """Send a request and read its answer; a str is an error message. Raises EOFError if the process ends."""
+    """Send a request and read the answer; a str is an error message. Raises EOFError if the process ends."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write(request + b"\n")
@@ -178,7 +178,7 @@ def _call_function(call: Mapping[str, Any]) -> Output:
 
 
 def _limit(memory: int, seconds: float) -> None:
-    """Limit the further memory in bytes and CPU time in seconds of this process, if the system supports it."""
+    """Limit what this process may use from now on, if the system supports it; memory: bytes; seconds: CPU time."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 

@@ -27,8 +27,8 @@ from clsco.resources import DEVICE, open_regular
 MAX_PIXELS = 2**27
 MAX_SIDE = 65536
 LARGEST_EXR = 2**29  # largest number of values in all channels of an EXR, which are decoded together
-DENSEST_EXR = 2**15  # most values per byte of an EXR; DWAB, the densest compression, has half as many for a plain color
-MOST_WINDOW = 4  # largest data window of a part of an EXR, as a multiple of the pixels of the display window
+DENSEST_EXR = 2**15  # most values per byte of an EXR; DWAB, the densest compression, reaches half of it for one color
+MOST_WINDOW = 4  # most pixels in the data window of a part of an EXR, as a multiple of those in the display window
 LONGEST_PFM = 256  # largest header of a PFM, bytes
 MOST_SCANS = 100  # most scans of a JPEG, each of which processes all pixels; encoders make about 20 at most
 PIXEL_BYTES = 32  # largest size of a file per pixel: four float64
@@ -100,7 +100,7 @@ def unzstd(path: Path, content: bytes, most: int) -> memoryview:
 
 
 def read_size(file: BinaryIO, kind: str) -> tuple[int, int]:
-    """(columns, rows) from an open file's header, upright; rewinds the file. Raises as `image_size`."""
+    """Columns and rows of the upright image, from an open file's header; rewinds the file. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)
     lies_on_side = read_tags(file, kind).orientation >= 5  # stored rows are columns of the upright image
     return (rows, columns) if lies_on_side else (columns, rows)
@@ -132,9 +132,9 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
 
 
 def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
-    """Decode an open file within the limits, and turn it upright: (rows, columns[, channels]) as stored.
+    """Decode an open file within the limits; returns stored values (rows, columns[, channels]), turned upright.
 
-    layer: of an EXR, as for `clsco.files.layers.image_channels`. `open_format` turns errors into FileError.
+    layer: layer of an EXR, as for `clsco.files.layers.image_channels`. `open_format` turns errors into FileError.
     """
     columns, rows = _stored_size(file, kind)
     orientation = read_tags(file, kind).orientation
@@ -157,7 +157,7 @@ def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
 
 def _decode_png(file: BinaryIO) -> NDArray[Any]:
     png, depth, color, transparency = check_png(file)
-    if depth == 16 and color != GRAY:  # Pillow drops the lower 8 bits without a word
+    if depth == 16 and color != GRAY:  # Pillow silently drops the lower 8 bits
         data = import_extra(path_of(file), "imagecodecs", "formats").png_decode(png)
     else:
         data = _by_imageio(png, ".png")
@@ -183,7 +183,7 @@ def _by_imageio(content: bytes, extension: str, mode: str | None = None) -> NDAr
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Image size")  # our own limit has been checked from the header
-        options: dict[str, Any] = {"mode": mode, "writeable_output": False}  # or imageio would make another copy
+        options: dict[str, Any] = {"mode": mode, "writeable_output": False}  # otherwise imageio makes another copy
         return imageio.v3.imread(content, plugin="pillow", extension=extension, **options)
 
 
@@ -196,7 +196,7 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
 
 
 def _scans(content: bytes) -> int:
-    """Number of scans of a JPEG: a scan of a few bytes can make a decoder process all pixels again."""
+    """Number of scans of a JPEG. For a scan of a few bytes, a decoder may have to process all pixels again."""
     scans, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # markers that do not occur within a scan
     while (match := mark.search(content, at)) is not None and match[1] != b"\xd9":
         scans += match[1] == b"\xda"
@@ -276,9 +276,10 @@ def _window(corners: Sequence[Any]) -> tuple[int, int]:
 
 
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
-    """Decode channels of an EXR from any of its parts: (rows, columns) of the display window, by name.
+    """Decode channels of an EXR, which may be in several parts: (rows, columns) of the display window, by name.
 
-    choose: takes the names of all channels, and returns those to decode. outside: value outside of data windows.
+    choose: function that takes the names of all channels, and returns the names of those to decode. outside: value of
+    pixels outside of the data window.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(

@@ -23,9 +23,9 @@ from clsco.files.transfer import encode
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image (rows, columns[, 3]) as its file stores it: uint8 and uint16 codes, or float32 linear radiance (finite).
+    """An image (rows, columns[, 3]) as its file stores it: codes (uint8, uint16), or finite linear radiance (float32).
 
-    below: number of negative values, which floats may have, for example after a filter that rings.
+    below: number of negative values. Floats may have some, for example after a filter that rings.
     """
 
     data: NDArray[Any]
@@ -39,7 +39,7 @@ class Picture:
 
     @property
     def bits(self) -> int:
-        """8, 16 or 32 per value."""
+        """Bits per value: 8, 16 or 32."""
         return 8 * self.data.dtype.itemsize
 
     @property
@@ -51,9 +51,9 @@ class Picture:
 def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: str | None = None) -> Picture:
     """Read a gray or RGB image: PNG, JPEG, TIFF, EXR, PFM or NPY.
 
-    hidden: pixels (rows, columns) whose floats need not be finite; none by default. layer: of an EXR with several, as
-    for `clsco.files.layers.image_channels`. Raises FileError, or MissingDependencyError: TIFF and 16-bit color PNG need
-    the extra `formats`, EXR needs `exr`.
+    hidden: mask (rows, columns), True for pixels whose floats need not be finite. layer: layer of an EXR with several,
+    as for `clsco.files.layers.image_channels`. Raises FileError; MissingDependencyError if an extra is missing: TIFF
+    and 16-bit color PNG need `formats`, EXR needs `exr`.
 
     Palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 float32. Axes of length 1 around the
     image in an NPY, and opaque alpha, are dropped. PNG, JPEG and TIFF are turned upright by their orientation. An EXR
@@ -67,7 +67,7 @@ def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: st
 
 
 def image_size(path: AnyPath) -> tuple[int, int]:
-    """Columns and rows of an image, as `read_image` would give them, from its header alone. Raises FileError."""
+    """Columns and rows that `read_image` would return, from the header of a file alone. Raises FileError."""
     with open_format(path) as (file, kind):
         return read_size(file, kind)
 
@@ -75,8 +75,9 @@ def image_size(path: AnyPath) -> tuple[int, int]:
 def check_sizes(
     image: str, right: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
 ) -> None:  # fmt: skip
-    """Raise FileError if the size (columns, rows) of a mask or depth map `other` is not that of its image, `right`.
-    hint: what the message adds if columns and rows are exchanged.
+    """Raise FileError if the `size` of the mask or depth map `other` differs from `right`, the size of its image.
+
+    Sizes are (columns, rows). hint: text that the message adds if columns and rows are exchanged.
     """
     if size != right:
         sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
@@ -85,15 +86,15 @@ def check_sizes(
 
 
 def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
-    """Raise FileError if a file of a mask or depth map, `size` upright, has another size than its image."""
+    """Raise FileError if a mask or depth map, whose upright size is `size`, has another size than its image."""
     _, turned, untagged = _turned_alone(image, other, formats)
     hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
     check_sizes(image, image_size(image), other, size, *([hint] if turned else []))
 
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
-    """Note that one of an image and its mask or depth map is taken to be upright, as only the other one has an
-    orientation tag and sizes do not decide; "" if there is nothing to note.
+    """Note on an image and its mask or depth map, if only one has an orientation tag, and the sizes do not show whether
+    the other one is upright. The note says that it is taken to be upright. Otherwise "".
     """
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)
@@ -103,7 +104,7 @@ def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORM
 
 
 def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[int, str, str]:
-    """Orientation, if only one of two files is turned by its tag, and the paths of it and the other; else 1, "", ""."""
+    """If a tag turns only one of two files: its orientation, its path, and the path of the other; else 1, "", ""."""
     if image == other:
         return 1, "", ""
     orientations = []
@@ -115,7 +116,7 @@ def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[i
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Decoded values as in `Picture.data`. Raises FileError for anything but a gray or RGB image of finite values."""
+    """Convert decoded values to those of `Picture.data`. Raises FileError unless they are finite, gray or RGB."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
         raise_file_error(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
     if data.dtype == np.bool_:  # a mask of NumPy
@@ -153,8 +154,8 @@ def write_tiff(path: AnyPath, data: NDArray[Any], color: Color = SRGB) -> None:
 def write_npz(path: AnyPath, arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
     """Write named arrays as an NPZ, for np.load. Equal arrays give equal bytes. Raises FileError.
 
-    Floats by default are not compressed: 15 MB of ground truth (512 x 512, color) become 13.6 MB in 16 ms; compressing
-    everything takes 210 to 450 ms and leaves 7.1 MB.
+    By default, floats are not compressed: 15 MB of ground truth (512 x 512, color) become 13.6 MB in 16 ms. If
+    everything is compressed, they become 7.1 MB in 210 to 450 ms.
     """
     with atomic_write(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
@@ -171,9 +172,9 @@ def write_exr(
 ) -> None:  # fmt: skip
     """Write named channels (rows, columns) of each view in an OpenEXR file with lossless compression.
 
-    float16 is stored as such, uint16 becomes uint32, all other types float32. names: of the views, which are parts with
-    the attribute `view`, as in OpenEXR since version 2.0; () for a single view. attributes: standard attributes of each
-    view, such as {"aperture": 2.8}.
+    float16 is stored as it is, uint16 as uint32, and all other types as float32. names: names of the views; () for a
+    single view. Each view is a part with the attribute `view`, as in OpenEXR since version 2.0. attributes: standard
+    attributes of each view, such as {"aperture": 2.8}.
     """
     exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
@@ -219,7 +220,7 @@ def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:
 
 
 def write_exr_image(path: AnyPath, image: NDArray[np.floating], color: Color = SRGB) -> None:
-    """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, for readers that need them."""
+    """Write an image (rows, columns[, 3]) as channels R G B; gray fills all three, because some readers need them."""
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
 
@@ -228,9 +229,9 @@ def write_exr_image(path: AnyPath, image: NDArray[np.floating], color: Color = S
 class ImageWriter:
     """Writer of images with one file extension.
 
-    label: with its article, for messages. write: takes a path, an image of codes or of linear float32, and, if
-    `color_kinds`, the attributes of `Color` that the format can store, are not empty, a color space. code_bits: most
-    bits per code, 0 without codes. needs: a module, and the extra of clsco that installs it.
+    label: name with its article, for messages. write: function of a path, an image of codes or of linear float32, and,
+    unless `color_kinds` is empty, a color space. code_bits: most bits of a code, 0 if the format has no codes. needs: a
+    module, and the extra of clsco that installs it. color_kinds: attributes of `Color` that the format can store.
     """
 
     label: str
@@ -252,7 +253,7 @@ class ImageWriter:
 
 
 _TIFF = ImageWriter("a TIFF", write_tiff, 16, True, ("tifffile", "formats"), ("icc", "chromaticities"))
-# One row for each extension: the commands that write one image take their formats from here.
+# One row for each extension; commands that write one image take their formats from here.
 WRITERS = {
     ".png": ImageWriter("a PNG", write_png, 16, False, color_kinds=("icc", "chunks", "chromaticities")),
     ".tif": _TIFF,
@@ -270,8 +271,8 @@ def writer_for(path: Path) -> ImageWriter:
 
 
 def save_image(path: AnyPath, image: NDArray[np.float32], bits: int = 16, color: Color = SRGB) -> None:
-    """Write an image (rows, columns[, 3]) of linear radiance in the format of its extension: PNG, TIFF or EXR.
-    bits: of a PNG's codes, 8 or 16; 32 gives 16. Raises MissingDependencyError, FileError.
+    """Write an image (rows, columns[, 3]) of linear radiance as PNG, TIFF or EXR, according to the path's extension.
+    bits: bits of the codes of a PNG, 8 or 16; 32 gives 16. Raises MissingDependencyError, FileError.
     """
     to, ending = Path(path), Path(path).suffix.lower()
     if ending not in WRITERS:

@@ -13,7 +13,10 @@ SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """Full names of channels by names within the part, for each (name, channels); the same for a single part."""
+    """For each part (name, channels), the full names of its channels by their names within the part.
+
+    With a single part, both names are the same.
+    """
     if len(parts) == 1:
         return [{name: name for name in parts[0][1]}]
     known = [part for part, _ in parts]
@@ -32,9 +35,10 @@ def list_names(names: Iterable[str]) -> str:
 
 
 def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
-    """The channels of an image: R G B or Y, and A if there is one. Raises LookupError(rule, the file's layers).
+    """The channels of an image: R G B or Y, and A if it exists. Raises LookupError(rule, the file's layers).
 
-    layer: its name, or its last words; by default the only one, the one without a name, or one named in `MAIN_LAYERS`.
+    layer: name of the layer, or its last words. By default, it is the only layer, the layer without a name, or one of
+    `MAIN_LAYERS`.
     """
     layers = _layers(names)
     images = [name for name, own in layers.items() if {"R", "G", "B"} <= own or ("Y" in own and not own & {"RY", "R"})]
@@ -57,11 +61,12 @@ def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
 
 
 def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
-    """The channels that may be the depth: all of the most likely kind, or none.
+    """The channels that may be the depth: all channels of the most likely kind that exists.
 
-    Likely kinds in order: Z; a channel called depth, or Z or V of a layer called depth; Z or V of any other layer; R G
-    B; Y; the only channel. A Z or V beside X and Y is the component of a vector, and does not count. layer: its name,
-    its last words, or a channel; by default any layer, but for R G B and Y the one without a name.
+    The kinds, most likely first: Z; a channel called depth, or Z or V in a layer called depth; Z or V in any other
+    layer; R G B; Y; the only channel. A Z or V beside X and Y is a component of a vector, and does not count. layer:
+    name of a layer, its last words, or a channel. By default all layers are searched, but R G B and Y only in the layer
+    without a name.
     """
     if layer is not None:
         if layer in names:
@@ -90,7 +95,7 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
 
 
 def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Names of the channels in each layer, without the layer's name; "" is the layer without a name."""
+    """By layer, the names of its channels without the layer's name; "" is the layer without a name."""
     layers: dict[str, set[str]] = {}
     for name in names:
         layer, _, own = name.rpartition(".")

@@ -11,8 +11,8 @@ from clsco.errors import FileError
 
 
 def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
-    """The first wrong value, its position, and the number of wrong values: "nan at row 0, column 1 (2 in all)". With a
-    mask without the channel axis, all channels of the pixel are shown.
+    """Text on wrong values, such as "nan at row 0, column 1 (2 in all)": the first one, its position, and their number.
+    If the mask has no axis for channels, the text has all channels of the pixel.
     """
     first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
     shown = ", ".join(f"{value:.6g}" for value in np.ravel(values[first]))
@@ -20,7 +20,7 @@ def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
 
 
 def check_values(where: str, rule: str, values: NDArray[Any], wrong: NDArray[np.bool_]) -> None:
-    """Raise FileError `where: rule; got ...` if the mask `wrong` marks any value, with the text of `first_of`."""
+    """Raise FileError `where: rule; got TEXT` if the mask `wrong` marks any value; TEXT comes from `first_of`."""
     if wrong.any():
         raise FileError(f"{where}: {rule}; got {first_of(values, wrong)}")
 

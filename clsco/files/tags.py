@@ -27,8 +27,8 @@ ORIENTATION = 0x0112  # number of the tag in EXIF and TIFF
 
 @dataclass(frozen=True)
 class Tags:
-    """Orientation of an image file, 1 to 8 as in EXIF and TIFF, and what tells its color space: an ICC profile, kind
-    and content of PNG chunks, or an EXR's attribute `chromaticities`.
+    """Orientation of an image file, 1 to 8 as in EXIF and TIFF; and data on its color space: an ICC profile, or kind
+    and content of PNG chunks, or the attribute `chromaticities` of an EXR.
     """
 
     orientation: int = 1
@@ -106,7 +106,7 @@ def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 
 def _inflated(chunk: bytes) -> bytes:
-    """The profile in a chunk iCCP; for a damaged or too large one, bytes that are rejected later."""
+    """The profile in a chunk iCCP. A damaged or too large chunk gives bytes that are rejected later."""
     packed = chunk.partition(b"\0")[2][1:]
     try:
         return zlib.decompressobj().decompress(packed, LARGEST_PROFILE + 1) or b"empty"
@@ -115,7 +115,7 @@ def _inflated(chunk: bytes) -> bytes:
 
 
 def _orientation(exif: bytes, xmp: bytes) -> int:
-    """Orientation from the EXIF data, else from the XMP; 1 if neither has a valid one."""
+    """Orientation in the EXIF data, else in the XMP data; 1 if neither has a valid one."""
     orientation: Any = None
     if exif:
         from PIL import Image

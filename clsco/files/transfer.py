@@ -16,20 +16,20 @@ CODES = np.arange(2**16, dtype=np.uint16)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A transfer curve that is not in `TRANSFERS`: linear radiance of each 16-bit code, never decreasing, (1, 65536)
-    for all channels, or (3, 65536) for red, green and blue.
+    """A transfer curve that is not in `TRANSFERS`. radiance: linear radiance of each 16-bit code, never decreasing;
+    (1, 65536) for all channels together, or (3, 65536) for red, green and blue.
     """
 
     radiance: NDArray[np.float64]
     _starts: dict[int, NDArray[np.float64]] = field(default_factory=dict, init=False, repr=False)
 
     def of_codes(self, bits: int) -> NDArray[np.float64]:
-        """Radiance (1 or 3, 2^bits) of the codes of 8 or 16 bits."""
+        """Radiance of each code of 8 or 16 bits, (1 or 3, 2^bits)."""
         return self.radiance[:, :: 257 if bits == 8 else 1]
 
     def starts(self, bits: int) -> NDArray[np.float64]:
-        """Radiance (1 or 3, 2^bits - 1) at which each code but the first starts: half a code below it, or above the
-        code below where the curve is flat, so that codes come back.
+        """Radiance at which each code but the first starts, (1 or 3, 2^bits - 1): half a code below the code. Where the
+        curve is flat, it is just above the radiance of the previous code, so that encoding is the inverse of decoding.
         """
         if bits not in self._starts:
             half = 0.5 * (self.radiance[:, :-1] + self.radiance[:, 1:])
@@ -44,10 +44,10 @@ Transfer = str | Curve
 
 
 def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]:
-    """Linear radiance (float64, 1 = white) of stored values of any shape.
+    """Convert stored values of any shape to linear radiance (float64, 1 = white).
 
-    data: uint8 and uint16 are codes, 0 black and 255 or 65535 white; floats are already linear. transfer: "srgb" (IEC
-    61966-2-1), "linear", or a curve; a curve for red, green and blue needs these in the last axis.
+    data: codes (uint8 or uint16, the largest code is white), or floats, which are linear already. transfer: "srgb" (IEC
+    61966-2-1), "linear", or a Curve; if it has a curve for each color, the colors must be the last axis.
     """
     if data.dtype.kind == "f":
         return data.astype(np.float64)
@@ -83,9 +83,10 @@ def has_alpha(image: NDArray[np.generic]) -> bool:
 
 
 def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Codes of 8 or 16 bits of linear radiance, rounded half up in code values; the inverse of `decode`.
+    """Convert linear radiance to codes of 8 or 16 bits, rounded half up in code values; the inverse of `decode`.
 
-    linear: float32 or float64 of any shape, 1 = white; below 0 and NaN become 0, above 1 the largest code.
+    linear: float32 or float64 of any shape, 1 = white. Values below 0 and NaN become code 0, values above 1 the largest
+    code.
 
     A code starts at the radiance half a code below it. No power is computed per pixel: the square root of radiance, in
     which sRGB codes are nearly evenly spaced, selects a bin with at most one start, and one comparison decides.
@@ -117,7 +118,7 @@ def _codes_of(linear: NDArray[np.floating], bits: int, transfer: str) -> NDArray
 
 
 def _radiance_of(value: NDArray[np.float64], transfer: str) -> NDArray[np.float64]:
-    """Electro-optical transfer function: coded value in [0, 1] to linear radiance."""
+    """Electro-optical transfer function, from coded values in [0, 1] to linear radiance."""
     if transfer == "linear":
         return value
     if transfer == "srgb":
@@ -138,7 +139,7 @@ def _bin_of(radiance: NDArray[np.floating], top: int) -> NDArray[np.intp]:
 
 @functools.cache
 def _bins(bits: int, transfer: str, dtype: str) -> tuple[NDArray[np.unsignedinteger], NDArray[np.floating]]:
-    """Smallest code of each bin, and for each code the radiance at which the next code starts, rounded up."""
+    """For each bin, its smallest code; and for each code, the radiance at which the next code starts, rounded up."""
     top = 2**bits - 1
     exact = _radiance_of((np.arange(top) + 0.5) / top, transfer)
     start = exact.astype(dtype)

@@ -43,7 +43,8 @@ def kitti_depth_codes(depth: Floats, where: str = "depth") -> Codes:
 def kitti_disparity_codes(disparity: Floats, valid: Mask | None = None, where: str = "disparity") -> Codes:
     """Codes of KITTI's disparity, uint16 (rows, columns): 256 per px, 0 if unknown.
 
-    disparity: px, column on the left minus column on the right. valid: known pixels, by default all finite ones.
+    disparity: column in the left view minus column in the right view, px. valid: mask of the known pixels, by default
+    all that are finite.
     """
     if disparity.ndim != 2:
         raise_shape_error(where, "(rows, columns)", disparity)
@@ -52,9 +53,9 @@ def kitti_disparity_codes(disparity: Floats, valid: Mask | None = None, where: s
 
 
 def pfm_bytes(array: Floats, where: str = "array") -> bytes:
-    """A PFM file of (rows, columns[, 2 or 3]): float32, little endian, the bottom row first.
+    """A PFM file of an array (rows, columns[, 2 or 3]), stored as float32, little endian, the bottom row first.
 
-    Two channels get a third one of zeros, as in the flow of FlyingThings. Readers of disparity take +inf for unknown.
+    To two channels a third one of zeros is added, as in FlyingThings. Readers of disparity take +inf for unknown.
     """
     if array.ndim == 3 and array.shape[2] == 2:
         array = np.dstack([array, np.zeros_like(array[..., 0])])
@@ -65,7 +66,7 @@ def pfm_bytes(array: Floats, where: str = "array") -> bytes:
 
 
 def _known(where: str, flow: Floats, valid: Mask | None) -> Mask:
-    """Check a flow, and return a mask of its known vectors: those that are `valid`, by default all, and finite."""
+    """Check a flow; returns the mask of its known vectors, which are finite and, if `valid` is given, valid."""
     if flow.ndim != 3 or flow.shape[2] != 2:
         raise_shape_error(where, "(rows, columns, 2)", flow)
     finite = np.asarray(np.isfinite(flow).all(axis=-1))
@@ -75,7 +76,7 @@ def _known(where: str, flow: Floats, valid: Mask | None) -> Mask:
 def flo_bytes(flow: Floats, valid: Mask | None = None, where: str = "flow") -> bytes:
     """A .flo file of Middlebury: float32 without loss, 1e10 for unknown vectors.
 
-    flow: (rows, columns, 2), px, right and down. valid: known vectors, by default all finite ones.
+    flow: (rows, columns, 2), px to the right and down. valid: mask of the known vectors, by default all finite ones.
     """
     known = _known(where, flow, valid)
     beyond = known & (np.abs(flow) >= LARGEST_FLO).any(axis=-1)
@@ -87,9 +88,9 @@ def flo_bytes(flow: Floats, valid: Mask | None = None, where: str = "flow") -> b
 
 
 def kitti_flow_codes(flow: Floats, valid: Mask | None = None, where: str = "flow") -> Codes:
-    """Codes of KITTI's flow, uint16 (rows, columns, 3): 64 u + 32768, 64 v + 32768, and 1 for known vectors.
+    """Codes of KITTI's flow (u, v), uint16 (rows, columns, 3): 64 u + 32768, 64 v + 32768, and 1 for known vectors.
 
-    Arguments are those of `flo_bytes`; vectors are rounded to 1/64 px, unknown ones are (0, 0, 0).
+    Arguments are as for `flo_bytes`. Vectors are rounded to 1/64 px; codes of unknown vectors are (0, 0, 0).
     """
     known = _known(where, flow, valid)
     codes = np.rint(np.where(known[..., None], flow, 0.0).astype(np.float64) * FLOW_STEPS) + FLOW_ZERO

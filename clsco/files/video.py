@@ -22,14 +22,14 @@ from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
 from clsco.resources import remove_left
 
-SLOWEST, FASTEST = 1, 240  # frames per second that an interval may give
+SLOWEST, FASTEST = 1, 240  # lowest and highest rate that an interval may give, frames per second
 MOST = 2**20  # largest rate, numerator and denominator of a rate; containers can store far larger numbers
-STANDARD_RATES = 1001 * 120  # largest denominator of an interval: from a float, 1001 / 120000 s is found exactly
+STANDARD_RATES = 1001 * 120  # largest denominator of an interval, which is enough to find 1001 / 120000 s from a float
 _TRANSFER_TAGS = {"srgb": 13, "linear": 8}  # codes of ITU-T H.273
 _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 RED, BLUE = 0.2126, 0.0722  # shares of luma
 _GREEN = 1 - RED - BLUE
-# Rows: Y, Cb, Cr. In 8 bits, luma from 0 to 1 has 219 steps, and a color difference from -1/2 to 1/2 has 224.
+# Rows: Y, Cb, Cr. In 8 bits, luma from 0 to 1 has 219 steps, and a color difference from -1/2 to 1/2 has 224 steps.
 _MATRIX = np.array(
     [
         [219 * RED, 219 * _GREEN, 219 * BLUE],
@@ -44,7 +44,7 @@ _OFFSETS = np.array([16, 128, 128])
 class VideoPreset:
     """Encoding of a clip: FFmpeg's names of container, codec and pixel format, and options of the encoder.
 
-    gray: pixel format of gray frames; "" to store them in color. least: fewest columns and rows of the encoder.
+    gray: pixel format of gray frames; "" to store them in color. least: fewest columns and rows that it can encode.
     """
 
     suffix: str
@@ -58,7 +58,7 @@ class VideoPreset:
 
     @property
     def is_yuv(self) -> bool:
-        """True if it stores luma and color differences; False if it stores RGB or gray without loss."""
+        """True if the preset stores luma and color differences; False if it stores RGB or gray without loss."""
         return self.pixels.startswith("yuv")
 
     @property
@@ -106,7 +106,7 @@ def preset_for(path: Path, name: str | None = None) -> str:
 
 
 def require_video(path: Path) -> Any:
-    """Import PyAV; the settings of its GnuTLS are disabled, because anybody could put them in a shared folder."""
+    """Import PyAV. Settings of its library GnuTLS are not read, because anybody could put them in a shared folder."""
     os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
     return import_extra(path, "av", "video")
 
@@ -122,7 +122,7 @@ def require_size(path: Path, name: str, columns: int, rows: int) -> None:
 
 
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
-    """Exact frames per second of a Fraction, an integer or text like 24, 23.976 or 24000/1001. Raises ArgumentError."""
+    """Exact frames per second from a Fraction, an integer, or text like 23.976 or 24000/1001. Raises ArgumentError."""
     text = value.strip() if isinstance(value, str) else ""
     if text and len(text) <= 32 and re.fullmatch(r"\d+(\.\d+)?|\d+/0*[1-9]\d*", text, re.ASCII):
         rate = Fraction(text)
@@ -139,7 +139,7 @@ def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
 def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fraction:
     """Frames per second of frames that are `interval` seconds apart, played `speed` times as fast.
 
-    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second.
+    The float nearest to 1001 / 30000 s gives 30000/1001. Raises ArgumentError for a rate below 1 or above 240.
     """
     rate = Fraction(0)
     if 1e-9 < interval < 1e9:
@@ -158,8 +158,8 @@ def write_clip(
     """Write frames as a video file, atomically.
 
     frames: (rows, columns[, 3]) of one shape and type: codes (uint8, uint16) or linear radiance (floats, 1 = white),
-    which is clipped. transfer: curve of the codes, "srgb" or "linear"; floats are encoded by it. comment: for the
-    file's metadata, where the container has any.
+    which is clipped. transfer: curve of the codes, "srgb" or "linear", by which floats are encoded. comment: text for
+    the file's metadata, if the container has metadata.
 
     Returns notes on changes: 16 bits rounded to fewer, padded sizes, a rate that Matroska rounds. Raises
     MissingDependencyError and FileError; errors raised by `frames` propagate unchanged. After any error no file is
@@ -193,7 +193,7 @@ class _FromFramesError(Exception):
 
 
 def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """Frames, checked to be images of codes or of finite floats; where: the clip, for FileError."""
+    """The frames, after checks that they are images of codes or of finite floats; where: file that FileError names."""
     for number, image in enumerate(frames):
         frame, name = np.asarray(image), f"frame {number}"
         if frame.ndim not in (2, 3) or frame.shape[2:] not in ((), (3,)) or 0 in frame.shape:
@@ -257,7 +257,7 @@ class _Clip:
         }
 
     def encode(self, target: str, frames: Iterator[NDArray[Any]]) -> None:
-        """Write all frames. Raises FileError, and OSError if the disk fails."""
+        """Write all frames. Raises FileError; OSError if the disk fails."""
         av, preset = require_video(self.where), self.preset
         os.environ.setdefault("SVT_LOG", "1")  # errors only: otherwise SVT-AV1 writes two dozen lines to stderr
         files = {"fflags": "+bitexact"} | ({"movflags": "+faststart"} if preset.container in ("mp4", "mov") else {})
@@ -292,7 +292,7 @@ class _Clip:
         return picture
 
     def _planes(self, frame: NDArray[Any]) -> list[NDArray[Any]]:
-        """A frame's numbers as the planes of its pixel format."""
+        """The values of a frame as the planes of its pixel format."""
         preset = self.preset
         if frame.dtype.kind == "f":
             linear = frame if frame.dtype.itemsize > 2 else frame.astype(np.float32)
@@ -323,7 +323,7 @@ class _Clip:
 
 
 def _with_bits(codes: NDArray[Any], bits: int) -> NDArray[Any]:
-    """Codes converted to 8 or 16 bits: rounded half up, or widened so that white stays white."""
+    """Convert codes to 8 or 16 bits: they are rounded half up, or widened so that white stays white."""
     if codes.dtype.itemsize * 8 == bits:
         return codes
     return codes * np.uint16(257) if bits == 16 else ((codes.astype(np.uint32) + 128) // 257).astype("u1")
@@ -332,13 +332,13 @@ def _with_bits(codes: NDArray[Any], bits: int) -> NDArray[Any]:
 def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1)) -> list[NDArray[Any]]:
     """Luma and color differences of an image: Y (rows, columns), and Cb and Cr, smaller by `blocks`, rounded once.
 
-    codes: uint8 or uint16 (rows, columns[, 3]), in the transfer curve that the video states. bits: of the planes, 8 or
-    10; they are uint8 or uint16. blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0,
-    (1, 2) for 4:2:2; the image consists of whole blocks.
+    codes: uint8 or uint16 (rows, columns[, 3]), in the transfer curve that the video states. bits: bits of the planes,
+    8 (uint8) or 10 (uint16). blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0, (1, 2)
+    for 4:2:2; the image consists of whole blocks.
 
-    Color differences are sited as in MPEG-2: on the left of two columns, averaged with weights 1 2 1, and midway
-    between two rows. libswscale gives the same from 8-bit codes, but its 10-bit luma from 16-bit codes is too large by
-    1.7 codes, at most 3.8.
+    Color differences are sited as in MPEG-2: at the left one of two columns, where they are averaged with weights
+    1 2 1, and midway between two rows. libswscale gives the same from 8-bit codes; from 16-bit codes its 10-bit luma is
+    too large, by 1.7 codes on average and 3.8 at most.
     """
     top, scale = np.iinfo(codes.dtype).max, 2 ** (bits - 8)
     if codes.ndim == 2:
@@ -355,7 +355,7 @@ def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1))
 
 
 def _halved(plane: NDArray[np.float32], down: int, right: int) -> NDArray[np.float32]:
-    """A plane sampled at every second column if `right` is 2, and between every two rows if `down` is 2."""
+    """Sample a plane at every second column if `right` is 2, and between every two rows if `down` is 2."""
     if right == 2:
         padded = np.pad(plane, ((0, 0), (1, 0)), mode="edge")
         plane = (

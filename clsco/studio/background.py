@@ -1,4 +1,4 @@
-"""Background tasks of the studio, which go on after errors, and objects that tell of their changes."""
+"""Background tasks of the studio, which continue after errors, and objects that notify listeners of changes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ PAUSE = 1.0  # s after an error before a task starts again
 
 
 class Observable:
-    """Calls functions after its changes."""
+    """Object that calls its listeners after each of its changes."""
 
     def __init__(self) -> None:
         self._listeners: list[Callable[[], None]] = []
@@ -30,9 +30,9 @@ async def keep_running(
     report: Callable[[list[str]], Awaitable[None]],
     ends: tuple[type[Exception], ...] = (),
 ) -> None:
-    """Run a task again and again, also after errors, until canceled or until one of `ends`.
+    """Run a task repeatedly, also after errors, until it is canceled or raises one of the exceptions in `ends`.
 
-    `report` gets the messages of an error, not again while the error stays the same.
+    report: called with the messages of an error, but only once while the same error repeats.
     """
     last = ""
     while True:

@@ -1,4 +1,4 @@
-"""Editing of a scene key by key, with messages for invalid values, undo and redo."""
+"""Editor that changes a scene key by key, with messages on invalid values, undo and redo."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from clsco.scene.text import key_name, shown
 from clsco.studio.background import Observable
 from clsco.studio.tables import Table, as_lists, at, path_parts, placed, pose_for, reshaped, seed, with_value, without
 
-STEPS = 200  # of undo
-THESIS: Table = {"object": [{"shape": "plane"}]}  # the defaults of the thesis, otherwise those of clsco
+STEPS = 200  # largest number of undo steps
+THESIS: Table = {"object": [{"shape": "plane"}]}  # a scene whose other keys have their defaults, which the thesis uses
 _CHOICES = ("texture_mapping", "unit")  # keys of an object whose values decide which other keys it may have
 
 
@@ -28,7 +28,7 @@ class State:
     """State of an editor, to which undo can return."""
 
     table: Table
-    apart: tuple[Mapping[str, Table], ...]  # for each object, keys of its former shapes, by shape
+    apart: tuple[Mapping[str, Table], ...]  # for each object, the keys that it had with other shapes, by shape
     path: Path | None = None  # of the scene file
     label: str = ""  # of the displayed scene of a sweep
     opened: int = 0  # number of the opened scene, counted from 1; 0 for the initial scene
@@ -72,12 +72,13 @@ class _History:
 class Editor(Observable):
     """A scene that is edited key by key.
 
-    An invalid value stays in its box with its message, and the last valid scene stays in force. The value is tried
-    again with each later change, so that dependent keys can be changed one after the other.
+    An invalid value stays in its box with a message, and the last valid scene stays in use. The value is tried again
+    with each later change, so that keys that depend on each other can be changed one after the other.
 
-    All files are below `root`; the shipped examples may be read, too. `scene` is the last valid scene, with absolute
-    paths, of a sweep the displayed one; `revision` counts its changes. `refused` has the invalid values and `faults`
-    the messages, by path of the key. With `is_linked`, the semi-axes b and c of ellipsoids change together.
+    All files are below `root`, but the shipped examples can be read, too. `scene` is the last valid scene, with
+    absolute paths; in a sweep, it is the displayed scene. `revision` counts the changes of `scene`. `refused` has the
+    invalid values, and `faults` their messages, by path of the key. With `is_linked`, the semi-axes b and c of
+    ellipsoids change together.
     """
 
     def __init__(self, root: Path) -> None:
@@ -123,7 +124,7 @@ class Editor(Observable):
         return bool(self._history.future)
 
     def patch(self, path: str, value: Any, drag: int | None = None) -> bool:
-        """Change one key; returns True if the scene changed. `faults` has the message on an invalid value.
+        """Change one key; returns True if the scene changed. If the value is invalid, `faults` has a message.
 
         A component of a vector is "object.0.center.2". None or "" removes the key, so that it has its default. All
         changes of one drag are one undo step.
@@ -162,7 +163,7 @@ class Editor(Observable):
         return self._go(self._history.future, self._history.past)
 
     def reset(self, index: int = 0) -> None:
-        """Reset an object, except name, texture and group, the sequence, and the camera, except its resolution."""
+        """Reset an object (not its name, texture and group), the camera (not its resolution), and the sequence."""
         item = self.table["object"][index]
         objects = self.table["object"].copy()
         objects[index] = {"shape": "plane"} | {k: v for k, v in item.items() if k in ("name", "texture", "group")}
@@ -195,10 +196,10 @@ class Editor(Observable):
         self._arrange(pairs)
 
     def known(self, path: str) -> Any:
-        """The value of a key, given or by default; None if there is neither.
+        """The value of a key, or else its default; None if it has neither.
 
-        Of `f_number` and `aperture_diameter` one follows from the other, and so do `focus_distance` and
-        `sensor_distance`.
+        If only one of `f_number` and `aperture_diameter`, or only one of `focus_distance` and `sensor_distance`, is
+        given, the other is computed from it.
         """
         parts = path_parts(path)
         value = at(self.table, parts)
@@ -207,7 +208,7 @@ class Editor(Observable):
         return as_lists(value) if isinstance(value, tuple) else value
 
     def shown(self, path: str) -> Any:
-        """Value to show in a box: the invalid one, else the effective one."""
+        """Value that the box of a key shows: the invalid value if there is one, else the value in use."""
         if path in self.refused:
             return self.refused[path]
         value = self.known(path)
@@ -218,7 +219,7 @@ class Editor(Observable):
         return value
 
     def show_scene(self, label: str) -> None:
-        """Show another scene of a sweep, given by its label, as an undo step. Raises SceneError."""
+        """Show the scene of a sweep with this label, as an undo step. Raises SceneError."""
         if label not in self.state.labels:
             raise SceneError(f"scene: must be one of the {len(self.state.labels)} of the file; got {shown(label)}")
         self.take(replace(self.state, label=label))
@@ -229,8 +230,9 @@ class Editor(Observable):
         self._tell()
 
     def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
-        """Go to another state, as one undo step, with invalid values and their messages by path. Raises SceneError
-        before that.
+        """Go to another state, as one undo step; refused: invalid values and their messages, by path of the key.
+
+        Raises SceneError, and changes nothing, if the state is invalid.
         """
         scene = self._valid(state)
         self.refused = {path: value for path, (value, _) in (refused or {}).items()}
@@ -254,8 +256,8 @@ class Editor(Observable):
         self.revision += 1
 
     def _go(self, steps: list[_Step], others: list[_Step]) -> bool:
-        """Undo or redo: discard invalid values, go to the last of `steps`, and add the state to `others`; False without
-        steps.
+        """Undo or redo: discard invalid values, move the last of `steps` to the current state, and the current state to
+        `others`. Returns False if there are no steps.
         """
         self.refused, self.faults = {}, {}
         if moved := bool(steps):
@@ -266,7 +268,7 @@ class Editor(Observable):
         return moved
 
     def _changed(self, chosen: Mapping[str, Any]) -> tuple[State, Scene]:
-        """State with new values by path, without keys that a new choice forbids, and its scene. Raises SceneError."""
+        """State with the values `chosen`, by path, without keys that these forbid; and its scene. Raises SceneError."""
         state = self.state
         for path, value in chosen.items():
             state = self._with(state, path, value)
@@ -309,7 +311,7 @@ class Editor(Observable):
         vector = next((k for k, part in enumerate(parts) if k > 1 and part.isdecimal()), len(parts))
         if parts[0] not in ("object", "group"):
             vector = next((k for k, part in enumerate(parts) if part.isdecimal()), len(parts))
-        if vector < len(parts) and at(table, parts[:vector]) is None:  # the other components stay what they are
+        if vector < len(parts) and at(table, parts[:vector]) is None:  # the other components keep their values
             default = self.known(".".join(parts[:vector]))
             if not isinstance(default, list) and (default := seed(parts[vector - 1], value)) is None:
                 raise SceneError(f"scene: {'.'.join(parts[:vector])}: must be given as a whole; got {shown(value)}")
@@ -335,7 +337,7 @@ class Editor(Observable):
         return absolute(scene, start)
 
     def _file_rule(self, start: Path, key: str, name: str) -> str:
-        """Rule that a file name under a key breaks; "" if it breaks none. start: base folder of relative names."""
+        """The rule that a file name breaks as value of a key, or ""; start: base folder of relative names."""
         try:
             path = (start / name).resolve()
             if not any(path.is_relative_to(place) for place in self.readable):
@@ -345,7 +347,7 @@ class Editor(Observable):
             return missing_input(key, name)
 
     def _derived(self, parts: list[str]) -> Any:
-        """The default of a key that is not given; for some keys of the camera, what follows from others."""
+        """The default of a key that is not given; some keys of the camera are computed from other keys."""
         camera = self.scene.camera
         if parts == ["camera", "f_number"]:
             return camera.focal_length / camera.aperture_diameter
@@ -365,7 +367,7 @@ class Editor(Observable):
         return node
 
     def _object(self, index: int) -> Any:
-        """The model of an object by itself; a box is not split into faces."""
+        """The model of a single object; a box is not split into its faces."""
         if index not in self._models:
             item = at(self.table, ["object", str(index)])
             if item is None:
@@ -375,7 +377,7 @@ class Editor(Observable):
         return self._models[index]
 
     def _pairs(self) -> list[tuple[Table, Mapping[str, Table]]]:
-        """Each object, and the keys of its former shapes."""
+        """Each object, and the keys that it had with other shapes."""
         return list(zip(self.table["object"], self.state.apart, strict=True))
 
     def _insert(self, index: int, item: Table, kept: Mapping[str, Table]) -> int:

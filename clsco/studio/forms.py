@@ -24,8 +24,8 @@ from clsco.studio import tables
 from clsco.studio.session import Document
 from clsco.studio.tables import as_lists, at, label_of, without, words
 
-# Functions from values to positions on sliders, by scale: "inverse" counts diopters, "stops" thirds of a stop.
-# static/scales.js has the inverse functions.
+# For each scale, the function from a value to its position on a slider. The unit of "inverse" is the diopter, that of
+# "stops" a third of a stop. static/scales.js has the inverse functions.
 PLACES: Mapping[str, Callable[[float], float]] = {
     "": float, "inverse": lambda value: -1.0 / value, "log": math.log10, "stops": lambda value: 6.0 * math.log2(value),
 }  # fmt: skip
@@ -35,13 +35,13 @@ PLACES: Mapping[str, Callable[[float], float]] = {
 class Field:
     """Control of a scene key."""
 
-    path: str  # "object.0.radius", as `Document.patch` takes it
+    path: str  # path of the key, such as "object.0.radius"
     label: str
-    symbol: str = ""  # of the thesis, "" where it has none
+    symbol: str = ""  # symbol in the thesis, "" if it has none
     unit: str = ""
     kind: str = "number"  # or "vector", "choice", "text", "flag", "image"
     default: Any = None  # the key's value if none is given; None without a default
-    # least, most: ends of the valid range; of a vector, of each component
+    # least, most: ends of the valid range of the value, or of each component of a vector
     least: float | None = None
     most: float | None = None
     step: float = 0.0  # step of a slider
@@ -51,8 +51,8 @@ class Field:
     slider: tuple[float, float] | None = None  # ends of a slider; values beyond them must be typed
     components: tuple[str, ...] = ()  # labels of the components of a vector
     is_integer: bool = False
-    # condition under which the key has an effect: values of another key, "psf.model=gaussian|wave"; or "moves", if
-    # something moves; "" for no condition
+    # condition under which the key has an effect: "psf.model=gaussian|wave" for values of another key, "moves" if
+    # something must move, "" for no condition
     only: str = ""
 
     @property
@@ -108,7 +108,7 @@ def flat(value: Any) -> list[Any]:
 
 
 def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
-    """Panels with a field for every key that a scene may have; of the objects, only one has its keys shown."""
+    """Panels with a field for every key that a scene may have; index: the only object whose keys are shown."""
     shape = session.shown(f"object.{index}.shape")
     shape = shape if isinstance(shape, str) and shape in SHAPES else session.known(f"object.{index}.shape")
     of_object = {field.path.split(".", 2)[2]: field for field in _fields(session, SHAPES[shape], f"object.{index}")}
@@ -158,7 +158,7 @@ def _is_used(session: Document, panel: Panel) -> bool:
 
 
 def field_at(session: Document, path: str) -> Field | None:
-    """The field of the key at a path, or of the vector that has a component there; None if there is none."""
+    """The field of the key at a path, or of the vector whose component is at the path; None if there is no field."""
     index = int(path.split(".")[1]) if path.startswith("object.") else 0
     listed = [field for panel in panels(session, index) for field in panel.fields]
     return next((field for field in listed if path == field.path or path.startswith(f"{field.path}.")), None)
@@ -221,7 +221,7 @@ def _kinds(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _limits(field: Any) -> Within | None:
-    """Limits and unit of a number, or of the components of a vector; None if there are none."""
+    """Limits and unit of a number, or of the components of a vector; None if it has no limits."""
     waiting: list[Any] = [*field.metadata, field.annotation]
     while waiting:
         if isinstance(part := waiting.pop(0), Within):

@@ -29,14 +29,14 @@ from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
 
 MOST_LOOKED_AT = 64  # frames of a focal stack for viewing
-LARGEST_SHARD = 256  # samples, as of `clsco dataset make`
+LARGEST_SHARD = 256  # samples, the default of `clsco dataset make`
 STEPS = 16  # least number of steps in which the progress of a data set is shown
 _LARGEST = 2**20  # bytes of a file that may be a distribution
 _SETS = "sets"  # folder of shipped distributions, and of their copies
 
 
 def free_folder(session: Document, kind: str = "frames") -> str:
-    """An unused name below the root for an output folder: `kind`/NAME, after the scene's file or title."""
+    """An unused name for an output folder, relative to the root: `kind`/NAME, where NAME is from the file or title."""
     stem = session.path.stem if session.path is not None else str(session.table.get("title", ""))
     stem = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:40] or "scene"
     names = (f"{kind}/{stem}" if k == 1 else f"{kind}/{stem}_{k}" for k in range(1, 10**6))
@@ -46,9 +46,10 @@ def free_folder(session: Document, kind: str = "frames") -> str:
 def render_frames(
     session: Document, jobs: Jobs, folder: str, options: Sequence[str] = (), table: Table | None = None
 ) -> CommandJob:
-    """Write a scene (the session's without a `table`) into a folder below the root, and render it by `clsco render`.
+    """Write a scene into a folder below the root, and render it by `clsco render`.
 
-    Raises ClscoError as `Jobs.add`, as `clsco.render`, or if there are invalid values in boxes.
+    table: scene to render, None for the session's. Raises ClscoError as `Jobs.add` and `clsco.render`, and if a box has
+    an invalid value.
     """
     if session.refused:
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
@@ -66,7 +67,7 @@ def render_frames(
 
 
 def stack_table(session: Document, nearest: float, farthest: float, steps: int) -> Table:
-    """Table of a focal stack: focus distances at equal steps from `nearest` to `farthest`, mm."""
+    """Table of a scene file for a focal stack: focus distances in equal steps from `nearest` to `farthest`, mm."""
     focus = {"from": nearest, "to": farthest, "steps": steps}
     return with_value(session.table, ["camera", "focus_distance"], focus)
 
@@ -89,9 +90,10 @@ def stack_scenes(session: Document, nearest: float, farthest: float, steps: int)
 def make_data_set(
     session: Document, jobs: Jobs, distribution: str, folder: str, count: int, options: Sequence[str] = ()
 ) -> CommandJob:
-    """Make a data set of `count` samples by `clsco dataset make`. Raises ClscoError as `Jobs.add`, or without the file.
+    """Make a data set of `count` samples by `clsco dataset make`.
 
-    `distribution` is a file below the root; one of `shipped_distributions` is copied there first.
+    distribution: name of a file below the root, to which one of `shipped_distributions` is copied first. Raises
+    ClscoError as `Jobs.add`, or if the file does not exist.
     """
     source, name = _name(session, distribution), _name(session, folder)
     jobs.require_free(name)
@@ -107,28 +109,28 @@ def make_data_set(
 
 
 def _name(session: Document, path: str) -> str:
-    """A path relative to the root that a command cannot mistake for an option. Raises SceneError."""
+    """The path relative to the root, in a form that a command cannot mistake for an option. Raises SceneError."""
     name = session.inside(Path(path)).relative_to(session.root).as_posix()
     return f"./{name}" if name.startswith("-") else name
 
 
 def truth_formats() -> dict[str, str]:
-    """Formats of `clsco render --format`, each with a message about its missing package, "" for none."""
+    """Formats of `clsco render --format`, each with a message if a package is missing, else ""."""
     return {name: _missing(form.needs) for name, form in TRUTH_FORMATS.items()}
 
 
 def clip_presets() -> dict[str, str]:
-    """Presets of `clsco render --video`, each with a message about its missing package, "" for none."""
+    """Presets of `clsco render --video`, each with a message if a package is missing, else ""."""
     return dict.fromkeys(PRESETS, _missing(("av", "video")))
 
 
 def set_formats() -> dict[str, str]:
-    """Formats of `clsco dataset make --format`, each with a message about its missing package, "" for none."""
+    """Formats of `clsco dataset make --format`, each with a message if a package is missing, else ""."""
     return {name: _missing(container.needs) for name, container in CONTAINERS.items()}
 
 
 def first_format() -> str:
-    """Initial format of a form: the default, or, if its extra is not installed, the first usable one."""
+    """Format that a form selects at first: the default, or the first usable one if the default's extra is missing."""
     forms = set_formats()
     return next(name for name in (DEFAULT, *forms) if not forms[name])
 
@@ -160,7 +162,7 @@ def _is_distribution(path: Path) -> bool:
 
 
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:
-    """A small PNG of the color of the first sample in a part, counted from 0, of a data set's `parts` equal parts."""
+    """A small PNG with the color of a sample: the first one in part number `part` of `parts` equal parts of a set."""
     from clsco.data import dataset
 
     opened = dataset.open(folder)

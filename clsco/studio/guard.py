@@ -26,7 +26,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MAX_BODY = 64 * 2**20  # bytes of a request: an image
-CODE_SECONDS = 120.0  # in which the opened browser must use its code
+CODE_SECONDS = 120.0  # time in which the opened browser must use its code
 HEADER_SECONDS = 10.0  # from the connection, or the end of the previous request, to the end of a header
 MOST_WAITING = 64  # connections that wait for a header
 TICK = 0.5  # s between checks of these connections
@@ -106,7 +106,7 @@ class Guard:
         return code
 
     def _forgery(self, scope: Scope, headers: Headers) -> str | None:
-        """The rule that a request from another host or page breaks; None if it breaks none."""
+        """The rule that a request breaks if it comes from another host or page; None if it breaks none."""
         hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or hosts[0] not in self._hosts:
             return "Host must be this server"

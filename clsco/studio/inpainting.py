@@ -1,4 +1,4 @@
-"""Inpainting in the studio: painting a mask, comparing methods, and their figures."""
+"""Inpainting in the studio: a mask that the user paints, and results of methods with their figures."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ROWS = {  # rows of the table in figure 5.21, with their keys in `Report.figures
 
 @dataclass(frozen=True, eq=False)
 class FilledImage:
-    """An image (rows, columns[, 3]) filled by a method, of the type of the original, and its `Report.figures`."""
+    """Result of a method: the filled image (rows, columns[, 3]), of the original's type, and its `Report.figures`."""
 
     method: str
     image: NDArray[Any]
@@ -83,9 +83,9 @@ class Inpainting:
         self.results = {}
 
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
-        """Set the mask from run lengths, row after row: of known pixels, missing ones, known ones, and so on.
+        """Set the mask from runs: numbers of known, missing, known, missing ... pixels in turn, row after row.
 
-        Raises FileError if the runs do not make up the image.
+        Raises FileError if the runs do not add up to the pixels of the image.
         """
         if (rows, columns) != self.mask.shape:
             got = f"{columns} x {rows}"
@@ -105,10 +105,10 @@ class Inpainting:
         return [end - start for start, end in pairwise([0, *changes.tolist(), self.mask.size])]
 
     def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
-        """Add pixels that look like a given one to the mask, as for the letters of figure 5.16, or remove them from it.
+        """Add all pixels that look like the given pixel to the mask, or, with `erase`, remove them from it.
 
-        `tolerance` is the largest difference per channel, as a fraction of white. Raises FileError if there is no such
-        pixel.
+        tolerance: largest difference in any channel, as a fraction of white. Raises FileError if the given pixel is
+        outside the image.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
             raise FileError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
@@ -141,8 +141,9 @@ class Inpainting:
         write_png(make_writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> FilledImage | None:
-        """Fill the missing pixels, and store the result beside those of other methods; None if canceled. Raises
-        ClscoError.
+        """Fill the missing pixels, and store the result for the method; returns it, or None if canceled.
+
+        Raises ClscoError.
         """
         if method not in FILLERS:
             raise SceneError(f"method: must be one of {', '.join(FILLERS)}; got {method!r}")
@@ -153,12 +154,12 @@ class Inpainting:
         if made is None:
             return None
         found = FilledImage(method, *made)
-        if mask is self.mask:  # unless it was painted meanwhile
+        if mask is self.mask:  # the mask was not painted meanwhile
             self.results[method] = found
         return found
 
     def table(self) -> list[tuple[str, list[str]]]:
-        """Table of the methods that were run, as in figure 5.21: rows of a label, and a value or "" per method."""
+        """Table of the methods that were run, as in figure 5.21: for each row its label, and a text for each method."""
         return [
             (label, [_figure(filled.figures.get(key)) for filled in self.results.values()])
             for key, label in ROWS.items()
@@ -231,7 +232,7 @@ _OPENED: WeakKeyDictionary[Document, Inpainting] = WeakKeyDictionary()
 
 
 def inpainting_of(session: Document, device: str | None = None) -> Inpainting:
-    """The inpainting of a tab, by its session; the first call creates it for `device`."""
+    """The inpainting of the tab with this session; the first call creates it, for `device`."""
     if session not in _OPENED:
         _OPENED[session] = Inpainting(session.root, device)
     return _OPENED[session]

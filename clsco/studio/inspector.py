@@ -1,4 +1,4 @@
-"""Figures of a pixel of a frame, of its PSF, and of the lens."""
+"""Figures of a pixel of a frame, of the PSF at the pixel, and of the lens."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ PLOTTED = 32  # px from the center of a plot to its border
 
 
 def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = False) -> dict[str, Any]:
-    """All outputs of a frame at a pixel, and derived figures.
+    """All outputs of a frame, which has all ground truth, at a pixel, and figures derived from them.
 
-    `index` and `eye` of the frame; `values` by name, None for infinity; `lens`, the `lens_figures` at the pixel's
-    depth. If the pixel shows a surface, also its `psf`, as from `point_spread`; if the response of its source is not
-    available, the reason as `unmeasured`. The frame has all ground truth; `is_tilted`: weights depend on the gradient
-    of R.
+    Returns `index` and `eye` of the frame; `values` of the outputs by name, where None stands for infinity; and `lens`,
+    the `lens_figures` at the pixel's depth. If the pixel shows a surface, also `psf`, the result of `point_spread`, and
+    `unmeasured`, the reason why the response of the pixel's source cannot be measured, if there is one. is_tilted: True
+    if weights depend on the gradient of R.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
-    size = {"resolution": frame.color.shape[1::-1]}  # of the texture, if the scene gives none
+    size = {"resolution": frame.color.shape[1::-1]}  # a scene without a resolution has that of its texture
     scene = scene.model_copy(update={"camera": scene.camera.model_copy(update=size)})
     for name in (
         "color", "sharp", "depth", "blur_radius", "normal", "flow", "object_id", "mask", "filled", "missing", "hidden",
@@ -110,7 +110,7 @@ def _ray(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
 
 
 def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
-    """Gradient of R at a pixel in px per px, right and down, from depth and normal; 0 without a surface."""
+    """Gradient of R at a pixel, (right, down), px per px, computed from depth and normal; 0 without a surface."""
     assert frame.depth is not None
     assert frame.normal is not None
     normal, depth = frame.normal[y, x].astype(np.float64), float(frame.depth[y, x])
@@ -127,10 +127,11 @@ def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.fl
 def point_spread(
     scene: Scene, radius: float, gradient: NDArray[np.float64], slopes: tuple[float, float], inverse: float
 ) -> dict[str, Any]:  # fmt: skip
-    """`figures_of` the PSF of the scene's lens, by the weights of `clsco.psf`, and its `radius`, the signed R in px.
+    """Figures of the PSF of the scene's lens: those of `figures_of`, for weights as of `clsco.psf`, and `radius`.
 
-    `gradient` (2,) of R, px per px right and down, tilts the weights. `slopes`, X / Z and Y / Z of the source, are for
-    rims and for aberrations that vary over the frame. `inverse`: 1 / Z of the source, 1/mm.
+    radius: signed R, px. gradient: gradient of R (right, down), px per px, which tilts the weights. slopes: X / Z and
+    Y / Z of the source; rims, and aberrations that vary over the frame, depend on them. inverse: 1 / Z of the source,
+    1/mm.
     """
     psf = scene_point_spread(scene)
     slope, spread = pixel_tilt(gradient, radius, psf.diffracted)
@@ -147,12 +148,12 @@ def point_spread(
 
 
 def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str, Any]:
-    """Measure the spread (rows, columns) of the light of a source at `column`, `row`.
+    """Figures of weights (rows, columns): how the light of a source at `column`, `row` is spread.
 
-    `largest` weight, and `sum` of the weights; `plot`: base64 of the (2 PLOTTED + 1)^2 weights around the source, as
-    bytes with a maximum of 255; `reach`: largest offset, in rows or columns, of a byte that is not 0, px. Unless the
-    sum is 0, also `centroid`: offset from the source, px right and down; `rms`: standard deviation along each axis, px,
-    which is |R| / 2 for a large disc.
+    Returns the `largest` weight and the `sum` of weights; `plot`, base64 of the (2 PLOTTED + 1)^2 weights around the
+    source, as bytes with a maximum of 255; and `reach`, the largest distance, in rows or columns, between the source
+    and a byte that is not 0. Unless the sum is 0, also `centroid`, its offset (right, down) from the source, px, and
+    `rms`, the standard deviation along each axis, px, which is |R| / 2 for a large disc.
     """
     rows, columns = spread.shape
     found: dict[str, Any] = {"largest": float(spread.max()), "sum": float(spread.sum(dtype=np.float64))}

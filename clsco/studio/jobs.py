@@ -34,10 +34,10 @@ Status = Literal["waiting", "running", "done", "failed", "canceled"]
 
 @dataclass(eq=False)
 class CommandJob:
-    """A command line of the studio: arguments of `clsco`, and the folder or file that it writes.
+    """A command line that the studio runs: arguments of `clsco`, and the folder or file that the command writes.
 
-    Paths are relative to the studio's root. `done` and `total` count frames or samples, 0 while unknown; `began`: s
-    since 1970; `message`: error output, "" without an error.
+    Paths are relative to the studio's root. done, total: numbers of frames or samples, 0 while unknown. began: s since
+    1970. message: error output, "" without an error.
     """
 
     number: int
@@ -72,7 +72,7 @@ class CommandJob:
 
 
 class Jobs(Observable):
-    """The commands of a studio, which end with it and run in its root; `listed` has the jobs, latest first."""
+    """The commands of a studio, which run in its root and end with the studio. listed: all jobs, latest first."""
 
     def __init__(self, root: Path) -> None:
         super().__init__()
@@ -106,7 +106,7 @@ class Jobs(Observable):
         return {job.number: job for job in self.listed}[number]
 
     def cancel(self, job: CommandJob) -> None:
-        """Cancel a job. Finished files stay, others are removed."""
+        """Cancel a job. Finished files stay, unfinished files are removed."""
         task = self._tasks.get(job.number)
         if task is not None and not task.cancelling():  # a second request would interrupt the command's end
             task.cancel()

@@ -1,4 +1,4 @@
-"""Keyframes in the time line: lists, adds and removes them."""
+"""Lists, adds and removes the keyframes in the time line."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def tracks(session: Document) -> tuple[Track, ...]:
 
 
 def add_keyframe(session: Document, path: str, time: float) -> None:
-    """Add a keyframe with the pose, or the lens, at a time in s, to a `Track`'s path, as one undo step.
+    """Add a keyframe to a track, as one undo step. It has the pose, or the lens settings, of that time.
 
-    A motion with velocities is converted to keyframes at t = 0, at `time` and at the end of the sequence, each with the
-    pose at its time; there are more of them if the motion rotates about several axes. Raises SceneError if there is no
-    such track, or the time is invalid or has a keyframe already.
+    path: path of a `Track`; time: s. A motion with velocities is converted to keyframes at t = 0, at `time` and at the
+    end of the sequence, and at more times if it rotates about several axes. Raises SceneError if there is no such
+    track, or the time is invalid or has a keyframe already.
     """
     _known(session, path)
     if not abs(time) <= LATEST:
@@ -72,7 +72,7 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 
 
 def remove_keyframe(session: Document, path: str, index: int) -> None:
-    """Remove a keyframe, and with the last one the keys that only keyframes use. Raises SceneError."""
+    """Remove a keyframe. If it is the last one, also remove keys that only keyframes use. Raises SceneError."""
     _known(session, path)
     table, parts = session.table, path.split(".")
     keys = list(at(table, parts) or [])
@@ -145,7 +145,7 @@ def _moving_times(scene: Scene, motion: ObjectMotion, time: float) -> list[float
 
 
 def _lens_keyframe(scene: Scene, time: float) -> Table:
-    """Table of a lens keyframe, with the quantities that the other keyframes have; all quantities for the first one."""
+    """Table of a lens keyframe. It has the quantities that other keyframes have, or all if it is the first one."""
     camera = camera_at(scene, time)
     keys = () if scene.lens is None else scene.lens.keyframe or ()
     names: Iterable[str] = {name for key in keys for name in key.model_fields_set} or _FIRST_OF_LENS

@@ -1,4 +1,4 @@
-"""Coarser previews during a drag: chooses their size and omitted features to meet a time budget."""
+"""Chooses the size and the omitted features of previews during a drag, so that they meet a time budget."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from clsco.plan.prepare import Prepared
 from clsco.scene.model import Scene, Sequence
 
 BUDGET = 0.022  # s, so that a picture reaches the page before the next step of a drag, 33 ms later
-EIGHTHS = 8  # parts of the full width and height
+EIGHTHS = 8  # number of parts of the full width and height; sizes of pictures are counted in these
 MOST_SAMPLES = 3
 ROLLING_SHARES = 16  # rows of a preview are exposed for at least 1 / ROLLING_SHARES of the readout
-LEAST = 5  # eighths; if fewer meet the budget, more features are omitted
+LEAST = 5  # eighths; if only smaller pictures meet the budget, more features are omitted
 WORTH = 1.5  # beyond the budget, a picture may take this multiple of the time of the smallest one
 CLIMB = 1.01  # eighths by which a picture may exceed the largest one measured lately: larger ones are hard to predict
 OCCLUSION, MOTION = "occlusion", "motion"
 WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # omitted features, in the order of trial
-# Bounds of the constant fraction of the mean time if all pictures had one size: upper; lower, for the smallest size.
+# Bounds of the constant part of the mean time, as a fraction of it, if all pictures had one size: the upper bound; the
+# lower bound, which is used only if this size is the smallest one.
 MOST_FIXED, SMALL_FIXED = 0.9, 0.8
-LEAST_SPREAD = 0.03  # least relative spread of numbers of pixels for fitting a line
-_WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # of the latest measurements
+LEAST_SPREAD = 0.03  # least relative spread of the numbers of pixels for which a line is fitted
+_WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # weights of the latest measurements
 _STALL = 4.0  # multiple of the prediction that counts as a stall, such as a compilation
 _STALLS = 2  # consecutive stalls that are ignored
 
@@ -33,8 +34,8 @@ _STALLS = 2  # consecutive stalls that are ignored
 class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
-    The predicted time is `fixed` s plus `ns` per pixel and time sample: a line through the latest measurements. If all
-    measurements had one size, changes are attributed to the pixels.
+    The predicted time is `fixed` s plus `ns` ns per pixel and time sample, a line that is fitted to the latest
+    measurements. If all measurements were of one size, a change in their time changes `ns`.
     """
 
     def __init__(self) -> None:
@@ -43,7 +44,7 @@ class Ladder:
         self._latest: deque[tuple[float, float]] = deque(maxlen=len(_WEIGHTS))  # pixels, s
 
     def eighths(self, work: float) -> int:
-        """Side of the picture in eighths of the full one; work: pixels times time samples of the full one."""
+        """Width and height of a picture in eighths of the full ones; work: pixels times time samples at full size."""
         most = max(BUDGET, WORTH * self.predicted(work, 1))
         largest = EIGHTHS * (max((pixels for pixels, _ in self._latest), default=work) / work) ** 0.5 + CLIMB
         known = (size for size in range(EIGHTHS, 1, -1) if size <= largest)
@@ -54,7 +55,7 @@ class Ladder:
         return self.fixed + 1e-9 * self.ns * _pixels(work, eighths)
 
     def measured(self, work: float, eighths: int, seconds: float) -> None:
-        """Learn from the time of a picture, s; of times in a row that are far too long, the first two are ignored."""
+        """Learn from the time of a picture, s. Far too long times are ignored, but at most two in a row."""
         if seconds > _STALL * max(self.predicted(work, eighths), 0.25 * BUDGET) and self._stalls < _STALLS:
             self._stalls += 1
             return
@@ -92,7 +93,7 @@ class Ladders:
         self.of = {way: Ladder() for way in WAYS}
 
     def choose(self, scene: Scene, size: tuple[int, int]) -> tuple[tuple[str, ...], int]:
-        """Choose a member of WAYS, with as few omitted features as the budget allows, and the eighths of a picture."""
+        """Choose a member of WAYS, which omits as few features as the budget allows, and the eighths of a picture."""
         eighths = EIGHTHS
         for way in ways_of(scene):
             if scene.is_analytic:
@@ -111,7 +112,7 @@ def ways_of(scene: Scene) -> list[tuple[str, ...]]:
 
 
 def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> float:
-    """Pixels times time samples of a preview of full size, each sample counted for the rows exposed at its time."""
+    """Pixels times time samples of a preview of full size; for each sample, only the rows exposed at it count."""
     known = _preview_sequence(scene, way)
     if not scene.rolls:
         return size[0] * size[1] * (int(known.samples) if scene.moves else 1)
@@ -122,11 +123,11 @@ def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> f
 
 
 def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[str] = ()) -> Scene:
-    """The scene with the same field of view in fewer pixels, without the features `way` and its most expensive ones.
+    """The scene with the same field of view in fewer pixels, and without the features in `way`.
 
-    Columns and rows become `eighths` of `size`; a scene with depth maps keeps all, as these have one value per pixel.
-    There is one source per pixel at silhouettes, and at most MOST_SAMPLES time samples. With a rolling shutter, each
-    row has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
+    Columns and rows become `eighths` of `size`, unless the scene has depth maps, which have one value per pixel. Pixels
+    at silhouettes have one source, and there are at most MOST_SAMPLES time samples. With a rolling shutter, each row
+    has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
     """
     left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if OCCLUSION in way else {})
     changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
@@ -140,7 +141,7 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[s
 
 
 def unblurred(scene: Scene) -> Scene:
-    """The scene with the same bits of depth, normals and objects, without blur: one time sample, almost no aperture."""
+    """The scene without blur: with one time sample and almost no aperture. Depth, normals and objects are the same."""
     psf = scene.psf.model_copy(update={"silhouette_samples": 1, "occlusion": "none"})
     camera = scene.camera.model_copy(update={"aperture_diameter": 1e-9 * scene.camera.aperture_diameter})
     sequence = scene.sequence.model_copy(update={"samples": 1, "sampling": "midpoint"})
@@ -160,7 +161,7 @@ def _preview_sequence(scene: Scene, way: Collection[str] = ()) -> Sequence:
 
 
 def plan_line(prepared: Prepared, seconds: float) -> str:
-    """Number of kinds of passes, time in s that the frame took, and memory of both views: "3 passes, 41 ms, 15 MiB"."""
+    """Text like "3 passes, 41 ms, 15 MiB": number of kinds of passes, time of the frame, and memory of all views."""
     count = len({step.kind for plan in prepared.plans for step in plan.passes})
     memory = device_bytes(prepared.plan, len(prepared.plans)) / 2**20
     time = f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"

@@ -1,4 +1,4 @@
-"""Figures of the lens, for the strip above the picture and the inspector: distances, and the range in focus."""
+"""Figures of the lens (distances and the range in focus) for the inspector and for the strip above the picture."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from clsco.studio.tables import BY_FOCAL_LENGTH
 
 
 def lens_line(scene: Scene) -> dict[str, Any]:
-    """Figures for the strip above the picture: `lens_figures` of a point at infinity, and three in mm.
+    """Figures for the strip above the picture: `lens_figures` of a point at infinity, and three more in mm.
 
-    `pitch` of the pixels; `scale`: the distance s0 that sets the scale of the image; `ends` of the slider of the focus
-    distance.
+    These are `pitch`, the pixel pitch; `scale`, the distance s0 that sets the scale of the image; and `ends`, the ends
+    of the slider for the focus distance.
     """
     camera = reference_camera(scene)
     ends = [factor * camera.focal_length for factor in BY_FOCAL_LENGTH["focus_distance"]]
@@ -27,11 +27,11 @@ def lens_line(scene: Scene) -> dict[str, Any]:
 
 
 def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
-    """Distances along the optical axis, mm, for the diagram of the lens and a point; infinite values are None.
+    """Figures for the diagram of the lens and a point, mm; infinite values are None.
 
-    `depth` of the point is None for infinity, `slopes` are its X / Z and Y / Z. `focus`: distance in focus; `near` and
-    `far`: distances where |R| = SHARP; `sensor`: distance of the sensor; `aperture`: diameter; `image`: distance of the
-    point's image; `radius`: its R, px.
+    depth: depth of the point, None for infinity. slopes: its X / Z and Y / Z. Returns `focus`, the distance in focus;
+    `near` and `far`, the distances where |R| = SHARP; `sensor`, the distance of the sensor; `aperture`, the diameter;
+    `image`, the distance of the point's image; and `radius`, R of the point in px.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)

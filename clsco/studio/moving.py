@@ -18,9 +18,9 @@ from clsco.scene.model import Camera, Plane
 from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.session import Document
 
-# Key of an object's position by shape, "" for none; that of all other shapes is `center`.
+# By shape, the key of an object's position, "" for none; all other shapes have the key `center`.
 PLACES = {"cone": "apex", "plane": "distance", "depth_map": "", "background": ""}
-STEEPEST = 1e-3  # least z of a plane's normal; a steeper plane follows only moves along z
+STEEPEST = 1e-3  # least z of a plane's normal; a steeper plane can be moved only along z
 ALONG = 500.0  # px of a move along z that changes the depth by a factor of e
 _DIGITS = 4  # decimal places of mm: less than a thousandth of a pixel
 
@@ -29,18 +29,17 @@ _DIGITS = 4  # decimal places of mm: less than a thousandth of a pixel
 class Grip:
     """An object held by the pointer."""
 
-    path: str  # path of the key that says where it is: "object.0.center"
+    path: str  # path of the key of its position, such as "object.0.center"
     start: tuple[float, ...]  # value of the key before the drag, mm; one number for a plane
     normal: NDArray[np.float64]  # normal of a plane, with z = 1; (0, 0, 1) for other shapes
     depth: float  # depth of the point that is held, mm
     axes: NDArray[np.float64]  # rotation from the camera, at the middle of the exposure, to the scene
 
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
-        """New value of the key, mm, `across` and `down` px of the frame, to the right and down, from where the drag
-        began.
+        """Value of the key in mm after a drag by `across` px to the right and `down` px downwards in the frame.
 
-        At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). With `is_along` the object
-        moves along z, where ALONG pixels up multiply the depth by e.
+        The object moves at constant depth, and the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). If
+        `is_along` is True, the object moves along z; a drag by ALONG px upwards multiplies the depth by e.
         """
         if is_along:
             by = np.array([0.0, 0.0, self.depth * math.expm1(-down / ALONG)])
@@ -53,7 +52,7 @@ class Grip:
 
 
 def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
-    """Begin to drag object `object_id` of the frame, where each face of a box is one, by a point at a depth in mm.
+    """Begin to drag an object; object_id: its number in frames; depth: depth of the point that is held, mm.
 
     Raises SceneError if there is no such object, or its shape has no position.
     """
@@ -76,7 +75,7 @@ def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye =
     return Grip(path, tuple(map(float, start)), normal, depth, axes)
 
 
-MOST_PX = 1e6  # of a drag
+MOST_PX = 1e6  # largest length of a drag
 
 
 class Pointer:
@@ -87,7 +86,7 @@ class Pointer:
         self._held: tuple[int, Grip, Camera] | None = None  # drag, object, and camera at its start
 
     def ask(self, x: int, y: int, purpose: str = "") -> None:
-        """Send the figures of a pixel; with the purpose MEASURE, the response of its source."""
+        """Send the figures of a pixel; if the purpose is MEASURE, send the response of the pixel's source instead."""
 
         async def report(found: dict[str, Any]) -> None:
             await self._preview.tell(**{"measured" if purpose == MEASURE else "inspected": found})
@@ -124,7 +123,7 @@ class Pointer:
         self._preview.inspect(x, y, take, "grab")
 
     def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
-        """Move the dragged object, as `Grip.value`, as one undo step for a whole drag; other drags are ignored."""
+        """Move the dragged object as by `Grip.value`. A whole drag is one undo step; other drags are ignored."""
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
             _, held, camera = self._held
             value = held.value(camera, across, down, is_along)

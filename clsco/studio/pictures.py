@@ -1,4 +1,4 @@
-"""Pictures sent to the browser: views of frames, encoded with a header."""
+"""Pictures that are sent to the browser: encoded views of frames, each with a header."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)  # rungs, see ViewP
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
-"""Names of the numbers in a picture's header; width and height are the picture's, columns and rows the frame's."""
+"""Names of the numbers in a picture's header; width, height: size of the picture; columns, rows: size of the frame."""
 
 NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
-SMALL = 160  # px of a small picture, at most
+SMALL = 160  # px, largest width and height of a small picture
 QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 
@@ -48,14 +48,14 @@ class ViewPicture:
     # frame of another scene, to compare; STACKED: frame of a focal stack; OUTLINED: numbers of objects, for outlines
     rung: int
     view: str  # one of VIEWS
-    # size, full: columns and rows of the picture, and of the frame
+    # columns and rows: of the picture (size), of the frame (full)
     size: tuple[int, int]
     full: tuple[int, int]
     encoding: int  # JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last
     payload: bytes
-    seconds: float  # time that it took to render
-    about: dict[str, Any] | None = None  # further figures of an exact frame, as JSON can hold them
-    left_out: tuple[str, ...] = ()  # features that a preview omits, of `ladder.WAYS`
+    seconds: float  # time that rendering took
+    about: dict[str, Any] | None = None  # further figures of an exact frame, of JSON types
+    left_out: tuple[str, ...] = ()  # features that a preview omits, a member of `ladder.WAYS`
     eye: str = ""  # "left" or "right" of a stereo pair, else ""
     small: bytes = b""  # small JPEG of an exact color image, for lists of scenes
 
@@ -68,24 +68,24 @@ class ViewPicture:
 
 
 def packed_message(revision: int, content: dict[str, Any]) -> bytes:
-    """A message in JSON, behind a header like that of a picture."""
+    """A message: a header like that of a picture, and `content` as JSON."""
     return HEADER.pack(revision, 0, 0, 0, 0, MESSAGE, 0, 0, 0, NO_NUMBER) + json.dumps(content).encode()
 
 
 def truth_of(view: str) -> tuple[str, ...]:
-    """Outputs that a view needs besides color."""
+    """Outputs that a view needs in addition to color."""
     if view == "blur radius":
         return VIEWS[view], "mask"
     return () if view == "color" else (VIEWS[view],)
 
 
 def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> ViewPicture:
-    """Encode a view of a frame of `full` columns and rows.
+    """Encode a view of a frame; full: columns and rows of the exact frame; seconds: time that rendering took.
 
-    Images are sent as JPEG, from the rung EXACT on as the PNG that `clsco render` writes. Other views are sent as
-    floats of 32 bits, or of 16 bits in the rung DRAGGING, except sensor codes. The blur radius (of green, if there are
-    several) is NaN without a surface, so that such pixels do not look in focus. Raises SceneError for a view that needs
-    a sensor if there is none.
+    Images are encoded as JPEG, or, from the rung EXACT on, as the PNG that `clsco render` writes. Other views become
+    32-bit floats; in the rung DRAGGING they become 16-bit floats, except sensor codes. The blur radius (of green, if
+    there are several) is NaN without a surface, so that such pixels do not look in focus. Raises SceneError if the view
+    needs a sensor, and the scene has none.
     """
     data: NDArray[Any] | None = getattr(frame, VIEWS[view])
     if data is None:
@@ -101,7 +101,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))
     else:
         dtype, encoding = ("<f2", FLOAT16) if rung == DRAGGING and view != "raw" else ("<f4", FLOAT32)
-        with np.errstate(over="ignore"):  # too large for 16 bits: infinite
+        with np.errstate(over="ignore"):  # values too large for 16 bits become infinite
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]
     is_kept = view == "color" and rung == EXACT
@@ -129,18 +129,18 @@ def _jpeg(codes: NDArray[Any], quality: int) -> bytes:
 
 
 LEAST_SHARE = 1e-6  # earliest time after the shutter opens, as a fraction of the interval
-SHORTEST_PX = 0.5  # of an arrow
+SHORTEST_PX = 0.5  # least length of an arrow
 LEAST_APPROACH = 2e-3  # least change of the depth, as a fraction of it, that marks an arrow
 NEAREST = 1e-3  # mm; nearer points, and points behind the lens, are not in the frame
 
 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:
-    """The scene with a single time sample, in s since the reference pose, in frame `index`, to which all truth belongs.
+    """The scene with a single time sample in frame `index`, at which the ground truth is computed; time: s from t = 0.
 
-    The time is clamped to the frame's interval and exposure, taken together; the flow is the motion over one interval.
+    The time is clamped to the frame's interval and exposure together. The flow is the motion over one interval.
 
-    The shutter is twice as long as the time since the frame began, or since the shutter opened if earlier, so that its
-    only sample is at this time; it may exceed the interval, which files do not allow.
+    The shutter opens at the start of the frame or at its own start, whichever is earlier. It is open for twice the time
+    from there to the sample, which is therefore in the middle; this may exceed the interval, unlike in files.
     """
     sequence, interval = scene.sequence, scene.sequence.interval
     start = min(sequence.shutter_start, 0.0)
@@ -152,15 +152,15 @@ def moment_of(scene: Scene, index: int, time: float) -> Scene:
 
 
 def eye_of(frame: Frame) -> Eye:
-    """View of a frame; a frame that is not half of a stereo pair belongs to the left eye, which is at the camera."""
+    """View of a frame; for a frame that is not of a stereo pair, the left view, which is the camera's."""
     return "right" if frame.eye == "right" else "left"
 
 
 def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
-    """Data of the time line for a frame with this number of time samples.
+    """Data of the time line for a frame; samples: number of its time samples.
 
-    `times` of its samples and `shutter`, its opening and closing time, in s since the reference pose; `arrows`: column
-    and row of the origin of each moving object at both times, and by how many mm it has come nearer.
+    Returns `times` of the samples, and `shutter`, its opening and closing time, s; and `arrows`: for each object that
+    moves, column and row of its origin at opening and at closing, px, and by how much it has come nearer, mm.
     """
     if not scene.moves:
         return {"times": [], "shutter": None, "arrows": []}

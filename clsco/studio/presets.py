@@ -1,4 +1,4 @@
-"""Scenes to start from: figures of the thesis with the numbers in their captions, and the examples."""
+"""Scenes to start from: the examples, and figures of the thesis, with the numbers in their captions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _METHOD = ("psf", "image", "motion", "fill")  # sections that set the method, no
 
 @dataclass(frozen=True)
 class ScenePreset:
-    """A scene of the package: its file among the examples, as "thesis/fig_3_04_left", its caption, and a heading."""
+    """A scene of the package: name of its file in the examples, "thesis/fig_3_04_left", its caption, and a heading."""
 
     name: str
     title: str
@@ -74,18 +74,20 @@ def _copied(path: Path, root: Path) -> str:
     target = below(root, name)
     if not target.exists():
         atomic_write_bytes(make_writable_folder(target.parent) / target.name, content)
-    elif not holds(target, content):  # another image of this name
+    elif not holds(target, content):  # another image has this name
         return keep_image(root, content, path.suffix[1:])
     return name
 
 
 def is_as_the_thesis(session: Document) -> bool:
-    """True if [psf] and [image] are those of the thesis; not all of its figures have [motion] and [fill]."""
+    """True if [psf] and [image] are as in the thesis. [motion] and [fill] are ignored: not all its figures use them."""
     return {key: session.table.get(key) for key in _METHOD[:2]} == {key: _thesis()[key] for key in _METHOD[:2]}
 
 
 def choose_method(session: Document, as_the_thesis: bool) -> None:
-    """Set the sections of the thesis' method, with forward warp and filling, or none of them, as an undo step."""
+    """Set the sections that select the method of the thesis, with forward warp and filling, or remove all sections that
+    select a method; one undo step.
+    """
     table = {key: value for key, value in session.table.items() if key not in _METHOD}
     if as_the_thesis:
         table |= {key: _thesis()[key] for key in _METHOD}
@@ -99,7 +101,7 @@ def _thesis() -> Table:
 
 
 def _numbered(preset: ScenePreset) -> ScenePreset:
-    """A preset with the letter of its part of the figure added to its title, which several presets share."""
+    """A preset of a part of a figure, with the part's letter added to the title, which all parts share."""
     part = re.search(r"_([a-z])$", preset.name)
     return replace(preset, title=preset.title.replace(":", f" {part[1]}:", 1)) if part else preset
 

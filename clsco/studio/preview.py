@@ -1,4 +1,4 @@
-"""Pictures of a tab: coarse ones during a drag, then the exact one; stale states are skipped."""
+"""Pictures of a tab: coarse pictures during a drag, then the exact picture. Stale states are skipped."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from clsco.studio.renderers import kind_of
 
 REST = 0.120  # s without a change after which the exact picture is rendered
 LATEST = 1e9  # s, of a time sample
-MEASURE = "measure"  # purpose of a question that asks for the response
-MOST_UNSEEN = 2  # pictures that the browser has not painted yet
-_MOST_CRASHES = 3  # after which a scene is not tried again: of both renderers, and of a restarted one
+MEASURE = "measure"  # purpose of a question about the response of a source
+MOST_UNSEEN = 2  # largest number of pictures that are sent, but not painted yet
+_MOST_CRASHES = 3  # crashes after which a scene is not tried again: of both renderers, and of a restarted one
 
 T = TypeVar("T")
 Report = Callable[[dict[str, Any]], Awaitable[None]]
@@ -55,12 +55,12 @@ class Renders(Protocol):
 
 
 def _now() -> float:
-    """Time of the event loop's clock, s, which its timeouts use."""
+    """Time of the event loop's clock, s; timeouts use this clock."""
     return asyncio.get_running_loop().time()
 
 
 class Preview:
-    """Pictures of a session for one tab, sent by `send`.
+    """Renders the pictures of a session for one tab, and sends them by `send`.
 
     Only the latest state is rendered: a waiting picture is discarded when the state changes. At most two pictures are
     in flight, so that a slow browser gets fewer pictures, not late ones.
@@ -133,7 +133,7 @@ class Preview:
     def look(
         self, view: str | None = None, index: int | None = None, time: float | None = None, eye: Eye | None = None
     ) -> None:
-        """Show another view, frame, of which only the sample at a `time` in s, if given, or eye."""
+        """Show another view, another frame (whole, or only the sample at `time`, s), or the other eye."""
         before = self._view, self._index, self._time, self._eye
         if view in VIEWS:
             self._view = view
@@ -160,8 +160,8 @@ class Preview:
     def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
         """Call `report` with the figures of a pixel when the exact frame is ready.
 
-        Of several requests with one purpose, only the latest is answered. With the purpose MEASURE, the response of the
-        pixel's source is measured instead. After `stop` there is no answer.
+        Only the latest request with each purpose is answered. If the purpose is MEASURE, the response of the pixel's
+        source is measured instead. After `stop` there is no answer.
         """
         if self._is_stopped:
             return
@@ -169,7 +169,7 @@ class Preview:
         self._news.set()
 
     def pin(self, scene: Scene) -> None:
-        """Send the exact frame of another scene for comparison, after that of the session."""
+        """Send the exact frame of another scene for comparison, after the exact frame of the session."""
         self._other = scene
         self._news.set()
 
@@ -179,7 +179,7 @@ class Preview:
         self._news.set()
 
     def outline(self, is_wanted: bool) -> None:
-        """Start or stop sending the object numbers of each exact frame after it."""
+        """Start or stop sending the object numbers of each exact frame after the frame."""
         self._outlines, self._outlined = is_wanted, 0
         self._news.set()
 
@@ -214,7 +214,7 @@ class Preview:
                 await self._news.wait()
 
     async def _besides(self, work: Awaitable[None]) -> None:
-        """Run background work; crashes are reported, but not faults of the scene, which pictures report."""
+        """Run background work, and report crashes; pictures report faults of the scene."""
         try:
             await work
         except RendererEndedError as error:

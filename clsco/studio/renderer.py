@@ -1,4 +1,4 @@
-"""The renderer, in a separate process, so that a driver crash or a long render does not stop the studio."""
+"""The renderer. It is a separate process, so that a crash of a driver or a long render does not stop the studio."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from clsco.studio.pictures import (
 TICK = 0.5  # s between reports on long work
 REHEARSED = (2, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
 PATIENCE = 1.0  # s that one of these pictures may take
-SILENCE = 30.0  # s without an answer or a report, after which the process is killed: it is stopped, or its driver hangs
+SILENCE = 30.0  # s without an answer or report after which the process is killed, as it is stopped, or its driver hangs
 
 
 class RendererEndedError(ClscoError):
@@ -54,10 +54,10 @@ class PictureJob:
     scene: Scene
     index: int  # number of the frame
     view: str  # one of `pictures.VIEWS`
-    # DRAGGING: a preview, as large as the time budget allows. EXACT: the exact frame; for images a lossy one first
+    # DRAGGING: a preview as large as the time budget allows. EXACT: the exact frame, for images after a lossy picture
     rung: int
     eye: Eye = "left"  # view of a stereo pair
-    took: float = 0.0  # time of an exact frame of a similar scene, s, which no preview exceeds; 0 if unknown
+    took: float = 0.0  # s that an exact frame of a similar scene took, an upper bound for previews; 0 if unknown
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,11 @@ class Question:
 class RenderProgress:
     """Progress of long work."""
 
-    doing: str  # work that is waited for: a pass, what is compiled, or another tab
+    doing: str  # current work: a pass, a compilation, or work for another tab
     # done, total: time samples
     done: int
     total: int
-    still: float  # time since any of these changed, s
+    still: float  # s since any of these last changed
 
 
 Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]
@@ -125,11 +125,11 @@ class RendererProcess:
                 yield answer
 
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
-        """Ask for the figures of a pixel. `watch` and errors are as for `pictures`.
+        """Ask for the figures of a pixel; `watch` and errors are as for `pictures`.
 
-        Returns the figures of `clsco.studio.inspector.inspected`, and `seconds` that a measurement takes. If the
-        question measures, returns `x`, `y`, and `response`, the `clsco.studio.inspector.figures_of` of the response, or
-        `unmeasured`, the reason why there is none.
+        Returns the figures of `clsco.studio.inspector.inspected`, and `seconds`, the time that a measurement would
+        take. If the question measures, returns instead `x`, `y`, and `response`, the figures of the response from
+        `clsco.studio.inspector.figures_of`; or `unmeasured`, the reason why it was not measured.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)
@@ -169,9 +169,9 @@ class RendererProcess:
                         raise answer
                     yield answer
                 is_whole = True
-            except TimeoutError:  # an OSError, too
+            except TimeoutError:  # it is also an OSError
                 is_whole = True
-                self._child.kill()  # one that is stopped does not end by itself
+                self._child.kill()  # a stopped process does not end by itself
                 self._end()
                 rule = f"renderer: must say something within {SILENCE:g} s; got nothing; it is started again"
                 raise RendererEndedError(rule) from None
@@ -193,7 +193,7 @@ class RendererProcess:
             if of < 0:
                 raise EOFError
             if of != number:
-                continue  # of a job that nobody waits for any more
+                continue  # an answer to a job that was given up
             if not isinstance(answer, RenderProgress):
                 return answer
             if watch is not None:
@@ -250,7 +250,7 @@ def _work(pipe: Connection, device: str | None) -> None:
 
 
 def _needed(job: PictureJob) -> Scene:
-    """The scene to render for a job: an analytic one without blur, the slowest feature, if the view hides blur."""
+    """The scene to render for a job. If it is analytic and the view shows no blur, blur, which is slow, is removed."""
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 
@@ -258,7 +258,7 @@ def _needed(job: PictureJob) -> Scene:
 class _Known:
     """A frame with all of its ground truth, kept for further questions.
 
-    `is_tilted`: weights depend on the gradient of R; `seconds` that a measurement takes.
+    is_tilted: True if weights depend on the gradient of R; seconds: time that a measurement takes.
     """
 
     asked: tuple[Scene, int, Eye]
@@ -285,7 +285,7 @@ class _RenderWorker:
             self._live.cancel()
 
     def answer(self, what: str, number: int, content: Any) -> None:
-        """Do a job of the kind `what`, send its answers, and at the end None or the error."""
+        """Do a job of the kind `what`: send its answers, and then None, or the error that ended it."""
         error: ClscoError | None = None
         self._current = number, time.monotonic()
         try:
@@ -309,14 +309,14 @@ class _RenderWorker:
             error = self._short_of_memory(content) if raised.short_of_memory else raised
         except ClscoError as raised:
             error = raised
-        except Exception as raised:  # a bug: the process goes on, with its caches
+        except Exception as raised:  # a bug: the process continues, with its caches
             traceback.print_exc()
             error = ClscoError(f"renderer: must not fail; got {type(raised).__name__}: {raised}")
         self._current = None
         self._send(number, error)
 
     def _short_of_memory(self, content: PictureJob | Question | Scene) -> ClscoError:
-        """Error for a device with too little memory even for strips, or a host with too little for the frame."""
+        """Error for too little memory: of the device even for strips, or of the host for the frame."""
         scene = content if isinstance(content, Scene) else content.scene
         try:
             needed = device_bytes(prepare(scene, None, self._live.session.device, self._live.files).plan)
@@ -418,7 +418,7 @@ class _RenderWorker:
             self._known = None
             plan = prepare(question.scene, None, self._live.session.device, self._live.files).plan
             frame = self._frame(question.scene, question, ALL_TRUTH)
-            seconds = sum(frame.metadata["seconds"].values())  # in kernels, without what was compiled
+            seconds = sum(frame.metadata["seconds"].values())  # time of kernels, without compilation
             self._known = _Known(question.frame, frame, plan.tilt and plan.occlusion != "layered", seconds)
         return self._known
 

@@ -58,7 +58,7 @@ class Renderers:
 
     async def _rehearse(self) -> None:
         while self._cold:
-            kind, scene = self._cold.popitem()  # the latest, which somebody looks at
+            kind, scene = self._cold.popitem()  # the latest one, which is being displayed
             took = self._took.get((kind, "color"), 0.0)
             with suppress(ClscoError):  # pictures report faults of the scene
                 await self._quick.rehearse(PictureJob(scene, 0, "color", DRAGGING, took=took))

@@ -74,7 +74,7 @@ class Tab:
         self.session = session
         self.preview: Preview | None = None
         self.watched: tuple[str, ...] = ()
-        self.typed: set[str] = set()  # keys that the page has changed since values were last sent
+        self.typed: set[str] = set()  # keys that the page has changed since it was last sent values
         self.told = asyncio.Event()  # set when there is something to send
         self.pictured = -1  # revision whose small picture was saved
         self.page = Page()
@@ -88,7 +88,7 @@ class Studio:
         self.renderer = Renderers(device)
         self.jobs, self.state = Jobs(self.root), StateFolder(self.root)
         self.tabs: dict[str, Tab] = {}
-        self.proof_key = ""  # as of `Guard`
+        self.proof_key = ""  # see `Guard`
         old = self.kept_scenes()[MOST_KEPT:]
         pictures = sorted(self.state.path.glob(f"{SHOWN}*.jpg"), key=_changed_at)[:-MOST_SHOWN]
         self.state.remove(*(name for path in old for name in (path.name, f"{path.stem}.jpg")))
@@ -103,9 +103,9 @@ class Studio:
         return session
 
     async def tab(self, name: str = "") -> str:
-        """Name of the tab for a page: the given name, if such a tab exists and no page has it open, else a new tab's.
+        """Name of the tab for a page: `name`, if this tab exists and no page has it open; else the name of a new tab.
 
-        A page that is reloaded announces that it leaves; a duplicated tab does not, and so gets a new name.
+        A page that is reloaded announces that it leaves. A duplicated page does not, and therefore gets a new tab.
         """
         known = self.tabs.get(name)
         for _ in range(10):
@@ -350,7 +350,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
         for message in tab.page.taken():
             await preview.tell(**message)
         state = {
-            "revision": session.revision,  # tells the page to which revision its values belong
+            "revision": session.revision,  # tells the page which revision of the scene has these values
             "title": session.scene.title,
             "file": session.file,
             "saved": session.is_saved,
@@ -364,7 +364,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "lens": lens_line(session.scene),
         }
         shown = ((path, session.shown(path)) for path in tab.watched)
-        now = {path: "inf" if value == math.inf else value for path, value in shown}  # which JSON has no number for
+        now = {path: "inf" if value == math.inf else value for path, value in shown}  # JSON has no infinity
         known = {path: value for path, value in values.items() if path not in tab.typed}
         changed = {path: value for path, value in now.items() if path not in known or known[path] != value}
         tab.typed.clear()
@@ -408,7 +408,7 @@ def application(studio: Studio, draw: Draw) -> Starlette:
 def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str], None], opens_browser: bool) -> None:
     """Serve the studio until interrupted; `show` is called with the address.
 
-    An empty host stands for `own_address`, or for 127.0.0.1 if a port is given; port 0 for any free one. Raises
+    host: if it is empty, `own_address` is used, or 127.0.0.1 if a port is given. port: 0 for any free port. Raises
     ArgumentError if the port is in use.
     """
     host = host or ("127.0.0.1" if port else own_address())

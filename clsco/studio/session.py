@@ -45,10 +45,9 @@ class Document(Editor):
         return self._saved == (self.path, self.table)
 
     def open(self, path: Path) -> None:
-        """Go to the scene of a file below the root, as an undo step. Raises SceneError as `clsco.load_sweep` before
-        that.
+        """Go to the scene of a file below the root, as an undo step. It may only name examples and files below there.
 
-        It may name only files below the root and examples.
+        Raises SceneError as `clsco.load_sweep`, and changes nothing then.
         """
         target = self.inside(path)
         digest = store.digest_of(target)  # before the file is read: if it changes in between, `save` reports a conflict
@@ -83,14 +82,15 @@ class Document(Editor):
         return store.link_of(self.table, self.folder, self.root)
 
     def load_share(self, linked: Linked) -> None:
-        """Go to the scene of a link, as an undo step; `refused` becomes its missing images. Raises SceneError before
-        that.
+        """Go to the scene of a link, as an undo step; its missing images become invalid values in `refused`.
+
+        Raises SceneError, and changes nothing then.
         """
         table, missing = linked
         self.take(self._state_of(table, None), missing)
 
     def remembered(self) -> dict[str, Any]:
-        """Data for `resume`: the link of the scene, its file below the root with its digest, and the invalid values."""
+        """Data for `resume`: a link of the scene, the file's name below the root, its digest, and invalid values."""
         path = self.path
         return {
             "scene": self.share(),
@@ -131,7 +131,7 @@ class Document(Editor):
         return below(self.root, path)
 
     def source(self, name: str) -> str:
-        """A texture in the form of `clsco.inputs`: the name of a pattern, a color, or an absolute path."""
+        """A texture as `clsco.inputs` takes it: the name of a pattern, a color, or an absolute path."""
         return name if is_drawn(name) else str(self.folder / name)
 
     def _state_of(self, table: Table, path: Path | None) -> State:

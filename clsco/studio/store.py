@@ -29,7 +29,7 @@ from clsco.studio.tables import Table, at, sparse
 
 LARGEST = 2**20  # bytes of a scene file, or of a link's content
 LARGEST_IMAGE = 2**30  # bytes of a file for which a digest is computed
-MOST_FILES = 512  # that a link may name: 64 objects have at most 7 each
+MOST_FILES = 512  # files that a link may name; 64 objects have at most 7 each
 START = "#s="
 Linked = tuple[Table, dict[str, tuple[Any, str]]]
 """Scene of a link, and its missing images; see `from_link`."""
@@ -51,7 +51,7 @@ def digest_of(path: Path) -> str:
 def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     """Text of a scene file, .toml or .json, with the keys that differ from their defaults.
 
-    The comments, the order and the keys at their defaults of the scene's previous file `old` are kept.
+    old: the scene's previous file, whose comments, order, and keys equal to their defaults are kept.
     """
     if path.suffix.lower() == ".json":
         try:
@@ -78,7 +78,7 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
 
 
 def _kept(fewer: Any, table: Any, old: Any) -> Any:
-    """The keys of a table that are in its sparse form `fewer`, or in `old`, the content of the previous file."""
+    """The table without keys that are neither in `fewer`, its sparse form, nor in `old`, its form in the old file."""
     if not isinstance(table, Mapping):
         return table
     found = {}
@@ -188,10 +188,10 @@ def moved(table: Table, start: Path, to: Path) -> Table:
 
 
 def link_of(table: Table, start: Path, root: Path) -> str:
-    """A scene as a URL fragment, with file names relative to `start` in the scene and to `root` in the fragment.
+    """A scene as a URL fragment. File names are relative to `start` in the scene, and to `root` in the fragment.
 
-    It is "#s=" and the keys that differ from their defaults as JSON, deflated, in URL-safe base64; with the SHA-256 of
-    each file. Files outside the root keep only their names.
+    The fragment is "#s=" and URL-safe base64 of deflated JSON, which has the keys that differ from their defaults, and
+    the SHA-256 of each file. Files outside the root keep only their names.
     """
     files: dict[str, str] = {}
     digest = cache(digest_of)
@@ -212,10 +212,11 @@ def link_of(table: Table, start: Path, root: Path) -> str:
 def from_link(text: str, places: Iterable[Path]) -> Linked:
     """The scene of a link from `link_of`, with or without "#s=".
 
-    Files are searched in `places`: in the first, the studio's folder, by their paths, in the others by their names. The
-    table is not validated; a missing image is replaced by the default, and `missing` has its name and message by path
-    of the key. Each file is hashed once, and folders are searched once; call this in a thread, since files may be
-    large.
+    places: folders where files are searched: by path in the first one, the studio's folder, and by name in all others.
+    Each file is hashed once. Files may be large, so call this in a thread.
+
+    Returns the scene's table, which is not validated, and the missing images: name and message by path of the key. In
+    the table, the default replaces a missing image.
 
     Raises SceneError if the text is not a link, holds more than 1 MiB, names more than MOST_FILES files or an absolute
     path, or needs a depth map or an image of the aperture that is missing.
@@ -299,11 +300,11 @@ _HEADER = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_-]+)")
 
 
 def arranged(text: str, key: str, order: Sequence[int | None], new: Sequence[str]) -> str:
-    """Valid TOML with the tables of an array in another order, each with its sub-tables and the comments above it.
+    """Rearrange the tables of an array in valid TOML; sub-tables, and comments above a table, move with the table.
 
-    `order` has, for each table of the result, its number in the text, counted from 0, or None for a new table, whose
-    text is in `new` at the same place. The tables follow each other at the position of the last one. A line inside a
-    string may be mistaken for a header, so compare the parsed content afterwards.
+    order: for each table of the result, its number in the text, counted from 0; None for a new table, whose text is at
+    the same index in `new`. All tables are put where the last one was. A line inside a string may be mistaken for a
+    header, so compare the parsed content afterwards.
     """
     parts = _parts(text.splitlines(), key)
     slots = [number for number, (is_table, _) in enumerate(parts) if is_table]

@@ -1,4 +1,4 @@
-"""Labels and sliders of scene keys, changes to a copy of a scene's mapping, and its faults by key."""
+"""Labels and sliders of scene keys, changes to copies of a scene's table, and faults of a scene by key."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHAPE_LABELS = {
     "plane": "Planar", "cylinder": "Cylindrical", "sphere": "Spherical", "cone": "Conical", "ellipsoid": "Elliptical",
     "quadric": "Quadric", "depth_map": "Depth map",
 }  # fmt: skip
-LABELS = {  # words of the thesis
+LABELS = {  # labels by key, in words of the thesis
     "texture": "Input image", "shape": "Object type", "distance": "Distance", "slope_x": "Slope along x",
     "slope_y": "Slope along y", "frames": "Number of frames", "interval": "Inter-frame interval",
     "focal_length": "Focal length", "aperture_diameter": "Aperture diameter", "pixel_pitch": "Pixel pitch",
@@ -63,7 +63,7 @@ COMPONENTS = {
     "bounds": ("x from", "x to", "y from", "y to", "z from", "z to"),
     "coefficients": ("a200", "a020", "a002", "a110", "a011", "a101", "a100", "a010", "a001", "a000"),
 }  # fmt: skip
-SLIDERS = {  # ranges of useful values; typed values may be beyond
+SLIDERS = {  # ranges of useful values by key; values outside can be typed
     "focal_length": (5.0, 100.0), "aperture_diameter": (0.5, 40.0), "sensor_distance": (20.0, 30.0),
     "normalization_distance": (5.0, 100.0), "focus_distance": (50.0, 1000.0), "f_number": (0.7, 22.0),
     "pixel_pitch": (0.001, 0.05), "distance": (50.0, 1000.0), "slope_x": (-3.0, 3.0), "slope_y": (-3.0, 3.0),
@@ -78,20 +78,20 @@ SLIDERS = {  # ranges of useful values; typed values may be beyond
 }  # fmt: skip
 POINT = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "z": (50.0, 1000.0)}
 BY_UNIT = {"mm": (-100.0, 500.0), "deg": (-180.0, 180.0), "deg/s": (-90.0, 90.0), "mm/s": (-50.0, 50.0)}
-BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 200.0)}  # ends of sliders divided by it
+BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 200.0)}  # ends, in focal lengths
 SCALES = {"focus_distance": "inverse", "f_number": "stops"}
 WIDE = 20.0  # ratio of a slider's ends from which on its scale is logarithmic
-OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # after the keys of the thesis
+OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # they follow the thesis' keys
 
 
-_POSE_LABELS = {  # of a static rotation: the label "Rotation" is that of a motion
+_POSE_LABELS = {  # labels of a static rotation; "Rotation" is the label of a motion
     "rotation": "Pose", "rotation.axis": "Axis of the pose", "rotation.angle": "Angle of the pose",
     "rotation.quaternion": "Pose as quaternion",
 }  # fmt: skip
 
 
 def label_of(path: str) -> str:
-    """Label of a key; of a key of a keyframe, with the keyframe's number from 1."""
+    """Label of a key. For a key of a keyframe, it has the keyframe's number, counted from 1."""
     number, _, part = path.partition(".keyframe.")[2].partition(".")
     if part:
         return f"{words(part)} of keyframe {int(number) + 1}"
@@ -189,9 +189,9 @@ def _copied(node: Any, parts: Sequence[str]) -> Any:
 
 
 def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table, dict[str, Table]]:
-    """An object changed to another shape, and the keys of its former shapes, by shape, to restore them later.
+    """Change the shape of an object. Returns the object, and the keys that it had with other shapes, by shape.
 
-    An invalid shape is left for validation to reject.
+    kept: such keys from former changes, which are restored. An invalid shape is left for validation to reject.
     """
     own = {key: value for key, value in item.items() if key not in _ALIKE}
     alike = {key: value for key, value in item.items() if key in _ALIKE}
@@ -215,7 +215,7 @@ def seed(key: str, value: Any) -> list[Any] | None:
 
 
 def pose_for(rotation: Any, part: str) -> Any:
-    """A static rotation in the form that has the key `part`: unchanged if it has this form already, else 0 deg."""
+    """A static rotation in the form that has the key `part`: unchanged if it has this form, else one by 0 deg."""
     if part.isdecimal():
         return rotation if isinstance(rotation, list) else [0.0, 0.0, 0.0]
     if part in ("axis", "angle"):
@@ -238,8 +238,8 @@ def placed(error: SceneError) -> dict[str, str]:
 def sparse(table: Mapping[str, Any]) -> Table:
     """The valid table of a scene without the keys that have their defaults.
 
-    Defaults depend only on keys of the same table, so each table is processed by itself; tables with several values for
-    a key are not reduced.
+    Each table is processed by itself, because defaults depend only on keys of the same table. Tables in which a key has
+    several values stay as they are.
     """
     swept = {location[:2] if location[0] in ("object", "group") else location[:1] for location, _ in swept_keys(table)}
     found: Table = {}

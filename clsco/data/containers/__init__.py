@@ -1,4 +1,4 @@
-"""Table of the formats for samples of a shard."""
+"""The formats in which a shard stores its samples, by name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clsco.data.containers.base import ShardReader as ShardReader
 from clsco.errors import MissingDependencyError, SceneError
 
 DEFAULT = "webdataset"
-# One row for each format: the commands take their names from here. With "+raw" nothing is compressed.
+# One row for each format; the commands take the names of formats from here. Formats with "+raw" compress nothing.
 CONTAINERS = {
     container.name: container
     for container in (
@@ -29,7 +29,7 @@ CONTAINERS = {
 
 
 def container_named(name: str) -> Container:
-    """The container with a name. Raises SceneError if there is none, MissingDependencyError without its extra."""
+    """The container with a name. Raises SceneError for an unknown name, MissingDependencyError for a missing extra."""
     if name not in CONTAINERS:
         raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")
     container = CONTAINERS[name]

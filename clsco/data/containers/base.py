@@ -1,4 +1,4 @@
-"""Common interface of containers: write shards, and read records one at a time."""
+"""Interface that all containers share: it writes shards, and reads their records one at a time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ShardReader(ABC):
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
         """Read one record. Raises FileError if the shard is damaged.
 
-        names: arrays, by full name or by kind; other arrays are not read if the format stores them apart.
+        names: the arrays to read, by full name ("left.depth") or by kind ("depth"); None for all.
         """
 
     def __len__(self) -> int:
@@ -52,11 +52,11 @@ class ShardReader(ABC):
 
 @dataclass(frozen=True)
 class Container:
-    """A format that holds the records of a shard in one file, or in one folder.
+    """A format that stores the records of a shard in one file or one folder.
 
-    suffix: end of a shard's name. write: takes a new local path and records, few of which are in memory at a time; the
-    same records give the same bytes. read: takes a local path, and raises FileError if the shard is incomplete. needs:
-    a module, and the extra of clsco that installs it.
+    suffix: end of the name of each shard. write: function that writes records to a new local path; equal records give
+    equal bytes. read: function that opens the shard at a local path, and raises FileError if the shard is damaged.
+    needs: the module that the format needs, and the extra of clsco that installs this module.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Container:
 
 @contextlib.contextmanager
 def translate_errors(path: Path, kind: str) -> Iterator[None]:
-    """Turn any error of a codec into a FileError: each raises its own, undocumented ones for damaged files."""
+    """Turn any error of a codec into a FileError, because codecs raise undocumented errors for damaged files."""
     try:
         yield
     except ClscoError:
@@ -80,18 +80,22 @@ def translate_errors(path: Path, kind: str) -> Iterator[None]:
 
 NEEDS = ("imagecodecs", "formats")  # the one package with both Zstandard and PNG of 16 bits in color
 LARGEST = 2**31  # bytes of an array
-LARGEST_RECORD = 2**32  # and of all arrays of a record
-LEVEL = 3  # of Zstandard: 0.29 of the size at 500 MB/s
-LARGEST_META = 2**26
-NESTED = ("parameters", "labels", "scene", "arrays", "frames")  # in what describes a record
+LARGEST_RECORD = 2**32  # bytes of all arrays of a record
+LEVEL = 3  # level of Zstandard: reduces arrays to 0.29 of their size, at 500 MB/s
+LARGEST_META = 2**26  # bytes of a meta.json
+NESTED = ("parameters", "labels", "scene", "arrays", "frames")  # entries of meta.json that are tables or lists
 Layout = dict[str, tuple["np.dtype[Any]", tuple[int, ...]]]
+"""Type and shape of each array of a record, by the array's name."""
 _NAME = re.compile(r"[a-z0-9_]+(\.[a-z0-9_]+)*")
-_MEMBER = re.compile(r"(.+)\.(npy\.zst|npy|png)")  # array and extension, such as "left.depth.npy.zst"
+_MEMBER = re.compile(r"(.+)\.(npy\.zst|npy|png)")  # name of an array and extension, such as "left.depth.npy.zst"
 _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4", "i8", "f2", "f4", "f8")}
 
 
 def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, bytes]:
-    """Extension and content of an array's file, always the same; path: for messages. Raises MissingDependencyError."""
+    """Extension and content of the file of an array; equal arrays give equal bytes. Raises MissingDependencyError.
+
+    path: file that messages name. raw: True to compress nothing.
+    """
     if raw:
         return "npy", npy_bytes(array)
     if is_png(array.dtype.name, array.shape):
@@ -101,9 +105,9 @@ def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, by
 
 
 def decoded(path: Path, extension: str, content: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Decode a writable array; the exact inverse of `encoded`.
+    """Decode an array, exactly as it was before `encoded`. The array is writable. Damaged content raises any error.
 
-    dtype, shape: expected, as `parsed_meta` gives them; no more memory is allocated. Damage raises any error.
+    dtype, shape: type and shape that the array must have. They limit the memory that is allocated.
     """
     if extension == "png":
         return _from_png(path, content, dtype, shape)
@@ -113,7 +117,7 @@ def decoded(path: Path, extension: str, content: bytes, dtype: np.dtype[Any], sh
 
 
 def is_png(dtype: str, shape: tuple[int, ...]) -> bool:
-    """True if a PNG can hold such an array: a mask or codes, gray or with three channels."""
+    """True if a PNG can store an array of this type and shape: a mask or codes, with one channel or three."""
     return dtype in ("bool", "uint8", "uint16") and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 3))
 
 
@@ -131,9 +135,10 @@ def _from_png(path: Path, content: bytes, dtype: np.dtype[Any], shape: tuple[int
 
 
 def meta_bytes(record: Record, flat: bool = False) -> bytes:
-    """JSON of a record's description, in one line. Raises FileError for values that JSON cannot hold.
+    """The description of a record as one line of JSON. Raises FileError for values that JSON cannot hold.
 
-    flat: nested tables become strings of JSON, as `datasets` needs one type per key, and scenes differ in theirs.
+    flat: True to write each table and list as a string of JSON, because the package `datasets` needs one type for each
+    key in all samples, and scenes have different keys.
     """
     try:
         nested = {name: _json(value) for name, value in record.meta.items() if isinstance(value, (dict, list, tuple))}
@@ -147,7 +152,7 @@ def _json(value: Any) -> str:
 
 
 def parsed_meta(path: Path, content: bytes | str) -> tuple[dict[str, Any], Layout]:
-    """Content of a meta.json, and types and shapes of the arrays. Raises FileError, or ValueError for invalid JSON."""
+    """The content of a meta.json, and the layout of its arrays. Raises FileError, or ValueError for invalid JSON."""
     if len(content) > LARGEST_META:
         raise_file_error(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = strict_json(content)
@@ -162,7 +167,7 @@ def parsed_meta(path: Path, content: bytes | str) -> tuple[dict[str, Any], Layou
 
 
 def _layout_of(path: Path, name: str, about: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
-    """Type and shape of an array from its entry in meta.json. Raises FileError for values that no record has."""
+    """Type and shape of an array from its entry in meta.json. Raises FileError if they are invalid or too large."""
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
         raise_file_error(path, "arrays must have plain names and be described in meta.json", repr(name))
     dtype = _DTYPES.get(str(about.get("dtype")))
@@ -181,12 +186,15 @@ def record_bytes(layout: Layout) -> int:
 
 
 def chosen(layout: Layout, names: Collection[str] | None) -> Layout:
-    """Arrays of a layout with these full names or kinds."""
+    """The arrays of a layout that have one of these full names or kinds; all arrays if `names` is None."""
     return {name: about for name, about in layout.items() if is_named(name, names)}
 
 
 def confined_arrays(function: str, file: BinaryIO, layout: Layout, **options: Any) -> dict[str, NDArray[Any]]:
-    """Arrays of a record, read by a function in a process with limits. Raises ValueError for another layout."""
+    """Read arrays of a record by a function that runs in a process with limits.
+
+    function: name as for `run_decoder`. Raises ValueError if an array has another type or shape than in `layout`.
+    """
     _, arrays = run_decoder(function, file, record_bytes(layout), names=list(layout), **options)
     for (name, about), array in zip(layout.items(), arrays, strict=True):
         if (array.dtype, array.shape) != about:
@@ -195,23 +203,24 @@ def confined_arrays(function: str, file: BinaryIO, layout: Layout, **options: An
 
 
 Members = tuple[Iterable[str], Callable[[str, int], bytes]]
-"""Names of a record's members, and a function that reads a member: (name, most bytes) to its content."""
+"""Names of the files that store a record in an archive, and a function that returns the content of one of these files;
+it takes the name and the largest size in bytes that the file may have."""
 
 
 class MemberReader(ShardReader):
-    """Records whose arrays are files of an archive; `kind` names it in messages."""
+    """Reader of records whose arrays are separate files in an archive; kind: name of the format in messages."""
 
     kind: ClassVar[str]
 
     @abstractmethod
     def _members(self, index: int) -> contextlib.AbstractContextManager[Members]:
-        """Open the members of a record."""
+        """Open the archive that stores a record; it is closed at the end of the `with` block."""
 
-    def _place(self, index: int) -> Path:  # noqa: ARG002, of formats with a file for each record
+    def _place(self, index: int) -> Path:  # noqa: ARG002, used by formats with one archive per record
         return self.path
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read the members of the selected arrays."""
+        """Read one record: its meta.json, and the files of the selected arrays. An array without a file is left out."""
         path = self._place(index)
         with translate_errors(path, self.kind), self._members(index) as (members, content):
             meta, layout = parsed_meta(path, content("meta.json", LARGEST_META))
@@ -219,7 +228,7 @@ class MemberReader(ShardReader):
             arrays = {}
             for name, (dtype, shape) in chosen(layout, names).items():
                 if extension := extensions.get(name):
-                    most = npy_size(dtype, shape) * 9 // 8  # incompressible data grow by less than an eighth
+                    most = npy_size(dtype, shape) * 9 // 8  # compression makes no data longer by an eighth
                     data = content(f"{name}.{extension}", most)
                     arrays[name] = decoded(path, extension, data, dtype, shape)
         return Record(self.keys[index], arrays, meta)

@@ -1,4 +1,4 @@
-"""HDF5: a group per sample with a dataset per array, and `meta`, a string of JSON. Read back with h5py."""
+"""HDF5: one group per sample, with a dataset for each array, and `meta`, a string of JSON. h5py reads such files."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ _FILE = "clsco.data.containers.hdf5_file"
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new file, shuffled and deflated (gzip 4), which every HDF5 build reads, or uncompressed
-    (`raw`). The file is made in memory, as HDF5 does not survive a disk that fails.
+    """Write records to a new file. The file is made in memory, because HDF5 does not survive a disk that fails.
+
+    raw: True to compress nothing; else arrays are shuffled and deflated (gzip 4), which every build of HDF5 reads.
     """
     h5py = import_extra(path, *NEEDS)
     options = {} if raw else {"shuffle": True, "compression": "gzip", "compression_opts": 4}

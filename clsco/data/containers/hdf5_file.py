@@ -31,7 +31,7 @@ def arrays(file: BinaryIO, key: str, names: Sequence[str]) -> Output:
 
 
 def _opened(file: BinaryIO) -> Any:
-    return h5py.File(file.name, "r", locking=False)  # which some network file systems do not have
+    return h5py.File(file.name, "r", locking=False)  # some network file systems have no locks
 
 
 def _stored(group: Any, name: str) -> Any:

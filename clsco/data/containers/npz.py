@@ -1,4 +1,4 @@
-"""NPZ: a folder with a file for each sample. Read back with `numpy`."""
+"""NPZ: a folder with one file per sample. NumPy reads such files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from clsco.resources import open_regular
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """Write records to a new folder as KEY.npz.
 
-    Without `raw`, masks, codes and object numbers are compressed, floats never: deflate takes 0.3 s for 10 MB of them.
+    raw: True to compress nothing; else integers and masks are compressed. Floats never are, because deflate takes 0.3 s
+    for 10 MB of floats.
     """
     path.mkdir()
     for record in records:

@@ -1,6 +1,6 @@
-"""WebDataset: a tar in which the files KEY.ARRAY.EXTENSION of a sample share their key.
+"""WebDataset: a tar with files KEY.ARRAY.EXTENSION; all files of a sample have the same key.
 
-Read back with the package `webdataset`, or with `tarfile`, `numpy`, `zstandard` and a PNG decoder.
+The package `webdataset` reads such files, and so do `tarfile`, `numpy`, `zstandard` and a PNG decoder together.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from clsco.data.record import Record
 from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular, read_at
 
-MOST_EXTENDED = 2**12  # bytes of a header before a file
+MOST_EXTENDED = 2**12  # bytes of an extended header, which precedes the header of a file
 _RENAMES = re.compile(rb"(^|[ \n])(path|size|linkpath|GNU\.[^=]*)=")
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new tar without user names and times; raw: each array as NPY."""
+    """Write records to a new tar without user names and times; raw: True to write each array as an uncompressed NPY."""
     with tarfile.open(path, "x", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
             files = {"meta.json": meta_bytes(record, flat=True)}
@@ -40,9 +40,10 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 
 
 def _headers(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
-    """Name, first byte and size of each member of a tar of plain files; the content is not read.
+    """Name, offset of the content, and size of the content, of each file in a tar. Only headers are read.
 
-    Headers of other writers that hold only times are skipped: `tarfile` would take time quadratic in their number.
+    Extended headers that contain nothing but times, as other writers add them, are skipped. `tarfile` is not used,
+    because it takes time quadratic in the number of these headers.
     """
     end, place = os.fstat(file.fileno()).st_size, 0
     while (head := read_at(file, 512, place)) != bytes(512):
@@ -63,7 +64,7 @@ def _headers(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
 
 
 class TarReader(MemberReader):
-    """Records of a tar; its headers are read once, and no file stays open. It keeps 24 bytes per member in memory."""
+    """Records of a tar. Its headers are read once; 24 bytes per file in it stay in memory, and no file stays open."""
 
     kind = "tar"
 

@@ -1,6 +1,6 @@
-"""Zarr 3: a group with an array for each array of a sample, (samples, rows, columns[, channels]), and `meta`.
+"""Zarr 3: a group with one array (samples, rows, columns[, channels]) for each array of a sample, and `meta`.
 
-Files are few: each holds the chunks of up to 16 samples (sharding codec). Read back with zarr.
+A file stores the chunks of up to 16 samples (sharding codec), so that a group has few files. zarr reads such groups.
 """
 
 from __future__ import annotations
@@ -23,12 +23,15 @@ from clsco.resources import open_regular
 
 NEEDS = ("zarr", "data")
 _FILE = "clsco.data.containers.zarr_file"
-LARGEST_TEXTS = 2**28  # bytes of what describes all records
-MOST_SAMPLES, MOST_BYTES = 16, 2**26  # of a block of records in memory
+LARGEST_TEXTS = 2**28  # bytes of the descriptions of all records
+MOST_SAMPLES, MOST_BYTES = 16, 2**26  # limits of a block of records, which is in memory
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records with the same arrays, each of one type and size, to a new folder, by Zstandard 3 or `raw`."""
+    """Write records to a new folder; each must have the same arrays, with the same types and shapes.
+
+    raw: True to compress nothing; else arrays are compressed by Zstandard at level 3.
+    """
     zarr = import_extra(path, *NEEDS)
     compressors = None if raw else zarr.codecs.ZstdCodec(level=3)
     texts: list[bytes] = []
@@ -57,7 +60,9 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 
 
 def _blocks(path: Path, records: Iterable[Record]) -> Iterator[tuple[base.Layout, int, list[Record]]]:
-    """Layout of all records, largest number of records in a block, and the records of a block. Raises FileError."""
+    """Split records into blocks. For each, yields the layout of all records, the largest number of records in a block,
+    and the records of the block. Raises FileError if layouts differ, or there is no record.
+    """
     following = iter(records)
     block = list(islice(following, 1))
     if not block:
@@ -99,7 +104,7 @@ class ZarrReader(base.ShardReader):
         super().__init__(path, [f"{number:09d}" for number in numbers.tolist()])
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read a chunk of each selected array."""
+        """Read one record: a chunk of each selected array."""
         with base.translate_errors(self.path, "Zarr group"), open_regular(self.path / "zarr.json") as file:
             meta, layout = base.parsed_meta(self.path, self._texts[self._ends[index] : self._ends[index + 1]])
             selected = base.chosen(layout, names)

@@ -13,11 +13,11 @@ from clsco.files.decoder_process import Output
 
 
 def index(file: BinaryIO) -> Output:
-    """Numbers of all records, the start and end of each description, and the bytes of all descriptions."""
+    """Numbers of all records, offsets at which descriptions begin and end, and the bytes of all descriptions."""
     return arrays(file, slice(None), ("keys", "meta_ends", "meta"))
 
 
 def arrays(file: BinaryIO, row: int | slice, names: Sequence[str]) -> Output:
-    """Arrays of a record; file: `zarr.json` of the group."""
+    """Arrays of a record, in the order of `names`; row: index of the record; file: `zarr.json` of the group."""
     group = zarr.open_group(Path(file.name).parent, mode="r", zarr_format=3, use_consolidated=False)
     return {}, [np.asarray(group[name][row]) for name in names]  # type: ignore[index]
