@@ -101,7 +101,9 @@ def _is_in_lines() -> bool:
 
 @contextmanager
 def _lines(total: int, what: str, here: Progress | None) -> Iterator[Callable[..., object]]:
-    """Print lines of JSON at the beginning, after items, and at the end; if `here` is given, also every WITHIN_S."""
+    """Print a line of JSON at the beginning, after items (at most one per LINES_S), and at the end; if `here` is given,
+    also one every WITHIN_S.
+    """
     done, printed, last, begun = 0, -1, 0.0, time.monotonic()
     lock, ended = threading.Lock(), threading.Event()
 

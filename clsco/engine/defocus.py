@@ -294,7 +294,7 @@ def _guard_px(inputs: _Inputs, spec: BlurSpec) -> int:
 
 
 def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
-    """Blur the image in as few strips as fit within the limit."""
+    """Blur the image in as few strips as the memory limit allows."""
     if spec.method == "none":
         return inputs.image.astype(np.float32)
     rows, columns = inputs.coc.shape

@@ -28,7 +28,9 @@ def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str
 
 
 def list_names(names: Iterable[str]) -> str:
-    """Names for a message: printable and shortened."""
+    """Sorted names for a message: unprintable ones are escaped, and after the first SHOWN only the number of the others
+    is given.
+    """
     ordered = sorted(names)
     shown = [name if name.isprintable() else ascii(name) for name in ordered[:SHOWN]]
     return " ".join(shown) + (f" and {len(ordered) - SHOWN} more" if len(ordered) > SHOWN else "")

@@ -366,7 +366,8 @@ def _disc_table(psf: PointSpread, span: range) -> PsfTable:
 
 
 def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> Floats:
-    """Weights (2 h + 1, 2 h + 1) of a source in the middle, as a device reads them from a main table.
+    """Weights (2 h + 1, 2 h + 1) around a source at the center of the middle pixel, as a device reads them from a main
+    table; h: half-width of the blur in px.
 
     table: for a range that includes |radius|; radius: signed blur radius, px.
     """

@@ -100,11 +100,12 @@ class GroundTruth:
         self, reference: TimeSample, sample: TimeSample, after: TimeSample, other_view: TimeSample | None = None,
         earlier: TimeSample | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Kernel arguments, between the grid and the outputs, for a frame or one of its lines.
+        """Arguments of the ground-truth kernel that stand between the grid and the outputs, for a frame or one of its
+        lines.
 
-        The arguments are the objects at different times: reference: in the reference pose; sample: in this frame;
-        after: in the next frame; other_view: in the other view of a stereo pair; earlier: in the previous frame. The
-        last two are None if they are not needed.
+        Each parameter is the scene at one time. reference: in its reference pose; sample: in this frame; after: in the
+        next frame, or `sample` again for a line; other_view: in the other view of a stereo pair; earlier: in the
+        previous frame. The last two are None if they are not needed.
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)

@@ -265,7 +265,9 @@ def _squared_transfer(psf: PointSpread, radius: float) -> Array:
 
 
 def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Part, ...]:
-    """Objects visible in the middle of the sequence, with their longest paths over the whole sequence."""
+    """Statistics of each object that is visible in the middle of the sequence; `travel` is its longest path over the
+    whole sequence.
+    """
     w, (x, y) = predict_depths(scene, maps), grid_slopes(scene)
     front = w.max(axis=0)
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)

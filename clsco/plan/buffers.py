@@ -325,8 +325,8 @@ def bend_buffers(scene: Scene, pixels: int) -> Sizes:
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
-    """Buffers of sub-pixel sources for `slots` pixels near silhouettes. mapped: True if textures are on surfaces, which
-    adds planes of the detail that neighboring pixels exchange.
+    """Buffers of sub-pixel sources for `slots` pixels near silhouettes. mapped: True if textures are on surfaces; then
+    buffers are added for the detail that neighboring pixels exchange.
     """
     subs = slots * spec.subpixels**2
     sizes = {"pixels": 4 * slots, "sub_label": subs, "sub_depth": REAL_BYTES * subs}

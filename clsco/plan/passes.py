@@ -19,12 +19,13 @@ ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # other passes run 
 
 @dataclass(frozen=True)
 class Pass:
-    """A step of a frame: the engine runs it, `clsco plan` prints its parameters, and the memory estimate adds it up.
+    """A step of a frame: the engine runs it, `clsco plan` prints its parameters, and the memory estimate adds up its
+    buffers.
 
     buffers: size in bytes of each buffer on the device, by name; passes share buffers of equal name. takes, gives:
     names of the inputs, which are outputs of earlier passes, and of the outputs. These are the "moved" pixels of a
     forward warp; an "image" with its radii; "sources"; depth "layers"; the blurred "plane" of a time sample; the
-    "colors" joined so far, if each is blurred separately; the "frame" summed so far; the sensor's "codes" of the
+    "colors" joined so far, if colors are blurred separately; the "frame" summed so far; the sensor's "codes" of the
     complete frame; the "counts" of a filling, and the mask of pixels that were "missing"; the number of "depth_layers".
     color: color that the pass processes, 0 to 2; by default all colors.
     """

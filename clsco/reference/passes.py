@@ -86,7 +86,9 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
 
 
 def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> dict[str, Any]:
-    """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers; outputs as from `run`."""
+    """Outputs as from `run`, where the sources are the pixels of an image: a warped one, that of a static depth map, or
+    a pinhole image, which is blurred in depth layers.
+    """
     guard, needed = 0, plan.claimed[1]
     outputs: dict[str, Any] = {}
     while guard < needed or not outputs:

@@ -78,7 +78,9 @@ def only_with(selector: str, homes: Mapping[str, tuple[str, ...]]) -> Any:
 
 
 def instead_of(**others: str) -> Any:
-    """Validator for keys that exclude another key, which precedes them; others: the excluded key for each key."""
+    """Validator for keys that cannot be given together with another, which the model declares before them. others: this
+    other key, by key.
+    """
 
     def check(value: Any, info: ValidationInfo) -> Any:
         other = others[str(info.field_name)]

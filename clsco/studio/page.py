@@ -249,7 +249,7 @@ def _stack() -> None:
 
 
 def _inspector() -> None:
-    """Panel with the figures of the pixel under the cursor."""
+    """Panel about the pixel under the cursor: its values, a histogram and its point spread function."""
     with say("section", aria_label="Inspector"):
         with say("div", class_="row"):
             say("h2", "Inspector")

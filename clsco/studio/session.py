@@ -100,7 +100,7 @@ class Document(Editor):
         }
 
     def resume(self, linked: Linked, file: str, digest: str) -> None:
-        """Go to a scene that `remembered` described, as an undo step. Raises SceneError as `load_share`."""
+        """Go to a scene that `remembered` described, as an undo step. Raises SceneError as `load_share` does."""
         table, missing = linked
         target = self.inside(Path(file)) if file else None
         start = target.parent if target is not None else self.root

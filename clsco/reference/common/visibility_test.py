@@ -127,8 +127,8 @@ def near_focus(visibility: Visibility, t: Array) -> Array:
 def response(t: Array, width: Array) -> Array:
     """Response of a pixel, up to a factor, to light through a lens cell that arrives t px from the pixel's middle.
 
-    width: width of this light in px for point sources, which fills the cell's image; 1 px for a pixel's source, of
-    which only light through the middle of a cell is considered.
+    width: of this light, in px. The light of a point source fills the image of the cell, so this is the image's width.
+    For the source of a pixel, only light through the middle of the cell is considered, so this is 1 px.
     """
     return np.clip(0.5 * (1.0 + width) - np.abs(t), 0.0, width)
 

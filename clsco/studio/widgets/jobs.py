@@ -156,7 +156,7 @@ def _state(job: CommandJob) -> str:
 
 
 def _draw(jobs: Jobs, job: CommandJob) -> tuple[PagePart, PagePart]:
-    """Draw a job; returns the parts that show its progress."""
+    """Draw a job; returns the parts with its progress and with its results."""
     progress, results = PagePart(partial(_progress, job)), PagePart(partial(_results, jobs, job))
     with say("article", aria_label=f"Job {job.number}", class_=f"job {job.status}"):
         say("h3", f"{job.number} {job.title}")
