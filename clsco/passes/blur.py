@@ -73,7 +73,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
 
 @dataclass(frozen=True)
 class Target:
-    """What a kernel launch needs: a session, the kernels of a program, and the precision of their geometry."""
+    """Requirements of a kernel launch: a session, the kernels of a program, and the precision of their geometry."""
 
     session: Session
     program: Program
