@@ -17,7 +17,7 @@ from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
 BUDGET = {
-    "lines of clsco/*.py": 43_600,
+    "lines of clsco/*.py": 43_620,
     "lines of kernels": 10_250,
     "lines of tests": 42_750,
     "words of documentation": 25_000,

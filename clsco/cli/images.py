@@ -10,7 +10,7 @@ import click
 
 from clsco.cli import options
 from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, parse_focus
-from clsco.cli.inputs import report_inputs, report_loss, report_notes
+from clsco.cli.inputs import paired_files, report_inputs, report_loss, report_notes
 from clsco.cli.options import PATH, Command, Computation, Names, option, require_device
 from clsco.cli.output import echo
 from clsco.cli.render import render_to_folders, request_for
@@ -42,7 +42,13 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Command], Comm
 @click.command()
 @click.argument("image", type=PATH)
 @click.argument("depth", type=PATH)
-@option("-o out", "OUT", "Folder for the frame, or a file .png, .tif or .exr for its image alone.", PATH, required=True)
+@option(
+    "-o out",
+    "OUT",
+    "Folder for frames, or a file .png, .tif or .exr for the image alone; {} is the name of IMAGE.",
+    PATH,
+    required=True,
+)
 @option("--image-layer texture_layer", "NAME", _LAYER.format("IMAGE"))
 @option("--depth-layer", "NAME", _LAYER.format("DEPTH"))
 @_depth_option("unit", "UNIT", "Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
@@ -76,10 +82,12 @@ def defocus(
 ) -> None:  # fmt: skip
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
-    DEPTH is a PNG, JPEG, TIFF, EXR, PFM, DPT, NPY or NPZ. All else is as in a scene with this one object; --set sets
-    its other keys. If --set gives a key several values, the frame of each value has a folder in OUT.
+    If IMAGE is a folder, each of its images is defocused by the file of its name in the folder DEPTH. DEPTH is a PNG,
+    JPEG, TIFF, EXR, PFM, DPT, NPY or NPZ. All else is as in a scene with this one object; --set sets its other keys. If
+    --set gives a key several values, the frame of each value has a folder in OUT.
     """
     from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
+    from clsco.inputs.depth_files import DEPTH_FORMATS
     from clsco.plan.prepare import prepare_files
 
     alone, request = is_image_file(out), request_for((), computation)
@@ -88,15 +96,19 @@ def defocus(
     focus = parse_focus(values.pop("focus_at"), values.pop("focus_depth"))
     if focus is not None and values["focus_distance"] is not None:
         raise click.UsageError("focus: goes without --focus-distance; got both")
-    sweep = scenes_from_files(image, depth, values, overrides)
-    check_pair(sweep.scenes[0])
-    loaded = focus_files([(image, sweep)], focus)
+    pairs = paired_files(image, depth, DEPTH_FORMATS, out)
+    sweeps = [(first, scenes_from_files(first, second, values, overrides)) for first, second, _ in pairs]
+    for _, sweep in sweeps:
+        check_pair(sweep.scenes[0])
+    loaded = focus_files(sweeps, focus)
     if not alone:
         render_to_folders(loaded, out, files, computation, quiet)
         return
     planned = prepare_files(loaded, request)
     scenes = [each for _, _, prepared in planned for each in prepared]
-    prepare_image([each.scene for each in scenes], out)
+    for (*_, file), (_, _, prepared) in zip(pairs, planned, strict=True):
+        together = prepared if "{}" in out.name else scenes  # without {}, a file takes one image of all
+        prepare_image([each.scene for each in together], file)
     report_inputs(planned)
     report_loss(out, scenes[0].color)
     require_device(computation.device)
@@ -104,16 +116,18 @@ def defocus(
     from clsco.engine.sequence import render_prepared
     from clsco.opencl.session import session_for
 
-    with progress(1, quiet) as advance:
-        for _, frame in render_prepared(session_for(computation.device), scenes):
-            write_color(out, frame, frame.metadata["bits"], scenes[0].scene.image.transfer, scenes[0].color)
+    with progress(len(scenes), quiet) as advance:
+        for k, frame in render_prepared(session_for(computation.device), scenes):
+            write_color(pairs[k][-1], frame, frame.metadata["bits"], scenes[k].scene.image.transfer, scenes[k].color)
             advance()
+    if len(scenes) > 1 and not quiet:
+        echo(f"{click.format_filename(out)}: {len(scenes)} images")
 
 
 @click.command()
 @click.argument("image", type=PATH)
 @click.argument("mask", type=PATH)
-@option("-o out", "OUT", "File for the filled image: .png, .tif or .exr.", PATH, required=True)
+@option("-o out", "OUT", "File for the filled image: .png, .tif or .exr; {} is the name of IMAGE.", PATH, required=True)
 @option(
     "--method", "METHOD", "mean-median, biharmonic, texture, or auto for the better of the last two.",
     Names(lambda: ("auto", "mean-median", "biharmonic", "texture")), shown="auto",
@@ -135,27 +149,44 @@ def inpaint(
 ) -> None:  # fmt: skip
     """Fill the missing pixels of IMAGE: those that are white (255) in MASK, a file of the same size.
 
-    IMAGE is gray or color, of 8 or 16 bits, or of floats, whose missing pixels may be NaN. OUT has the type of IMAGE.
+    If IMAGE is a folder, MASK is one file for all its images, or a folder with masks of the same names. IMAGE is gray
+    or color, of 8 or 16 bits, or of floats, whose missing pixels may be NaN. OUT has the type of IMAGE.
     """
     from clsco.cli.inpaint import mean_median_options, prepare_out, read_pair
+    from clsco.errors import FileError
+    from clsco.files.decoders import IMAGE_FORMATS
 
-    prepare_out(out, image, mask)
-    picture, missing = read_pair(image, mask, threshold, image_layer)
-    pixels, color = picture.data, picture.color
-    writer = prepare_out(out, image, mask, picture.is_float)
-    report_notes(str(image), picture.notes())
-    report_loss(out, color)
+    pairs = paired_files(image, mask, IMAGE_FORMATS, out)
+    if len(pairs) > 1 and "{}" not in out.name:
+        raise FileError(
+            f"{out}: a file takes one image, so with a folder it must contain {{}}; got {len(pairs)} images"
+        )
+    for first, second, file in pairs:
+        prepare_out(file, first, second)
     require_device(device)
     from clsco import inpaint as fill
-    from clsco.cli.progress import shares
+    from clsco.cli.progress import progress, shares
     from clsco.cli.tables import inpaint_tables, print_tables
 
-    chosen = mean_median_options(method, constants)
-    with shares(quiet) as progress:
-        filled, report = fill(
-            pixels, missing, method=method, device=device, progress=progress, options=chosen, return_report=True
-        )
-    writer.save(out, filled, color)
-    print_tables(*inpaint_tables(report))
-    if not report.missing_pixels:
-        echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
+    chosen, several, copies = mean_median_options(method, constants), len(pairs) > 1, list[str]()
+    with progress(len(pairs), quiet, "images") if several else shares(quiet) as advance:
+        for first, second, file in pairs:
+            picture, missing = read_pair(first, second, threshold, image_layer)
+            writer = prepare_out(file, first, second, picture.is_float)
+            report_notes(str(first), picture.notes())
+            report_loss(file, picture.color)
+            filled, report = fill(
+                picture.data, missing, method=method, device=device, progress=None if several else advance,
+                options=chosen, return_report=True,
+            )  # fmt: skip
+            writer.save(file, filled, picture.color)
+            if several:
+                advance(1)
+            if not report.missing_pixels:
+                copies.append("{} is a copy of {}".format(*map(click.format_filename, (file, first))))
+    if several:
+        echo(f"{click.format_filename(out)}: {len(pairs)} images")
+    else:
+        print_tables(*inpaint_tables(report))
+    for line in copies:
+        echo(f"no pixel is missing: {line}")

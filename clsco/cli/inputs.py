@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -103,6 +103,33 @@ def prepare_file(out: Path, sources: Iterable[Path], names: str) -> ImageWriter:
     writer = writer_for(out)
     make_writable_folder(out.parent)
     return writer
+
+
+def paired_files(
+    image: Path, other: Path, formats: Collection[str], out: Path
+) -> list[tuple[Path, Path, Path]]:  # fmt: skip
+    """Image, depth map or mask, and output, in which {} stands for the image's name without its extension.
+
+    If `image` is a folder, each of its images belongs to the file of the same name in the folder `other`, whose formats
+    are `formats`, or to the single file `other`. Raises FileError.
+    """
+    from clsco.files.decoders import IMAGE_FORMATS
+    from clsco.files.layers import list_names
+
+    def by_name(folder: Path, suffixes: Collection[str]) -> dict[str, Path]:
+        paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes and path.name[0] != "."]
+        names = {path.stem: path for path in paths}
+        if len(names) != len(paths) or not paths:
+            rule = f"must hold files of different names that end in {' '.join(suffixes)}"
+            raise FileError(f"{folder}: {rule}; got {list_names(path.name for path in paths) or 'none'}")
+        return names
+
+    images = by_name(image, IMAGE_FORMATS) if image.is_dir() else {image.stem: image}
+    others = by_name(other, formats) if image.is_dir() and other.is_dir() else dict.fromkeys(images, other)
+    if missing := images.keys() - others.keys():
+        rule = f"must have a file for each image in {image}"
+        raise FileError(f"{other}: {rule}; got none for {list_names(missing)}")
+    return [(path, others[name], Path(str(out).replace("{}", name))) for name, path in images.items()]
 
 
 def report_loss(out: Path, color: Color) -> None:

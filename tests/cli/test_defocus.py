@@ -192,3 +192,40 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
         assert message in result.stderr
         assert "Traceback" not in result.stderr
     assert sorted(tmp_path.iterdir()) == sorted([image, depth, other])
+
+
+def test_folders_give_a_folder_or_a_file_for_each_image(tmp_path: Path) -> None:
+    """The bits of single calls; each depth map is that of its image's name."""
+    images, depths = tmp_path / "images", tmp_path / "depths"
+    for folder in (images, depths):
+        folder.mkdir()
+    for number, name in enumerate("ab"):
+        write_png(images / f"{name}.png", np.roll(CODES, number))
+        write_png(depths / f"{name}.png", DEPTHS + np.uint16(20 * number))
+    (images / "notes.txt").touch()
+    options = ("--focus-depth", "0.5", "--pixel-pitch", "0.05")
+    result = clsco_("defocus", images, depths, "-o", tmp_path / "{}.exr", *options)
+    assert (result.exit_code, result.stdout) == (0, f"{tmp_path / '{}.exr'}: 2 images\n")
+    assert clsco_("defocus", images, depths, "-o", tmp_path / "frames", *options).exit_code == 0
+    for name in "ab":
+        alone = tmp_path / f"alone_{name}.exr"
+        assert clsco_("defocus", images / f"{name}.png", depths / f"{name}.png", "-o", alone, *options).exit_code == 0
+        assert alone.read_bytes() == (tmp_path / f"{name}.exr").read_bytes()
+        assert (tmp_path / "frames" / name / "frame_0000.png").is_file()
+    refused = {
+        tmp_path / "one.png": f"{tmp_path / 'one.png'}: a file takes one image, a folder takes more; got 2",
+        tmp_path
+        / "{}.jpg": f"{tmp_path / '{}.jpg'}: must be a folder, or end in one of .png .tif .tiff .exr; got '.jpg'",
+    }
+    for out, message in refused.items():
+        assert clsco_("defocus", images, depths, "-o", out).stderr == f"error: {message}\n"
+    (depths / "b.png").unlink()
+    message = f"{depths}: must have a file for each image in {images}; got none for b"
+    assert clsco_("defocus", images, depths, "-o", tmp_path / "new").stderr == f"error: {message}\n"
+    write_png(images / "a.tif.png", CODES)
+    (images / "a.tif.png").rename(images / "a.jpg")
+    for folder, got in ((images, "a.jpg a.png b.png"), (tmp_path / "frames", "none")):
+        result = clsco_("defocus", folder, depths, "-o", tmp_path / "new")
+        assert result.stderr.startswith(f"error: {folder}: must hold files of different names that end in .png ")
+        assert result.stderr.endswith(f"; got {got}\n")
+    assert not (tmp_path / "new").exists()

@@ -178,3 +178,21 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Non
         for share in (0.0, 0.005, 0.3, 0.3, 0.999):
             progress(share)
     assert "99/100" in terminal.getvalue()
+
+
+def test_all_images_of_a_folder_are_filled(save: Save, tmp_path: Path) -> None:
+    mask = save("mask.png", MASK)
+    for folder in ("images", "masks"):
+        (tmp_path / folder).mkdir()
+    for name in "ab":
+        save(f"images/{name}.png", np.roll(CODES, ord(name)))
+        save(f"masks/{name}.png", MASK)
+    for masks in (mask, tmp_path / "masks"):
+        out = tmp_path / f"{masks.stem}_{{}}.png"
+        assert run(tmp_path / "images", masks, "-o", out).stdout == f"{out}: 2 images\n"
+        for name in "ab":
+            expected = clsco.inpaint(np.roll(CODES, ord(name)), MISSING)
+            np.testing.assert_array_equal(read_image(tmp_path / f"{masks.stem}_{name}.png").data, expected)
+    out = tmp_path / "one.png"
+    rule = "a file takes one image, so with a folder it must contain {}; got 2 images"
+    assert run(tmp_path / "images", mask, "-o", out).stderr == f"error: {out}: {rule}\n"
