@@ -337,7 +337,7 @@ def _decode_exr(file: BinaryIO, layer: str | None = None) -> NDArray[Any]:
 def _pfm_header(file: BinaryIO) -> tuple[int, int, int, float]:
     """Header of a PFM: channels, columns, rows, and the scale whose sign is the byte order."""
     head = file.read(LONGEST_PFM)
-    match = re.match(rb"(P[Ff])\s+(\S+)\s+(\S+)\s+(\S+)\s", head)
+    match = re.match(rb"(P[Ff])\s+(\S{1,40})\s+(\S{1,40})\s+(\S{1,40})\s", head)
     if match is None:
         raise ValueError(f"a header of {head[:32]!r}")
     file.seek(match.end())

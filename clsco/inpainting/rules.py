@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import comb, frexp
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
@@ -61,7 +62,7 @@ class MeanMedian:
             value = getattr(self, name)
             if not isinstance(value, int) or not least <= value <= most:
                 raise SceneError(f"{name}: must be a whole number from {least} to {most}; got {value}")
-        if not 0.0 <= self.border_share <= 1.0:
+        if not (isinstance(self.border_share, Real) and 0.0 <= self.border_share <= 1.0):
             raise SceneError(f"border_share: must be from 0 to 1; got {self.border_share}")
 
 

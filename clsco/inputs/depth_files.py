@@ -64,7 +64,8 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
         data = data[..., 0]
     if data.ndim != 2:
         raise_file_error(path, "shape must be (rows, columns)", data.shape)
-    return np.ascontiguousarray(data, np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("="))
+    with np.errstate(invalid="ignore"):  # NaNs of a damaged file may be signaling ones
+        return np.ascontiguousarray(data, np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("="))
 
 
 def _decode_exr(file: BinaryIO, layer: str | None) -> NDArray[Any]:

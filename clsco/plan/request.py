@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite
+from numbers import Real
 
 from clsco.errors import SceneError
 
 
 def check_tolerance(tolerance: float) -> None:
     """Raise SceneError unless a tolerance is a positive number."""
-    if not (isfinite(tolerance) and tolerance > 0.0):
+    if not (isinstance(tolerance, Real) and isfinite(tolerance) and tolerance > 0.0):
         raise SceneError(f"tolerance: must be a number above 0, RMS of white; got {tolerance}")
 
 

@@ -40,6 +40,7 @@ STEREO = clsco.parse_scene(DATA | {"stereo": {"baseline": 10.0}})
         ({"method": "best"}, "method: must be one of auto, gather"),
         ({"tolerance": 0.0}, "tolerance: must be a number above 0"),
         ({"tolerance": float("nan")}, "tolerance: must be a number above 0"),
+        ({"tolerance": "x"}, "tolerance: must be a number above 0, RMS of white; got x"),
         ({"memory": "much"}, "memory: must be a size"),
         ({"device": "no such device"}, "device: must be a part of the name of one of"),
         ({"device": 7}, "device: must be a part of a name, or a Device, Context or CommandQueue of pyopencl; got int"),

@@ -182,6 +182,10 @@ def test_reads_what_sintel_writes(tmp_path: Path) -> None:
     (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth)[:-1])
     rule = "must be a whole DPT; got 23 bytes after a header of 3 x 2 pixels"
     assert refusal(tmp_path / "depth.dpt").startswith(rule)
+    (tmp_path / "depth.pfm").write_bytes(b"Pf " + 100 * b"a" + b" 3 -1\n")
+    assert refusal(tmp_path / "depth.pfm") == f"must be a whole PFM; got a header of b'Pf {29 * 'a'}'"
+    (tmp_path / "depth.pfm").write_bytes(b"Pf 1 1 -1\n\x01\x00\xa0\x7f")
+    assert np.isnan(read_depth(tmp_path / "depth.pfm"))  # a signaling NaN
 
 
 def test_an_exr_may_have_parts(tmp_path: Path) -> None:

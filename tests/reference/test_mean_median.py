@@ -88,6 +88,7 @@ def test_the_span_is_that_of_known_pixels() -> None:
         ({"smoothing_rounds": -1}, "smoothing_rounds: must be a whole number from 0 to 1000; got -1"),
         ({"border_share": 1.5}, "border_share: must be from 0 to 1; got 1.5"),
         ({"border_share": float("nan")}, "border_share: must be from 0 to 1; got nan"),
+        ({"border_share": "x"}, "border_share: must be from 0 to 1; got x"),
     ],
 )
 def test_constants_out_of_range_are_refused(constants: dict[str, object], message: str) -> None:
