@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 BUDGET = {
     "lines of clsco/*.py": 43_620,
     "lines of kernels": 10_250,
-    "lines of tests": 42_750,
+    "lines of tests": 42_760,
     "words of documentation": 25_000,
     "wheel, kB": 1_660,
     "kernel programs of the tests": 300,

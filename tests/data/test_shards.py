@@ -7,6 +7,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, load_distribution
 from clsco.data.failures import failure_of
 from clsco.data.manifest import part_bytes, part_key
-from clsco.data.sets import DataSet, check_resumable, finish, open_set, ranges, status_of
-from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch
+from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, ranges, status_of
+from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch, statistics
 from clsco.data.storage import open_storage
 from clsco.data.verify import verify_samples
 from clsco.errors import DeviceError, FileError, KernelError, MissingDependencyError, SceneError
@@ -279,3 +280,14 @@ def test_values_come_in_order_and_errors_arrive() -> None:
 def test_a_set_without_color_makes_no_image() -> None:
     assert not SampleRenderer(choose(), ("depth",), "double").request.color
     assert SampleRenderer(choose(), ("color", "depth"), "double").request.color
+
+
+def test_statistics_have_the_share_of_finite_values_and_lengths_of_the_flow() -> None:
+    arrays = {"flow": np.array([[[3.0, -4.0], [np.inf, 0.0]]]), "v00.depth": np.array([[2.0, np.inf]])}
+    expected = {"flow": [0.5] + 5 * [5.0], "v00.depth": [0.5] + 5 * [2.0]}
+    assert statistics({**arrays, "mask": np.ones((1, 2))}) == expected
+
+
+def test_seconds_left_are_for_samples_that_are_neither_made_nor_failed() -> None:
+    part: Any = SimpleNamespace(made=3, failed=1)
+    assert Status(shards=2, samples=10, done={0: part}, faults=(), rate=2.0).seconds_left == 3.0
