@@ -43,12 +43,9 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Command], Comm
 @click.argument("image", type=PATH)
 @click.argument("depth", type=PATH)
 @option(
-    "-o out",
-    "OUT",
-    "Folder for frames, or a file .png, .tif or .exr for the image alone; {} is the name of IMAGE.",
-    PATH,
-    required=True,
-)
+    "-o out", "OUT", "Folder for frames, or a file .png, .tif or .exr for the image alone; {} is the name of IMAGE.",
+    PATH, required=True,
+)  # fmt: skip
 @option("--image-layer texture_layer", "NAME", _LAYER.format("IMAGE"))
 @option("--depth-layer", "NAME", _LAYER.format("DEPTH"))
 @_depth_option("unit", "UNIT", "Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
@@ -96,7 +93,7 @@ def defocus(
     focus = parse_focus(values.pop("focus_at"), values.pop("focus_depth"))
     if focus is not None and values["focus_distance"] is not None:
         raise click.UsageError("focus: goes without --focus-distance; got both")
-    pairs = paired_files(image, depth, DEPTH_FORMATS, out)
+    pairs = paired_files(image, depth, DEPTH_FORMATS, out, alone)
     sweeps = [(first, scenes_from_files(first, second, values, overrides)) for first, second, _ in pairs]
     for _, sweep in sweeps:
         check_pair(sweep.scenes[0])
@@ -105,12 +102,12 @@ def defocus(
         render_to_folders(loaded, out, files, computation, quiet)
         return
     planned = prepare_files(loaded, request)
-    scenes = [each for _, _, prepared in planned for each in prepared]
     for (*_, file), (_, _, prepared) in zip(pairs, planned, strict=True):
-        together = prepared if "{}" in out.name else scenes  # without {}, a file takes one image of all
-        prepare_image([each.scene for each in together], file)
+        prepare_image([each.scene for each in prepared], file)
     report_inputs(planned)
-    report_loss(out, scenes[0].color)
+    scenes = [prepared for _, _, (prepared,) in planned]
+    for (*_, file), scene in zip(pairs, scenes, strict=True):
+        report_loss(file, scene.color)
     require_device(computation.device)
     from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared
@@ -153,14 +150,9 @@ def inpaint(
     or color, of 8 or 16 bits, or of floats, whose missing pixels may be NaN. OUT has the type of IMAGE.
     """
     from clsco.cli.inpaint import mean_median_options, prepare_out, read_pair
-    from clsco.errors import FileError
     from clsco.files.decoders import IMAGE_FORMATS
 
     pairs = paired_files(image, mask, IMAGE_FORMATS, out)
-    if len(pairs) > 1 and "{}" not in out.name:
-        raise FileError(
-            f"{out}: a file takes one image, so with a folder it must contain {{}}; got {len(pairs)} images"
-        )
     for first, second, file in pairs:
         prepare_out(file, first, second)
     require_device(device)

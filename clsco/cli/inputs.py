@@ -106,12 +106,13 @@ def prepare_file(out: Path, sources: Iterable[Path], names: str) -> ImageWriter:
 
 
 def paired_files(
-    image: Path, other: Path, formats: Collection[str], out: Path
+    image: Path, other: Path, formats: Collection[str], out: Path, to_files: bool = True
 ) -> list[tuple[Path, Path, Path]]:  # fmt: skip
-    """Image, depth map or mask, and output, in which {} stands for the image's name without its extension.
+    """Pairs of an image and its depth map or mask, with the output, where {} is the image's name without its extension.
 
-    If `image` is a folder, each of its images belongs to the file of the same name in the folder `other`, whose formats
-    are `formats`, or to the single file `other`. Raises FileError.
+    If `image` is a folder, each of its images belongs to the file of the same name in the folder `other`, whose
+    extensions are `formats`, or to the single file `other`. to_files: True if `out` is a file, False if it is a folder,
+    which takes any number of images. Raises FileError.
     """
     from clsco.files.decoders import IMAGE_FORMATS
     from clsco.files.layers import list_names
@@ -129,6 +130,9 @@ def paired_files(
     if missing := images.keys() - others.keys():
         rule = f"must have a file for each image in {image}"
         raise FileError(f"{other}: {rule}; got none for {list_names(missing)}")
+    if len(images) > 1 and "{}" not in str(out) if to_files else "{}" in str(out):
+        rule = "must be a file with {} for the name of each image, or a folder without {}"
+        raise FileError(f"{out}: {rule}; got {len(images)} image{'s' * (len(images) > 1)}")
     return [(path, others[name], Path(str(out).replace("{}", name))) for name, path in images.items()]
 
 

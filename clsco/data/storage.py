@@ -7,6 +7,7 @@ import os
 import secrets
 import shutil
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
@@ -70,7 +71,7 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-class _Storage:
+class _Storage(ABC):
     """Files and folders by key, which is a relative path with "/". All methods raise FileError on failure.
 
     Each process has a scratch folder for unfinished files. It is in `base`, and its name begins with `prefix`.
@@ -104,8 +105,9 @@ class _Storage:
             return hashlib.file_digest(file, "sha256").hexdigest()
         return None
 
+    @abstractmethod
     def _open(self, key: str) -> Any:
-        raise NotImplementedError
+        """The content of a key, as a file open for reading."""
 
 
 class _Folder(_Storage):

@@ -130,7 +130,7 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     )  # fmt: skip
     motion += taken(("frames", "interval"), "sequence.")
     of_thesis = image, kind, taken(own), motion, taken(camera, "camera.")
-    found = [Panel(title, fields, True) for title, fields in zip(tables.THESIS_TITLES, of_thesis, strict=True)]
+    panels = [Panel(title, fields, True) for title, fields in zip(tables.THESIS_TITLES, of_thesis, strict=True)]
     rest: tuple[tuple[str, dict[str, Field], tuple[str, ...]], ...] = (
         ("Texture on the surface", of_object, ("texture_",)),
         ("Motion over time", of_object, ("motion.",)),
@@ -147,9 +147,9 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     )
     for title, source, starts in rest:
         keys = [key for key in source if key.startswith(starts)]
-        found.append(Panel(title, tuple(source.pop(key) for key in keys)))
-    found += [Panel("Groups", groups), Panel("More", tuple(scene.values()))]  # "More": keys that no row above names
-    return tuple(replace(panel, is_open=panel.is_open or _is_used(session, panel)) for panel in found if panel.fields)
+        panels.append(Panel(title, tuple(source.pop(key) for key in keys)))
+    panels += [Panel("Groups", groups), Panel("More", tuple(scene.values()))]  # "More": keys that no row above names
+    return tuple(replace(panel, is_open=panel.is_open or _is_used(session, panel)) for panel in panels if panel.fields)
 
 
 def _is_used(session: Document, panel: Panel) -> bool:

@@ -58,8 +58,8 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
         times = [time]
         if not old and motion.moves:
             times = _moving_times(scene, motion, time)
-            given: Table = at(table, outer.split("."))
-            rest = {key: value for key, value in given.items() if not key.endswith(("velocity", "acceleration"))}
+            section: Table = at(table, outer.split("."))
+            rest = {key: value for key, value in section.items() if not key.endswith(("velocity", "acceleration"))}
             table = with_value(table, outer.split("."), {"outside": "linear"} | rest)
         new = [
             {key: as_lists(value) for key, value in keyframe_at(motion, t, scene.motion.rotation).model_dump().items()}

@@ -354,18 +354,18 @@ class _RenderWorker:
         self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
     ) -> ViewPicture:
         """Render a preview; learns: True to learn from its time."""
-        wanted, start = _needed(job), time.perf_counter()
-        scene = coarser(wanted, size, eighths, way)
+        exact, start = _needed(job), time.perf_counter()
+        scene = coarser(exact, size, eighths, way)
         frame = self._frame(scene, job, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         if learns:
-            self._ladders_of(job).of[way].measured(work_of(wanted, size, way), eighths, time.perf_counter() - start)
-        return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(wanted)))))
+            self._ladders_of(job).of[way].measured(work_of(exact, size, way), eighths, time.perf_counter() - start)
+        return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(exact)))))
 
     def _rehearse(self, job: PictureJob) -> None:
-        size, ladders, wanted = with_resolution(job.scene).camera.frame_size, self._ladders_of(job), _needed(job)
-        for way in ways_of(wanted):
-            ladder, work = ladders.of[way], work_of(wanted, size, way)
+        size, ladders, exact = with_resolution(job.scene).camera.frame_size, self._ladders_of(job), _needed(job)
+        for way in ways_of(exact):
+            ladder, work = ladders.of[way], work_of(exact, size, way)
             if job.took:
                 ladder.bounded(work, job.took)
             for eighths in REHEARSED:

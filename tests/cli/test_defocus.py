@@ -212,13 +212,14 @@ def test_folders_give_a_folder_or_a_file_for_each_image(tmp_path: Path) -> None:
         assert clsco_("defocus", images / f"{name}.png", depths / f"{name}.png", "-o", alone, *options).exit_code == 0
         assert alone.read_bytes() == (tmp_path / f"{name}.exr").read_bytes()
         assert (tmp_path / "frames" / name / "frame_0000.png").is_file()
-    refused = {
-        tmp_path / "one.png": f"{tmp_path / 'one.png'}: a file takes one image, a folder takes more; got 2",
-        tmp_path
-        / "{}.jpg": f"{tmp_path / '{}.jpg'}: must be a folder, or end in one of .png .tif .tiff .exr; got '.jpg'",
-    }
-    for out, message in refused.items():
-        assert clsco_("defocus", images, depths, "-o", out).stderr == f"error: {message}\n"
+    rule = "must be a file with {} for the name of each image, or a folder without {}; got 2 images"
+    for name, message in (
+        ("one.png", rule), ("{}", rule),
+        ("{}.jpg", "must be a folder, or end in one of .png .tif .tiff .exr; got '.jpg'"),
+    ):  # fmt: skip
+        assert (
+            clsco_("defocus", images, depths, "-o", tmp_path / name).stderr == f"error: {tmp_path / name}: {message}\n"
+        )
     (depths / "b.png").unlink()
     message = f"{depths}: must have a file for each image in {images}; got none for b"
     assert clsco_("defocus", images, depths, "-o", tmp_path / "new").stderr == f"error: {message}\n"

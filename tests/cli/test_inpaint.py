@@ -194,5 +194,5 @@ def test_all_images_of_a_folder_are_filled(save: Save, tmp_path: Path) -> None:
             expected = clsco.inpaint(np.roll(CODES, ord(name)), MISSING)
             np.testing.assert_array_equal(read_image(tmp_path / f"{masks.stem}_{name}.png").data, expected)
     out = tmp_path / "one.png"
-    rule = "a file takes one image, so with a folder it must contain {}; got 2 images"
+    rule = "must be a file with {} for the name of each image, or a folder without {}; got 2 images"
     assert run(tmp_path / "images", mask, "-o", out).stderr == f"error: {out}: {rule}\n"

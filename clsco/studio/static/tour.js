@@ -54,11 +54,11 @@ const drawn = () => {
   words.setAttribute("aria-live", "polite");
   next.className = "primary";
   const count = made("span", { id: "tour-at", className: "spread" }), back = button("Back", () => show(at - 1), "tour-back");
-  const found = made("dialog", { id: "tour" }, words, made("div", { className: "row" }, count, back, next, button("Close", () => show(-1))));
-  found.setAttribute("aria-label", "Tour");
-  found.addEventListener("close", () => { one("#studio").classList.remove("open", "sided"); show(-1); });
-  one("#studio").append(found);
-  return found;
+  const tour = made("dialog", { id: "tour" }, words, made("div", { className: "row" }, count, back, next, button("Close", () => show(-1))));
+  tour.setAttribute("aria-label", "Tour");
+  tour.addEventListener("close", () => { one("#studio").classList.remove("open", "sided"); show(-1); });
+  one("#studio").append(tour);
+  return tour;
 };
 
 studio.parts.push(() => {
