@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clsco.inputs.pupils import load_point_spread
 from clsco.optics.point_spread import PointSpread
+from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.reference.trace.trace import Sources, SubpixelSources
 from clsco.scene.model import Aperture, Psf
@@ -27,6 +28,28 @@ def spec_of(
     """Blur by the keys of [psf] and [aperture]; `largest`: |R| in px."""
     given = {"smallest": 0.0, "tilt": psf.tilt, "border": psf.border} | others
     return BlurSpec(load_point_spread(psf, aperture or Aperture()), method, largest=largest, **given)
+
+
+def table_coordinate(
+    psf: PointSpread, radius: NDArray[np.float64], subpixel: bool, first: int, count: int, turned: int = 0
+) -> NDArray[np.float32]:
+    """Coordinates (...) in a device's table of PSF weights; their integer part is the interval's number.
+
+    radius: (...) px; first, count: the table has `count` intervals, from number `first` on, to which other radii are
+    clamped; turned: for a signed shape, the number added to coordinates of negative radii, where 0 stands for `count`.
+    Coordinates are rounded to float32, but for a sampled PSF never into the next interval, as weights may jump there.
+    """
+    u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
+    rounded = u.astype(np.float32)
+    highest = np.full(u.shape, first + count)
+    jumps = psf.sampled and not subpixel
+    ceiling = (np.minimum(np.floor(u) + 1.0, highest) if jumps else highest).astype(np.float32)
+    coordinate = np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
+    if not psf.signed:
+        return coordinate
+    negative, end = (values + np.float32(turned or count) for values in (coordinate, ceiling))
+    negative = np.where(negative < end, negative, np.nextafter(end, np.float32(0.0)))
+    return np.where(np.asarray(radius) < 0.0, negative, coordinate)
 
 
 def convolve(psf: PointSpread, radiance: NDArray[np.float64], radius: float, guard: int) -> NDArray[np.float64]:

@@ -144,10 +144,10 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
     mask, zeros = np.ones(plan.shape, dtype=bool), np.zeros(np.prod(plan.shape))
     state, visibility = _check_rims(plan, time, 0, mask, zeros, 0.0)  # points, so that lens cells are used
     share, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
-    if visibility.pupil is not None:
+    if plan.psf.cut_by_chords:
         zero, ones = np.zeros(1), np.ones(1)
-        size, borders = LEAST_OPENING * ones, visibility.pupil.borders
-        full = chord_weights(zero, zero, size, rims=((zero, zero, ones),), borders=borders) / visibility.pupil.light
+        size, pupil = LEAST_OPENING * ones, plan.psf.pupil
+        full = chord_weights(zero, zero, size, rims=((zero, zero, ones),), borders=pupil.borders) / pupil.light
         share[partly] = cut_weights(visibility, zeros[partly] + 1.0, 0.0, 0.0, False) / full
     else:
         places, here = CELL_MIDDLES[np.indices(cells.shape)].reshape(2, -1).T, zeros[partly]

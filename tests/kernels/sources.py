@@ -24,12 +24,12 @@ from clsco.plan.buffers import column_bytes, margin
 from clsco.plan.methods import Blur
 from clsco.records import Struct, flat, structs
 from clsco.reference.blur import blur as twin
-from clsco.reference.common.geometry import table_coordinate, tilt_slope
+from clsco.reference.common.geometry import tilt_slope
 from clsco.reference.trace.trace import Sources, SubpixelSources
 from clsco.scene.model import Aperture, Psf
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid, run
-from tests.spreads import random_sources, random_subpixels, spec_of
+from tests.spreads import random_sources, random_subpixels, spec_of, table_coordinate
 
 Array = NDArray[Any]
 RNG = np.random.default_rng

@@ -24,6 +24,7 @@ from clsco.records import REAL, Real
 from clsco.reference.common import geometry as twin
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric
 from tests.kernels.launches import held, whole
+from tests.spreads import table_coordinate
 
 Array = NDArray[Any]
 Run = Callable[..., None]
@@ -239,7 +240,7 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
         )
     )
     for found, table, subpixel in ((coordinate, main, False), (sub_coordinate, sub, True)):
-        expected = twin.table_coordinate(point_spread(psf), radius, subpixel, table.low, table.end - table.low)
+        expected = table_coordinate(point_spread(psf), radius, subpixel, table.low, table.end - table.low)
         if psf.edge == "sampled" and not subpixel:
             np.testing.assert_array_equal(np.floor(found), np.floor(expected))  # else the tables are continuous
         # u of some 300 is formed by another order of operations: the rounding to float32 may fall on the other side.

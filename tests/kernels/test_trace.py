@@ -29,7 +29,7 @@ from clsco.plan.buffers import source_bytes
 from clsco.plan.choice import Choice
 from clsco.plan.plan import Plan, make_plan
 from clsco.records import Real, flat, structs
-from clsco.reference.common.geometry import pixel_tilt, table_coordinate, tilt_slope
+from clsco.reference.common.geometry import pixel_tilt, tilt_slope
 from clsco.reference.trace import trace as twin
 from clsco.reference.trace.truth import ground_truth
 from clsco.reference.trace.view import View
@@ -52,6 +52,7 @@ from tests.kernels.conftest import download_sources
 from tests.kernels.launches import run
 from tests.scenes import scene_of
 from tests.slow import mostly_slow
+from tests.spreads import table_coordinate
 
 Array = NDArray[Any]
 SINGLE = 2.0**-24  # largest relative error of a rounding to float32

@@ -419,12 +419,12 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     found = download(session, shares, (count, 15, 15), np.float32)
 
     zero, none = np.zeros(count), np.zeros((count, 6))
-    edge = Occluder(h, zero, none[:, :5], np.full(count, 2), none[:, :3], zero, none, none, zero, (), ())
+    edge = Occluder(h, zero, none[:, :5])
     there = np.ones(count, dtype=bool)
     x, y = offset.T
     lean, limb = np.tile([0.03125, -0.25], (count, 1)), np.arange(count) % 2 == 1
     point = np.arange(count) // 2 % 2 == 1
-    lens = extent, point_spread(psf).lens_cells(), none[:0, :3], lean, limb, zero
+    lens = point_spread(psf), point_spread(psf).lens_cells(), lean, limb, zero
     visibility = Visibility(np.arange(count), radius, ~there, point, x, y, ((there, edge),), *lens)
     cells = cell_visibility(visibility)
     taps = range(-7, 8)

@@ -17,10 +17,10 @@ from clsco.optics.psf_grid import table_coordinate, table_radius
 from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes, table_of
 from clsco.optics.pupils.circle import disc_coverage
 from clsco.optics.pupils.gaussian import Gaussian
-from clsco.reference.common.geometry import table_coordinate as float32_coordinate
 from clsco.scene.model import Psf
 from tests.optics.grids import Array, grid, square
 from tests.slow import mostly_slow
+from tests.spreads import table_coordinate as float32_coordinate
 
 PSFS = [point_spread(Psf(model=m, edge=e)) for m in ("pillbox", "gaussian") for e in ("sampled", "area", "integrated")]
 SMOOTH = [psf for psf in PSFS if psf.edge != "sampled"]

@@ -30,9 +30,9 @@ from clsco.reference.common.geometry import (
     solve_quadric,
     surface_normal,
     surface_slope,
-    table_coordinate,
 )
 from clsco.scene.model import AnyShape, Camera, Cone, Cylinder, Ellipsoid, ObjectMotion, Plane, Psf, Quadric, Sphere
+from tests.spreads import table_coordinate
 
 Array = NDArray[np.float64]
 Placer = Callable[..., PlacedSurface]

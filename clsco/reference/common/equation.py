@@ -171,11 +171,15 @@ def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> tuple[
     cx, cy = (side * 2 * (o * u @ q + u @ l + g * (l @ o - k)) for u, g in ways)
     cxx, cyy = (side * (u * u @ q + g * (2 * (u @ l) - k * g)) for u, g in ways)
     cxy = side * 2 * (ex * ey @ q + gx * (ey @ l - k * gy) + gy * (ex @ l))
-    dx, dy = 2 * e.B * bx - cx * e.F, 2 * e.B * by - cy * e.F
-    dxx, dyy, dxy = bx * bx - cxx * e.F, by * by - cyy * e.F, 2 * bx * by - cxy * e.F
-    parts = (e.B, bx, by), (np.full_like(w, e.C), cx, cy, cxx, cxy, cyy), (d, dx, dy, dxx, dxy, dyy)
-    b, c, d = (np.stack(part, axis=-1) for part in parts)
-    return b, c, d
+    b, c = np.stack([e.B, bx, by], axis=-1), np.stack([np.full_like(w, e.C), cx, cy, cxx, cxy, cyy], axis=-1)
+    return b, c, discriminant(b, c, e.F, d)
+
+
+def discriminant(b: Array, c: Array, f: Array | float, middle: Array) -> Array:
+    """Coefficients (N, 6) of D = B^2 - C F. b, c: those of B and C; f, middle (N,): F, D at the middle of the lens."""
+    (b0, bx, by), (_, cx, cy, cxx, cxy, cyy) = b.T, c.T
+    slopes = middle, 2 * b0 * bx - cx * f, 2 * b0 * by - cy * f
+    return np.stack([*slopes, bx * bx - cxx * f, 2 * bx * by - cxy * f, by * by - cyy * f], axis=-1)
 
 
 def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:

@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsco.optics.lens import Lens, ray_step
-from clsco.optics.point_spread import PointSpread
-from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.rays import places_of, ray_slopes
 from clsco.optics.visibility import OcclusionGroup
@@ -320,29 +318,6 @@ def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Fi
     return result
 
 
-def table_coordinate(
-    psf: PointSpread, radius: Array, subpixel: bool, first: int, count: int, turned: int = 0
-) -> NDArray[np.float32]:
-    """Coordinates (...) in a device's table of PSF weights; their integer part is the interval's number.
-
-    radius: (...) px; first, count: the table has `count` intervals, from number `first` on, to which other radii are
-    clamped; turned: for a signed shape, the number added to coordinates of negative radii, where 0 stands for `count`.
-    Coordinates are rounded to float32, but for a sampled PSF never into the next interval, as weights may jump there.
-    Only devices read tables; the reference computes weights.
-    """
-    u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
-    rounded = u.astype(np.float32)
-    highest = np.full(u.shape, first + count)
-    jumps = psf.sampled and not subpixel
-    ceiling = (np.minimum(np.floor(u) + 1.0, highest) if jumps else highest).astype(np.float32)
-    coordinate = np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
-    if not psf.signed:
-        return coordinate
-    negative, end = (values + np.float32(turned or count) for values in (coordinate, ceiling))
-    negative = np.where(negative < end, negative, np.nextafter(end, np.float32(0.0)))
-    return np.where(np.asarray(radius) < 0.0, negative, coordinate)
-
-
 def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array:
     """Gradient of the signed blur radius divided by the radius, (..., 2) in 1/px: l . grad R per px of offset.
 
@@ -351,10 +326,8 @@ def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array
     waves, light beside the image of a point in focus comes from the whole lens; the slope therefore tends to 0 with R.
     """
     radius = np.asarray(radius, dtype=np.float64)
-    if waves:
-        inverse = radius / np.maximum(np.abs(radius), SMALLEST_RADIUS) ** 2
-        return np.clip(gradient * inverse[..., None], -STEEPEST_TILT, STEEPEST_TILT)
-    return np.clip(gradient / signed_size(radius)[..., None], -STEEPEST_TILT, STEEPEST_TILT)
+    size = signed_size(radius)
+    return np.clip(gradient * (radius / size**2 if waves else 1.0 / size)[..., None], -STEEPEST_TILT, STEEPEST_TILT)
 
 
 def signed_size(radius: Array) -> Array:

@@ -25,7 +25,7 @@ class Occluder:
     """One surface between N points and the lens, for tests at taps offset by x, y cells, right and down.
 
     h (N, 3), root (N,), f (N, 5): the height in widths of the soft edge is h . (1, x, y) + root - sqrt(root^2 + f . (x,
-    y, x^2, x y, y^2)). strip (N,): see `strip_share`. crossings (N,): 1 or 2 intersections, 0 for a plane. follows,
+    y, x^2, x y, y^2)). strip (N,): see `strip_share`. crossings (N,): 1 or 2 intersections, None for a plane. follows,
     narrows, trails (N,): see `clsco.reference.common.equation.source_ways`.
 
     limits: conditions (N, 4) each: limit_0 + v (limit_1 + limit_2 x + limit_3 y) >= 0; for a plane, the coefficients of
@@ -37,14 +37,14 @@ class Occluder:
     h: Array
     root: Array
     f: Array
-    crossings: NDArray[np.int64]
-    b: Array
-    f0: Array
-    c: Array
-    d: Array
-    soft: Array
-    limits: tuple[Array, ...]
-    needed: tuple[Mask, ...]
+    crossings: NDArray[np.int64] | None = None
+    b: Any = None
+    f0: Any = None
+    c: Any = None
+    d: Any = None
+    soft: Any = None
+    limits: tuple[Array, ...] = ()
+    needed: tuple[Mask, ...] = ()
     strip: Array | float = 0.0
     follows: Array | float = 0.0
     narrows: Array | float = 0.0
@@ -242,7 +242,7 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     """
     if cut is not None:
         x, y = x + m.follows * cut.aside_x, y + m.follows * cut.aside_y
-    if m.limits and not m.crossings.any():  # a plane
+    if m.limits and m.crossings is None:  # a plane
         inside = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))  # with the direction in which less is hidden
         for h, needed in zip(m.limits, m.needed, strict=True):
             steep = sharpened(m, cut, h[:, 1], h[:, 2])

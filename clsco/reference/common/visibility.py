@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from clsco.constants import LEAST_OPENING
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.ray_means import RayMeans, has_ray_means, ray_means
 from clsco.optics.rims import rim_circle
@@ -32,6 +31,7 @@ from clsco.reference.common.equation import (
     Equation,
     Points,
     crossing_place,
+    discriminant,
     division_of,
     edge_width,
     equation_of,
@@ -72,34 +72,36 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
     return limits
 
 
-@dataclass(frozen=True, eq=False)
-class Outline:
-    """Outline of a surface as seen on the lens.
+def outline_slope(d: Array, root: Array, reach: Array, most: Array) -> Array:
+    """Steepest slope (N,) of h per cell at the outline, if D has its lower curvature on the way to the outline.
 
-    h, root, f, strip: as in `Occluder`, for the height h = -B - sqrt(C F) of the module's docstring. clear, hidden:
-    masks (N,) of points from which the whole lens is free, or hidden.
-    """
-
-    h: Array
-    root: Array
-    f: Array
-    strip: Array
-    clear: Mask
-    hidden: Mask
-
-
-def outline_slope(d: Array) -> Array:
-    """Steepest slope (N,) of D per cell at the outline D = 0, if D has its lower curvature on the way to the outline.
-
-    d (N, 6): from `slopes_of`.
+    d (N, 6): from `slopes_of`; root, reach (N,): the root at the outline, and the range of h; most: as in `outline_of`.
+    Without an outline, the slope is a thousandth of the range of h per cell, as on devices, where quotients would
+    otherwise overflow.
     """
     height, x, y, xx, xy, yy = d.T
     curve = 0.5 * (xx + yy - np.hypot(xx - yy, xy))
-    return np.sqrt(np.maximum(x * x + y * y - 4 * height * curve, 0.0))
+    slope = np.sqrt(np.maximum(x * x + y * y - 4 * height * curve, 0.0))
+    return np.maximum(slope / (2 * np.maximum(root, TINY)), np.maximum(1e-3 * reach / most, TINY))
 
 
-def outline_of(e: Equation, b: Array, c: Array, d: Array, soft: Array, most: Array) -> Outline:
-    """Outline of a surface that lines meet twice or not at all.
+def _outline(
+    b: Array, c: Array, h: Array, reach: Array, root: Array, f: Array | float, scale: Array, strip: Array | float = 0.0
+) -> tuple[Occluder, Mask, Mask]:  # fmt: skip
+    """The `Occluder`, and masks (N,) of points from which the whole lens is free, or hidden.
+
+    h (N,): at the middle of the lens, and within `reach` (N,) of this all over the lens; f (N,): factor of C in the
+    square of the root; scale (N,): 1 / width of the edge; other arguments as in `outline_of` and `Occluder`.
+    """
+    height = np.stack([h * scale, -b[:, 1] * scale, -b[:, 2] * scale], axis=-1)
+    occluder = Occluder(height, root * scale, c[:, 1:] * (scale * scale * f)[:, None], strip=strip)
+    return occluder, (h + reach) * scale <= -0.5, (h - reach) * scale >= 0.5
+
+
+def outline_of(
+    e: Equation, b: Array, c: Array, d: Array, soft: Array, most: Array
+) -> tuple[Occluder, Mask, Mask]:  # fmt: skip
+    """Outline of a surface that lines meet twice or not at all: as an `Occluder`, and masks as from `_outline`.
 
     b, c, d: from `slopes_of`; soft (N,): half width of the edge in cells (h is divided by the whole width); most (N,):
     distance to the farthest tap in cells.
@@ -108,55 +110,38 @@ def outline_of(e: Equation, b: Array, c: Array, d: Array, soft: Array, most: Arr
     change = e.F * (np.hypot(c_x, c_y) + (np.abs(c_xx) + np.abs(c_xy) + np.abs(c_yy)) * most) * most
     reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
     reach = reach + np.hypot(b[:, 1], b[:, 2]) * most
-    # Slope of h = D / (sqrt(C F) - B) at the outline; without an outline, a thousandth of the range of h per cell, as
-    # on devices, where quotients would otherwise overflow.
-    slope = np.maximum(outline_slope(d) / (2 * np.maximum(under, TINY)), np.maximum(1e-3 * reach / most, TINY))
+    slope = outline_slope(d, under, reach, most)
     scale = 1 / (2 * soft * slope)
     x, y = c_x / (2 * e.C), c_y / (2 * e.C)  # derivatives of the root, over the root
     bent = under * np.hypot((c_xx - c_yy) / e.C - (x * x - y * y), c_xy / e.C - 2 * x * y)
     thin = np.minimum(bent * soft / slope, 15.0)
     h = np.where(e.B < 0.0, d[:, 0] / (under - e.B), -e.B - under) + strip_share(thin) / scale
-    return Outline(
-        h=np.stack([h * scale, -b[:, 1] * scale, -b[:, 2] * scale], axis=-1),
-        root=under * scale,
-        f=c[:, 1:] * (scale * scale * e.F)[:, None],
-        strip=thin,
-        clear=(h + reach) * scale <= -0.5,
-        hidden=(h - reach) * scale >= 0.5,
-    )
+    return _outline(b, c, h, reach, under, e.F, scale, thin)
 
 
-def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Array, most: Array) -> Outline:
-    """Outline of a disc of radius r about the third axis; see `outline_of` for the arguments.
+def disc_outline(
+    surface: PlacedSurface, e: Equation, points: Points, soft: Array, most: Array
+) -> tuple[Occluder, Mask, Mask]:  # fmt: skip
+    """Outline of a disc of radius r about the third axis; arguments and results as for `outline_of`.
 
     The line to the lens intersects the disc's plane at v = -p_z / o_z. The intersection is within the radius if h = r
     |w o_z - p_z| - |p o_z - p_z o|_xy >= 0, where p is the point times w, and o is the lens point. As o is linear in
-    the tap, h has the same form as for other surfaces.
+    the tap, h has the same form as for other surfaces, with the first term for -B and the square of the second for C F.
     """
     radius, o, p = surface.canonical.radius, surface.offset, e.point
     ray = turned(surface.turn, points.rays)  # p = o w + ray
-    reach = -e.sign * radius * ray[:, 2]
     away = np.stack([difference_of_products(ray[:, i], o[2], ray[:, 2], o[i]) for i in (0, 1)], axis=-1)
     shifts = (e.along_x, e.grow_x), (e.along_y, e.grow_y)
-    r_x, r_y = (e.sign * radius * (points.w * shift[:, 2] - p[:, 2] * grow) for shift, grow in shifts)
+    b_x, b_y = (-e.sign * radius * (points.w * shift[:, 2] - p[:, 2] * grow) for shift, grow in shifts)
     a_x, a_y = (p[:, :2] * shift[:, 2:] - p[:, 2:] * shift[:, :2] for shift, _ in shifts)
-    f_x, f_y, f_xy = (2 * (first * second).sum(axis=-1) for first, second in ((away, a_x), (away, a_y), (a_x, a_y)))
-    f_xx, f_yy = ((first * first).sum(axis=-1) for first in (a_x, a_y))
-    under = np.hypot(*away.T)
-    h = reach - under
-    linear = h * (reach + under), 2 * reach * r_x - f_x, 2 * reach * r_y - f_y
-    d = np.stack([*linear, r_x * r_x - f_xx, 2 * r_x * r_y - f_xy, r_y * r_y - f_yy], axis=-1)
-    span = (np.hypot(r_x, r_y) + np.sqrt(f_xx + f_yy)) * most
-    slope = outline_slope(d) / (2 * np.maximum(reach, TINY))
-    scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * span / most, TINY)))
-    return Outline(
-        h=np.stack([h * scale, r_x * scale, r_y * scale], axis=-1),
-        root=under * scale,
-        f=np.stack([f * scale * scale for f in (f_x, f_y, f_xx, f_xy, f_yy)], axis=-1),
-        strip=np.zeros_like(h),
-        clear=(h + span) * scale <= -0.5,
-        hidden=(h - span) * scale >= 0.5,
-    )
+    reach, under = -e.sign * radius * ray[:, 2], np.hypot(*away.T)
+    b = np.stack([-reach, b_x, b_y], axis=-1)
+    pairs = (away, away), (2 * away, a_x), (2 * away, a_y), (a_x, a_x), (2 * a_x, a_y), (a_y, a_y)
+    c = np.stack([(first * second).sum(axis=-1) for first, second in pairs], axis=-1)
+    d = discriminant(b, c, 1.0, (reach - under) * (reach + under))
+    span = (np.hypot(b_x, b_y) + np.sqrt(c[:, 3] + c[:, 5])) * most
+    scale = 1 / (2 * soft * outline_slope(d, reach, span, most))
+    return _outline(b, c, reach - under, span, under, 1.0, scale)
 
 
 def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, extent: float) -> Mask:
@@ -189,31 +174,29 @@ def meet_occluder(
     with np.errstate(all="ignore"):  # with one intersection, terms for two are not used, and vice versa
         place = crossing_place(lens, e, d)
         soft = edge_width(division, place)
+        behind = (e.F < 0) & ~far
         if surface.canonical.radius < np.inf:
-            disc = disc_outline(surface, e, points, soft, division.most)
-            state = np.select([far | ~e.once | disc.clear, disc.hidden], [CLEAR, HIDDEN], PARTLY)
-            occluder = replace(_planar((), (), w.size), h=disc.h, root=disc.root, f=disc.f)
-            return state.astype(np.uint8), (e.F < 0) & ~far, occluder, place
+            occluder, clear, hidden = disc_outline(surface, e, points, soft, division.most)
+            state = np.select([far | ~e.once | clear, hidden], [CLEAR, HIDDEN], PARTLY)
+            return state, behind, occluder, place
         if not surface.canonical.q.any():
-            l = surface.canonical.l  # noqa: E741
+            l, none = surface.canonical.l, np.zeros((w.size, 5))  # noqa: E741
             change = (float(l @ surface.offset), e.along_x @ l, e.along_y @ l)
             state, limits, needed = flatten_limits(lens, limits, e.linear, change, division)
-            state = np.where(e.once & ~far, state, CLEAR)
-            return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, needed, w.size), place
-        slopes = slopes_of(surface, e, w, d)
-        outline = outline_of(e, *slopes, soft, division.most)
-    crossings, all_needed = np.where(e.once, 1, 2), tuple(np.ones(w.shape, dtype=bool) for _ in limits)
-    equation = crossings, slopes[0], e.F, *slopes[1:], 1 / (2 * soft), tuple(limits), all_needed
-    occluder = Occluder(outline.h, outline.root, outline.f, *equation, strip=outline.strip)
-    clear, hidden = far | ~e.once & outline.clear, e.once | outline.hidden
+            occluder = Occluder(none[:, :3], none[:, 0], none, limits=tuple(limits), needed=needed)
+            return np.where(e.once & ~far, state, CLEAR), behind, occluder, place
+        b, c, d = slopes_of(surface, e, w, d)
+        occluder, clear, hidden = outline_of(e, b, c, d, soft, division.most)
+    clear, hidden = far | ~e.once & clear, e.once | hidden
     state = np.where(clear, CLEAR, np.where(hidden & (not limits), HIDDEN, PARTLY))
-    narrow = ~e.once & ~clear & ~hidden & (place * division.extent <= SHARP_EDGE)
-    edge = ~far & (e.once & (e.F < 0) | narrow)
+    edge = behind & e.once | ~e.once & ~clear & ~hidden & (place * division.extent <= SHARP_EDGE)
     if limits:
+        all_needed = tuple(np.ones(w.shape, dtype=bool) for _ in limits)
+        equation = {"crossings": np.where(e.once, 1, 2), "b": b, "f0": e.F, "c": c, "d": d, "soft": 1 / (2 * soft)}
+        occluder = replace(occluder, **equation, limits=tuple(limits), needed=all_needed)
         all_hidden, needed = hides_all(occluder, division.most)
-        state = np.where(~clear & all_hidden, HIDDEN, state)
-        occluder = replace(occluder, needed=needed)
-    return state.astype(np.uint8), edge, occluder, place
+        state, occluder = np.where(~clear & all_hidden, HIDDEN, state), replace(occluder, needed=needed)
+    return state, edge, occluder, place
 
 
 def flatten_limits(
@@ -253,13 +236,6 @@ def flatten_limits(
         conditions.append(np.stack([*(term / (2 * soft) for term in (base, x, y)), part], axis=-1))
     state = np.where(clear, CLEAR, np.where(np.any(needed, axis=0), PARTLY, HIDDEN))
     return state, conditions, tuple(needed)
-
-
-def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
-    """`Occluder` of a plane; `limits` and `needed` are its fields of these names."""
-    none, crossings = np.zeros((points, 6)), np.zeros(points, dtype=np.int64)
-    zero, three = none[:, 0], none[:, :3]
-    return Occluder(three, zero, none[:, :5], crossings, three, zero, none, none, zero, tuple(limits), needed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,10 +296,7 @@ class Visibility:
     ellipse, None for discs.
 
     Common to all sources: occluders: per surface, a mask (M,) of sources that it hides in part, and its `Occluder` for
-    these; extent: extent of the lens in lens radii; cells: weights (L, L) of the lens cells; mask: straight edges (n,
-    3) of the lens, normal and distance, empty if there are none; circles: rims that cut light; waves: True if light
-    spreads beyond the geometric blur; signed: True if cells are mirrored for R < 0; round: True for a circular
-    aperture; pupil: None unless weights include the rims; rays: mean lens points of wide lenses.
+    these; cells: `lens_cells` (L, L) of `psf`; circles: rims that cut light; rays: mean lens points of wide lenses.
     """
 
     row: NDArray[np.int64]
@@ -333,17 +306,12 @@ class Visibility:
     x: Array
     y: Array
     occluders: tuple[tuple[Mask, Occluder], ...]
-    extent: float
+    psf: PointSpread
     cells: Array
-    mask: Array
     lean: Array
     limb: Mask
     nearest: Array
     circles: tuple[Circle, ...] = ()
-    waves: bool = False
-    signed: bool = False
-    round: bool = True
-    pupil: Pupil | None = None
     bent: Array | None = None
     rays: RayMeans | None = None
     ray_numbers: Any = None
@@ -360,9 +328,8 @@ class Visibility:
             (mask[rows], occluder.select(np.cumsum(mask)[rows[mask[rows]]] - 1)) for mask, occluder in self.occluders
         )
         circles, new = [circle.select(rows) for circle in self.circles], np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
-        common = ("row", "cells", "mask")
-        arrays = ((name, v) for name, v in vars(self).items() if isinstance(v, np.ndarray) and name not in common)
-        planes: dict[str, Any] = {name: array[rows] for name, array in arrays}
+        arrays = ((name, v) for name, v in vars(self).items() if isinstance(v, np.ndarray) and name != "cells")
+        planes: dict[str, Any] = {name: array[rows] for name, array in arrays if name != "row"}
         return replace(self, row=new, occluders=occluders, circles=tuple(circles), **planes)
 
 
@@ -408,11 +375,9 @@ def check_visibility(
         "lean": np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None],
     }  # fmt: skip
     return state, edge, Visibility(
-        row=np.where(partly, np.cumsum(partly) - 1, -1), extent=division.extent, cells=psf.lens_cells(),
+        row=np.where(partly, np.cumsum(partly) - 1, -1), psf=psf, cells=psf.lens_cells(),
         occluders=tuple((mask[partly], occluder.select(mask & partly)) for mask, occluder in hits),
-        mask=np.array(psf.pupil.edges).reshape(-1, 3), circles=tuple(circle.select(partly) for circle in circles),
-        waves=psf.diffracted, signed=psf.signed, round=not (psf.signed or psf.diffracted or psf.pupil.edges),
-        pupil=psf.pupil if psf.cut_by_chords else None,
+        circles=tuple(circle.select(partly) for circle in circles),
         **{name: value if name == "rays" else value[partly] for name, value in taps.items()},
     )  # fmt: skip
 

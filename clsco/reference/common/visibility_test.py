@@ -46,17 +46,17 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     the edge of a wide lens's blur sees only the part of its cell inside the lens, see `inwards_of`. With waves but
     without `rays`, a tap beyond the edge of the blur is moved to that edge.
     """
-    rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
+    rim = np.maximum(np.abs(visibility.radius) * visibility.psf.extent, 1.0)
     if visibility.bent is not None:
         x, y = (np.where(visibility.wide, *values) for values in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
     tap_x, tap_y = x, y
-    if visibility.rays is not None and visibility.waves:
+    if visibility.rays is not None and visibility.psf.diffracted:
         return _free_by_sheets(visibility, x, y)
     if visibility.rays is not None:
         right, down, *narrow = visibility.rays.lens_points(visibility.ray_numbers, visibility.ray_parts, x, y)
         lens_point = visibility.ray_scale * right, visibility.ray_scale * down
         x, y = (np.where(visibility.wide, *pair) for pair in zip(lens_point, (x, y), strict=True))
-    elif visibility.mask.size:
+    elif visibility.psf.pupil.edges:
         x, y, *narrow = _inside(visibility, x, y)
     else:
         square = x * x + y * y
@@ -64,13 +64,13 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         inwards, less = np.where(visibility.wide, 1 - moved / rim, 1.0), less / (square + 1e-30)
         narrow = [less * x * x, less * x * y, less * y * y]
         x, y = x * inwards, y * inwards
-    if visibility.waves:
+    if visibility.psf.diffracted:
         distance = np.hypot(x, y)
         within = np.where(visibility.wide & (distance > rim), rim / np.maximum(distance, rim), 1.0)
         x, y = x * within, y * within
         narrow = [np.zeros_like(x)] * 3
     none, (xx, xy, yy) = np.zeros_like(x), narrow
-    aside_x, aside_y = (none, none) if visibility.waves else (tap_x - x, tap_y - y)
+    aside_x, aside_y = (none, none) if visibility.psf.diffracted else (tap_x - x, tap_y - y)
     axes = np.array([[x, xx, none, aside_x], [y, yy, none, aside_y]])
     if visibility.near is not None and visibility.rays is None:
         near = np.stack([near_focus(visibility, tap) for tap in (tap_x, tap_y)])
@@ -113,8 +113,8 @@ def near_focus(visibility: Visibility, t: Array) -> Array:
     Light that arrives at v px has the weight max(0, 1 - |t - v|).
     """
     assert visibility.part is not None
-    size = np.abs(visibility.radius) * visibility.extent
-    cells = visibility.extent * np.where(visibility.part < 1.0, PIXEL_CELLS, np.abs(visibility.radius))
+    size = np.abs(visibility.radius) * visibility.psf.extent
+    cells = visibility.psf.extent * np.where(visibility.part < 1.0, PIXEL_CELLS, np.abs(visibility.radius))
     angle = np.arange(1, DISC_NODES + 1) * (np.pi / (DISC_NODES + 1))
     node = np.cos(angle)
     tent = np.maximum(1.0 - np.abs(t[:, None] - size[:, None] * node), 0.0)
@@ -139,7 +139,8 @@ def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
     A round edge at the distance s from the middle of a cell leaves a part of the cell whose mean is (s - 1/2) / 2 from
     the cell's middle.
     """
-    if visibility.round:
+    psf = visibility.psf
+    if not (psf.signed or psf.diffracted or psf.pupil.edges):
         away = np.hypot(x, y)
         inwards = 1.0 - 0.5 * np.clip(away - (LENS_CELLS - 0.5), 0.0, 1.0) / away
         x, y = x * inwards, y * inwards
@@ -153,7 +154,7 @@ def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
     The edge of a rim is as soft as the response of a pixel.
     """
     share = np.ones_like(x)
-    for circle in visibility.circles * (visibility.pupil is None):
+    for circle in visibility.circles * (not visibility.psf.cut_by_chords):
         t = np.clip((circle.radius - np.hypot(x - circle.x, y - circle.y)) * circle.scale, -1.0, 1.0)
         soft = np.where(t < 0, 0.5 * (1 + t) ** 2, 1 - 0.5 * (1 - t) ** 2)
         share *= np.where(circle.cuts, soft, 1.0)
@@ -178,8 +179,8 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
     weight (M,): weights of the whole opening, which are returned unless the rims are cut by chords; point: True for
     point sources.
     """
-    pupil, cut = visibility.pupil, np.any([circle.cuts for circle in visibility.circles], axis=0)
-    if pupil is None or not cut.any():
+    pupil, cut = visibility.psf.pupil, np.any([circle.cuts for circle in visibility.circles], axis=0)
+    if not (visibility.psf.cut_by_chords and cut.any()):
         return weight
     size = np.maximum(np.abs(visibility.radius), LEAST_OPENING)
     x, y, far = dx - visibility.x, dy - visibility.y, PIXEL_CORNER if point else PIXELS_CORNER
@@ -206,7 +207,7 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
     """
     right, down, xx, xy, yy = np.zeros((5, *x.shape))
     turn = np.where(visibility.radius < 0, -1.0, 1.0)
-    for nx, ny, distance in visibility.mask:
+    for nx, ny, distance in visibility.psf.pupil.edges:
         inwards, narrow = inwards_of(visibility, distance * np.abs(visibility.radius) - turn * (nx * x + ny * y))
         right, down = right + nx * inwards * turn, down + ny * inwards * turn
         xx, xy, yy = xx + nx * nx * narrow, xy + nx * ny * narrow, yy + ny * ny * narrow
@@ -234,43 +235,30 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
     tap beyond the blur's edge is moved to that edge, or for a narrow lens's pixel source to BEYOND px outside of the
     edge.
     """
-    limit = NARROW_MIDDLE if visibility.waves or visibility.bent is not None else np.inf
+    limit = NARROW_MIDDLE if visibility.psf.diffracted or visibility.bent is not None else np.inf
     share, narrow = np.ones_like(visibility.x), ~visibility.wide
     if visibility.wide.any():
         share = free_share(visibility, dx - visibility.x, dy - visibility.y)
     if narrow.any():
-        step = np.abs(visibility.radius[narrow]) * visibility.extent / LENS_CELLS
+        step = np.abs(visibility.radius[narrow]) * visibility.psf.extent / LENS_CELLS
         point = visibility.point[narrow]
         width = np.where(point, np.maximum(step, LEAST_CELL), 1.0)
         away = [(np.clip(d, -limit, limit) - place)[narrow] for place, d in ((visibility.x, dx), (visibility.y, dy))]
-        if visibility.waves:
+        if visibility.psf.diffracted:
             rim = LENS_CELLS * step + np.where(point, 0.0, BEYOND)
             part = np.minimum(rim / np.maximum(np.hypot(*away), 1e-6), 1.0)
             away = [part * center for center in away]
+        middles = step[:, None, None] * CELL_MIDDLES
+        places = middles, middles.swapaxes(1, 2)
         if visibility.bent is not None:
-            share[narrow] = _elliptic_share(visibility, cells, visibility.bent[narrow] * step[:, None], away, width)
-            return share
-        places = CELL_MIDDLES * step[:, None]
-        across, down = (response(places - center[:, None], width[:, None]) for center in away)
-        weights = visibility.cells
-        if visibility.signed:
-            weights = np.where(visibility.radius[narrow, None, None] < 0, weights[::-1, ::-1], weights)
-        subscripts = "mi,mij,mj->m" if visibility.signed else "mi,ij,mj->m"
-        total = np.einsum(subscripts, down, weights, across, optimize=True)
-        free = np.einsum("mi,mij,mj->m", down, weights * cells, across, optimize=True)
-        share[narrow] = np.where(total > 0, free / np.where(total > 0, total, 1.0), 1.0)
+            bent = visibility.bent[narrow] * step[:, None]
+            places = _bent(bent[:, None, None], CELL_MIDDLES, CELL_MIDDLES[:, None])
+        across, down = (
+            response(place - center[:, None, None], width[:, None, None])
+            for place, center in zip(places, away, strict=True)
+        )
+        turned = visibility.psf.signed & (visibility.radius[narrow, None, None] < 0)
+        weights = np.where(turned, visibility.cells[::-1, ::-1], visibility.cells) * across * down
+        total, free = weights.sum(axis=(1, 2)), (weights * cells).sum(axis=(1, 2))
+        share[narrow] = np.divide(free, total, out=np.ones_like(total), where=total > 0)
     return share
-
-
-def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: list[Array], width: Array) -> Array:
-    """Visible fraction (N,) of narrow lenses with elliptic blurs, for one tap of each of N sources.
-
-    cells: (N, L, L) from `cell_visibility`; bent (N, 3): map from cells to px; away: px from sources to taps, right and
-    down, (N,) each; width (N,): argument of `response`.
-    """
-    places = _bent(bent[:, None, None], CELL_MIDDLES, CELL_MIDDLES[:, None])
-    pairs, widths = zip(places, away, strict=True), width[:, None, None]
-    parts = [response(position - d[:, None, None], widths) for position, d in pairs]
-    weights = visibility.cells * parts[0] * parts[1]
-    total, free = weights.sum(axis=(1, 2)), (weights * cells).sum(axis=(1, 2))
-    return np.asarray(np.where(total > 0, free / np.where(total > 0, total, 1.0), 1.0))
