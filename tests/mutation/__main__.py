@@ -62,7 +62,7 @@ TESTS = {
     "common/distortion.clh": "kernels/test_geometry pipeline/test_distortion",
     "common/geometry.clh": "kernels/test_geometry kernels/test_ray_surface kernels/test_trace "
     "kernels/test_trace_kernels pipeline/test_views pipeline/test_strips",
-    "common/single_taps.clh": "kernels/test_tiles",
+    "common/lanes.clh": "kernels/test_tiles",
     "common/occluder.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
     "common/rims.clh": "kernels/test_rims",
     "common/source_visibility.clh": "kernels/test_visibility pipeline/test_occlusion pipeline/test_occlusion_lenses",
