@@ -357,12 +357,9 @@ def pixel_reach(radius: ArrayLike, waves: bool = False) -> Array:
 def pixel_tilt(gradient: Array, radius: ArrayLike, waves: bool = False) -> tuple[Array, Array]:
     """Slope (..., 2) in 1/px for sources that are whole pixels, and the signed radius (...) in px for their weights.
 
-    Arguments as for `tilt_slope`. From 1 px on, the slope is the gradient over `pixel_reach`. Below 1 px only the
-    neighbors receive light. The light that crosses an edge of the pixel is proportional to |R| there, for which the
-    mean of |R| at the edge's two ends is used. So equal light crosses an edge in both directions, even if R changes its
-    sign within the pixel, and constant radiance stays constant. It follows that the radius is the mean of |R| over the
-    corners, and a slope is half of the difference of two opposite edges, divided by this radius. With waves,
-    `tilt_slope` is used for all radii.
+    Arguments as for `tilt_slope`. From 1 px on, the slope is the gradient over `pixel_reach`. Below 1 px, the radius is
+    the mean of |R| over the corners, and a slope is half of the difference of two opposite edges, divided by this
+    radius, for the reason in kernels/common/geometry.clh. With waves, `tilt_slope` is used for all radii.
     """
     radius = np.asarray(radius, dtype=np.float64)
     if waves:

@@ -96,9 +96,7 @@ def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
     variance.
 
     The aperture's edge cuts off the response of a tap s (M,) px farther out than the tap. The reduction (M,) is 0 for
-    none to 1. The response to a pixel's source is a tent, whose visible part has the mean -(1 - s)^2 / 3 and the
-    variance (1 + 2 s) / 18 for s > 0, else (2 s - 1) / 3 and (1 + s)^2 / 18. The response to a point is a box: -(1/2 -
-    s) / 2 and (1/2 + s)^2 / 12.
+    none to 1. The response is a tent, or for a point a box; kernels/common/visibility_test.clh has the formulas.
     """
     t, b = np.clip(s, -1.0, 1.0), np.clip(s, -0.5, 0.5)
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
