@@ -88,7 +88,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     them; unless the PSF is diffracted, the blur of -R is that of R mirrored in its center.
     """
     fine = samples > 0
-    offsets = subpixel_offsets(samples) if fine else np.zeros(1)
+    offsets, tent = subpixel_offsets(samples) if fine else np.zeros(1), psf.edge == "integrated" and not fine
     coefficients: tuple[list[Floats], ...] = ([], [])
     widths = half_widths(psf, span, fine).astype(np.int32)
     reach, by_columns = int(widths[-1]), psf.has_runs and not fine
@@ -97,7 +97,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     for number, radii, half_width in _runs(psf, span, fine):
         taps = np.arange(-half_width, half_width + 1.0)
         squares, mirrored = (
-            [psf.rows(sign * radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
+            [psf.pupil.rows(sign * radii, taps - ox, taps - oy, tent) for oy in offsets for ox in offsets]
             if (sign == 1 and psf.most[1] >= 0.0) or (sign == -1 and psf.most[0] >= 0.0 and psf.diffracted)
             else []
             for sign in (1, -1)

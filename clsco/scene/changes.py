@@ -20,11 +20,11 @@ from clsco.scene.text import brief, shown
 MAX_VARIANTS = 4096
 MOST_JOINED = 8  # depth of tables that are joined; deeper nesting is rejected later
 VARIANT = "variant"  # array of tables; each has the keys of one scene that differ from the rest of the file
-# (key, its section, its values, other keys of the section that are allowed only with some of these values)
+# (section, its key, values of this key, other keys of the section that are allowed only with some of these values)
 _CHOICES: tuple[tuple[str, str, tuple[str, ...], Mapping[str, tuple[str, ...]]], ...] = (
-    ("aperture.shape", "aperture", get_args(ApertureShape), APERTURE_KEYS),
-    ("psf.model", "psf", get_args(SpreadModel), MODEL_KEYS),
-    ("sensor.exposure", "sensor", ("normalized", "physical"), EXPOSURE_KEYS),
+    ("aperture", "shape", get_args(ApertureShape), APERTURE_KEYS),
+    ("psf", "model", get_args(SpreadModel), MODEL_KEYS),
+    ("sensor", "exposure", ("normalized", "physical"), EXPOSURE_KEYS),
 )
 # (key that is set, its new value or None for any, other key that contradicts this value)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
@@ -39,8 +39,8 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("sensor.iso", None, "sensor.gain"),
     ("sensor.mosaic", "none", "sensor.demosaic"),
     *(
-        (selector, value, f"{section}.{key}")
-        for selector, section, values, homes in _CHOICES
+        (f"{section}.{selector}", value, f"{section}.{key}")
+        for section, selector, values, homes in _CHOICES
         for key, own in homes.items()
         for value in values
         if value not in own

@@ -102,17 +102,16 @@ def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles 
     textures = (files or shared_files()).textures(scene.model_copy(update={"aperture": aperture}))
     exposure = pupil.light if scene.aperture.exposure == "area" else 1.0
     surfaces = _surfaces(scene, [texture.images for texture in textures])
-    return Problem(scene, surfaces, _moments(scene, frame, eye), _optics(scene, pupil, exposure))
+    return Problem(scene, surfaces, _moments(scene, frame, eye, surfaces.light), _optics(scene, pupil, exposure))
 
 
 def _surfaces(scene: Scene, textures: Any) -> Surfaces:
     color = scene.separates_colors or any(image.ndim == 3 for images in textures for image in images)
-    texels, mappings, count, stored = [], np.zeros((len(scene.objects), SIZE)), 0, list[tuple[Any, int]]()
+    texels, mappings, count, stored = [], np.zeros((len(scene.objects), SIZE)), 0, dict[int, int]()
     for n, (item, images) in enumerate(zip(scene.objects, textures, strict=True)):
         rows, columns = images[0].shape[:2]
-        begin = next((place for image, place in stored if image is images[0]), count)
+        begin = stored.setdefault(id(images[0]), count)
         if begin == count:
-            stored.append((images[0], count))
             for image in images:
                 wide = image.reshape(rows * columns, -1)
                 texels.append(np.broadcast_to(wide, (rows * columns, 3 if color else 1)))
@@ -142,19 +141,15 @@ def poses_of(scene: Scene, eye: str, times: Array) -> tuple[Array, tuple[Array, 
     return poses_at(scene, centers, rotations, camera, times), camera
 
 
-def _moments(scene: Scene, frame: int, eye: str) -> Moments:
+def _moments(scene: Scene, frame: int, eye: str, light: Array) -> Moments:
     sequence = scene.sequence
     span = sequence.shutter + sequence.readout
     begins = frame * sequence.interval + sequence.shutter_start
     times = begins + span * (np.arange(MOMENTS) + 0.5) / MOMENTS if scene.moves else np.zeros(1)
     poses, camera = poses_of(scene, eye, times)
     cameras = np.concatenate([camera[0].reshape(-1, 9), np.zeros((len(times), 3))], axis=1)
-    if scene.light is not None:
-        if scene.light.position is not None:
-            place = np.asarray(scene.light.position) - camera[1]
-        else:
-            place = np.broadcast_to(np.multiply(scene.light.direction or (), [1.0, 1.0, -1.0]), (len(times), 3))
-        cameras[:, 9:] = np.einsum("tji,tj->ti", camera[0], place)
+    if light.size:
+        cameras[:, 9:] = np.einsum("tji,tj->ti", camera[0], light[:3] - light[3] * camera[1])
     curve = sequence.shutter_curve
     weights = np.asarray(CURVES[curve] if isinstance(curve, str) else curve, float)
     at = np.linspace(0.0, 1.0, 64 * QUANTILES + 1)

@@ -13,12 +13,17 @@ from clsco.optics.pupils.pupil import Pupil
 from clsco.scene.spread import Aperture
 
 
-def _circle(aperture: Aperture) -> Pupil:
-    if aperture.squeeze == 1.0:
-        return Circle()
-    from clsco.optics.pupils.ellipse import Ellipse
+def _round(aperture: Aperture) -> Pupil:
+    covered = aperture.obstruction if aperture.shape == "ring" else 0.0
+    if aperture.squeeze != 1.0:
+        from clsco.optics.pupils.ellipse import Ellipse
 
-    return Ellipse(aperture.squeeze)
+        return Ellipse(aperture.squeeze, covered)
+    if not covered:
+        return Circle()
+    from clsco.optics.pupils.ring import Ring
+
+    return Ring(covered)
 
 
 def _polygon(aperture: Aperture) -> Pupil:
@@ -31,15 +36,5 @@ def _polygon(aperture: Aperture) -> Pupil:
     return Polygon(aperture.blades, aperture.rotation, aperture.squeeze)
 
 
-def _ring(aperture: Aperture) -> Pupil:
-    if aperture.squeeze == 1.0:
-        from clsco.optics.pupils.ring import Ring
-
-        return Ring(aperture.obstruction)
-    from clsco.optics.pupils.ellipse import Ellipse
-
-    return Ellipse(aperture.squeeze, aperture.obstruction)
-
-
-FORMULAS: dict[str, Callable[[Aperture], Pupil]] = {"circle": _circle, "polygon": _polygon, "ring": _ring}
+FORMULAS: dict[str, Callable[[Aperture], Pupil]] = {"circle": _round, "polygon": _polygon, "ring": _round}
 """Functions that return the pupil of an aperture, by its shape; the pupil of an image is read from its file."""

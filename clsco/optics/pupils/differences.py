@@ -20,10 +20,7 @@ class Asymmetric(Pupil):
     """Aperture without symmetry, whose x is divided by `squeeze`, the height over width of its blur."""
 
     squeeze: float
-
-    @property
-    def signed(self) -> bool:
-        return True
+    signed = True
 
     @property
     @abstractmethod

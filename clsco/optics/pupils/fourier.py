@@ -34,14 +34,11 @@ class FourierDiffracted(Diffracted):
     """
 
     STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))
+    signed = True
     NODES: ClassVar[int] = PANEL_NODES  # number of nodes of each panel
 
     wavefront: Wavefront = field(default_factory=Wavefront)
     steepest: float = 0.0
-
-    @property
-    def signed(self) -> bool:
-        return True
 
     @property
     def name(self) -> str:
