@@ -12,16 +12,14 @@ from functools import lru_cache
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
+from clsco.optics.distortion import Array
 from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import EVERYWHERE, Extent, cutting_bounds, place
 from clsco.scene.model import Camera, Object, Plane, Rectangle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -152,18 +152,14 @@ def dump(scene: Any) -> dict[str, Any]:
     an equal scene.
     """
     data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
-    if scene.camera.f_number is not None:
-        del data["camera"]["aperture_diameter"]
-    if scene.camera.focus_distance is not None:
-        del data["camera"]["sensor_distance"]
+    for key in ("camera.f_number", "camera.focus_distance", *(f"{section}.{key}" for section, key, *_ in _CHOICES)):
+        if (value := entry_at(data, key.split("."))) is not None:
+            displace(data, key, value)
+    displace(data, "motion.warp", scene.motion.warp)
     if scene.sensor is not None and scene.sensor.iso is None:
         del data["sensor"]["iso_base"]
-    if scene.sensor is not None:
-        displace(data, "sensor.exposure", scene.sensor.exposure)
     if not scene.groups:
         del data["group"]
-    for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):
-        displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
         del data["psf"]["occlusion"]  # not set, and its default depends on the plan
     for place, item in scene.inputs:

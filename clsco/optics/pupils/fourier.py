@@ -110,9 +110,11 @@ class FourierDiffracted(Diffracted):
         if number < 0 and self.wavefront.is_flat:  # the blur of R, mirrored in the source
             mirrored = self._squares(-1 - number, (-place[0], -place[1]), tent)
             return np.roll(mirrored[::-1, ::-1, ::-1], 1, axis=(1, 2))
-        if self.upright != self:
-            return self._mirrored_squares(number, place, tent)
-
+        if (upright := self.upright) != self:
+            signs = tuple(-1.0 if turned else 1.0 for turned in self.wavefront.mirrored)
+            axes = tuple(axis for axis, sign in zip((2, 1), signs, strict=True) if sign < 0.0)
+            squares = upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
+            return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
         return _weights.get(
             (self, number, place, tent), lambda: self._make_squares(number, place, tent), lambda squares: squares.nbytes
         )
@@ -137,13 +139,6 @@ class FourierDiffracted(Diffracted):
         The pupil itself unless its opening is round.
         """
         return replace(self, wavefront=self.wavefront.upright) if is_round(self.opening) else self
-
-    def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        """`_squares`, mirrored from those of the upright wavefront."""
-        signs = tuple(-1.0 if turned else 1.0 for turned in self.wavefront.mirrored)
-        axes = tuple(axis for axis, sign in zip((2, 1), signs, strict=True) if sign < 0.0)
-        squares = self.upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
-        return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
 
     def seconds(self, radius: float, places: int) -> float:
         """Predicted CPU seconds for one node at R = `radius` px, and `places` positions of sources in a pixel."""
