@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.inputs.files import InputFiles, shared_files
+from clsco.inputs.files import shared_files
 from clsco.scene.model import Scene
 from clsco.scene.sequence import CURVES
 from clsco.truth.equations import bounds_of, surface_of
@@ -94,12 +94,12 @@ def not_judged(scene: Scene) -> str | None:
     return None
 
 
-def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles | None = None) -> Problem:
+def make_problem(scene: Scene, frame: int = 0, eye: str = "") -> Problem:
     """Read a scene that rays can predict, with its resolution; frame: index; eye: left or right view of a stereo
     pair.
     """
     aperture, pupil = scene.aperture.model_copy(update={"exposure": "normalized"}), pupil_of(scene)
-    textures = (files or shared_files()).textures(scene.model_copy(update={"aperture": aperture}))
+    textures = shared_files().textures(scene.model_copy(update={"aperture": aperture}))
     exposure = pupil.light if scene.aperture.exposure == "area" else 1.0
     surfaces = _surfaces(scene, [texture.images for texture in textures])
     return Problem(scene, surfaces, _moments(scene, frame, eye, surfaces.light), _optics(scene, pupil, exposure))
