@@ -1,7 +1,7 @@
 """Pupils: transmission of a lens's aperture as a function on [-1, 1]^2 (float64, pure).
 
-Each file holds one kind, with closed forms for its blur if known, and is imported when a lens uses it. A pupil without
-a closed form is an `image`. `clsco.optics.point_spread.PointSpread` computes weights for any pupil.
+Each file holds kinds of one form, with closed forms for their blur if known, and is imported when a lens uses it. A
+pupil without a closed form is an `image`. `clsco.optics.point_spread.PointSpread` computes weights for any pupil.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from clsco.scene.spread import Aperture
 def _round(aperture: Aperture) -> Pupil:
     covered = aperture.obstruction if aperture.shape == "ring" else 0.0
     if aperture.squeeze != 1.0:
-        from clsco.optics.pupils.ellipse import Ellipse
+        from clsco.optics.pupils.outline import Ellipse
 
         return Ellipse(aperture.squeeze, covered)
     if not covered:
@@ -28,7 +28,7 @@ def _round(aperture: Aperture) -> Pupil:
 
 def _polygon(aperture: Aperture) -> Pupil:
     if aperture.blade_curvature:
-        from clsco.optics.pupils.blades import CurvedPolygon
+        from clsco.optics.pupils.outline import CurvedPolygon
 
         return CurvedPolygon(aperture.blades, aperture.rotation, aperture.blade_curvature, aperture.squeeze)
     from clsco.optics.pupils.polygon import Polygon
