@@ -22,26 +22,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco import constants
+from clsco.constants import (
+    DETAILED_MOST,
+    DETAILED_TEXELS,
+    FINE_MOST,
+    FINE_TEXELS,
+    MAP_CONE,
+    MAP_CUBE,
+    MAP_CYLINDER,
+    MAP_LONGITUDE,
+    MAP_PLANE,
+    MAP_TRIPLANAR,
+    NEAR_FOCUS,
+    WRAP_CLAMP,
+    WRAP_MIRROR,
+    WRAP_NONE,
+    WRAP_REPEAT,
+)
 from clsco.optics.point_spread import PointSpread
 from clsco.scene.model import Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Rectangle, Scene
 from clsco.scene.texture_keys import Mapped
 
 KINDS: dict[Mapped | None, int] = {
-    "card": constants.MAP_PLANE,
-    "plane": constants.MAP_PLANE,
-    "cylinder": constants.MAP_CYLINDER,
-    "longitude": constants.MAP_LONGITUDE,
-    "cone": constants.MAP_CONE,
-    "triplanar": constants.MAP_TRIPLANAR,
-    "cube": constants.MAP_CUBE,
+    "card": MAP_PLANE,
+    "plane": MAP_PLANE,
+    "cylinder": MAP_CYLINDER,
+    "longitude": MAP_LONGITUDE,
+    "cone": MAP_CONE,
+    "triplanar": MAP_TRIPLANAR,
+    "cube": MAP_CUBE,
 }
-WRAPS = {
-    "repeat": constants.WRAP_REPEAT,
-    "mirror": constants.WRAP_MIRROR,
-    "clamp": constants.WRAP_CLAMP,
-    "none": constants.WRAP_NONE,
-}
+WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
 Matrix = NDArray[np.float64]
 DETAILED_LEAST = 0.01  # |R| in px above which pixels may need several sources; not for waves and aberrations
 
@@ -92,10 +103,10 @@ def cut_parts(
     texels: squared number of texels per pixel, along the wider axis; spread: `texture_spread` times |R|, px; samples:
     sub-pixel sources per axis; least: `detail_least`, px.
     """
-    finer = texels > np.float32(constants.FINE_TEXELS) ** 2
-    most = np.where(finer, np.float32(constants.FINE_MOST), np.float32(constants.DETAILED_MOST))
-    detailed = (texels > np.float32(constants.DETAILED_TEXELS) ** 2) & (spread > np.float32(least)) & (spread < most)
-    fine = finer | (spread < np.float32(constants.NEAR_FOCUS))
+    finer = texels > np.float32(FINE_TEXELS) ** 2
+    most = np.where(finer, np.float32(FINE_MOST), np.float32(DETAILED_MOST))
+    detailed = (texels > np.float32(DETAILED_TEXELS) ** 2) & (spread > np.float32(least)) & (spread < most)
+    fine = finer | (spread < np.float32(NEAR_FOCUS))
     many = 4 if samples % 4 == 0 else 3 if samples % 3 == 0 else samples
     return np.where(detailed, np.where(fine, many, 2 if samples % 2 == 0 else many), 0)
 
@@ -106,15 +117,15 @@ def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
     per_unit, middle = _texels(item, kind, columns, rows)
     angle = radians(item.texture_angle or 0.0)
     turn = np.array([[cos(angle), sin(angle)], [-sin(angle), cos(angle)]])
-    units = np.diag([item.radius if isinstance(item, Cylinder) and kind == constants.MAP_CYLINDER else 1.0, 1.0])
+    units = np.diag([item.radius if isinstance(item, Cylinder) and kind == MAP_CYLINDER else 1.0, 1.0])
     right, up = item.texture_offset or (0.0, 0.0)
     wrap = WRAPS[item.wrap]
     # The upper and lower edge of an image from pole to pole are the poles: beyond them, the image is mirrored.
-    to_poles = kind == constants.MAP_LONGITUDE and abs(per_unit[1]) * pi == rows and up == 0.0
+    to_poles = kind == MAP_LONGITUDE and abs(per_unit[1]) * pi == rows and up == 0.0
     return TextureMap(
         kind, _frame(item, kind), np.diag(per_unit) @ turn @ units, middle + np.array([-right * columns, up * rows]),
-        sin(radians(item.half_angle)) if isinstance(item, Cone) else 0.0, wrap,
-        constants.WRAP_MIRROR if to_poles else wrap, columns, rows,
+        sin(radians(item.half_angle)) if isinstance(item, Cone) else 0.0, wrap, WRAP_MIRROR if to_poles else wrap,
+        columns, rows,
     )  # fmt: skip
 
 
@@ -124,11 +135,11 @@ def _texels(item: Object, kind: int, columns: int, rows: int) -> tuple[Matrix, M
     """
     aspect, middle = rows / columns, np.array([0.5 * columns, 0.5 * rows])
     across, *up = item.texture_repeats or (1.0,)
-    if kind == constants.MAP_LONGITUDE:
+    if kind == MAP_LONGITUDE:
         # By default, once around and from pole to pole; a single number keeps the texels' proportions at the equator.
         copies = up[0] if up else 0.5 * across / aspect if item.texture_repeats else 1.0
         return np.array([columns * across / (2 * pi), -(rows * copies) / pi]), middle
-    if kind == constants.MAP_CUBE:
+    if kind == MAP_CUBE:
         copies = up[0] if up else across
         return np.array([0.5 * columns * across, -0.5 * rows * copies]), middle
     if item.texture_size is not None:
@@ -149,12 +160,12 @@ def _frame(item: Object, kind: int) -> Matrix:
     the second row is the cylinder's axis; the third points towards the camera, or up if the axis points there. Cone:
     right, the cone's axis, up. Plane: right, up, the normal away from the camera. All others: the object's own axes.
     """
-    if kind in (constants.MAP_LONGITUDE, constants.MAP_CUBE):
+    if kind in (MAP_LONGITUDE, MAP_CUBE):
         axes = item.semi_axes if isinstance(item, Ellipsoid) else (1.0, 1.0, 1.0)
         return np.diag([1.0, 1.0, -1.0]) / np.array(axes)[:, None]
-    if kind == constants.MAP_CONE:
+    if kind == MAP_CONE:
         return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-    if kind == constants.MAP_CYLINDER:
+    if kind == MAP_CYLINDER:
         assert isinstance(item, Cylinder)
         axis = np.asarray(item.axis, dtype=np.float64) / np.linalg.norm(item.axis)
         towards = np.array([0.0, 0.0, -1.0])
@@ -163,7 +174,7 @@ def _frame(item: Object, kind: int) -> Matrix:
         front = towards - (towards @ axis) * axis
         front /= np.linalg.norm(front)
         return np.array([np.cross(front, axis), axis, front])
-    if kind == constants.MAP_PLANE and isinstance(item, Plane):
+    if kind == MAP_PLANE and isinstance(item, Plane):
         normal = np.array([-item.slope_x, -item.slope_y, 1.0])
         right = np.array([1.0, 0.0, item.slope_x])
         normal, right = normal / np.linalg.norm(normal), right / np.linalg.norm(right)

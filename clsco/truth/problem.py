@@ -158,11 +158,12 @@ def make_problem(scene: Scene, frame: int = 0, eye: str = "") -> Problem:
 
 def _surfaces(scene: Scene, textures: Any) -> Surfaces:
     color = scene.separates_colors or any(image.ndim == 3 for images in textures for image in images)
-    texels, mappings, count, stored = [], np.zeros((len(scene.objects), SIZE)), 0, dict[int, int]()
+    texels, mappings, count, stored = [], np.zeros((len(scene.objects), SIZE)), 0, list[tuple[Any, int]]()
     for n, (item, images) in enumerate(zip(scene.objects, textures, strict=True)):
         rows, columns = images[0].shape[:2]
-        begin = stored.setdefault(id(images[0]), count)
+        begin = next((place for image, place in stored if image is images[0]), count)
         if begin == count:
+            stored.append((images[0], count))
             for image in images:
                 wide = image.reshape(rows * columns, -1)
                 texels.append(np.broadcast_to(wide, (rows * columns, 3 if color else 1)))
