@@ -49,16 +49,6 @@ def test_an_axis_and_a_quaternion_have_the_matrix_of_an_angular_velocity() -> No
         np.testing.assert_allclose(static_rotation(Sphere(rotation=quaternion)), expected, rtol=0, atol=2e-15)
 
 
-def test_the_sense_of_each_axis() -> None:
-    """About x the top goes away, about y the right side comes nearer, about z what is on top goes to the right."""
-    top, right = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    assert (static_rotation(Sphere(rotation=(90.0, 0.0, 0.0))) @ top).tolist() == [0.0, 0.0, 1.0]
-    assert (static_rotation(Sphere(rotation=(0.0, 90.0, 0.0))) @ right).tolist() == [0.0, 0.0, -1.0]
-    assert (static_rotation(Sphere(rotation=(0.0, 0.0, 90.0))) @ top).tolist() == [1.0, 0.0, 0.0]
-    first_x = static_rotation(Sphere(rotation=(90.0, 90.0, 0.0)))  # then about y
-    assert (first_x @ top).tolist() == [1.0, 0.0, 0.0]
-
-
 def rotated_coefficients(item: Ellipsoid) -> tuple[float, ...]:
     """Coefficients of the quadric, by a rotation of its own: x, y and z of the thesis' frame, clockwise."""
     angles: Any = item.rotation

@@ -73,21 +73,6 @@ def test_rays_meet_what_is_analytic_and_not_warped_forward() -> None:
     assert not clsco.Scene(objects=(clsco.Plane(), clsco.DepthMap(depth="z.npy"))).is_ray_castable
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        clsco.Sphere(center=(0.0, 0.0, -29.0)),
-        clsco.Cylinder(center=(0.0, 0.0, -29.0)),
-        clsco.Cylinder(center=(0.0, 0.0, -1000.0), axis=(0.0, 1.0, 1e-3)),
-        clsco.Cone(apex=(0.0, 0.0, -1000.0)),
-        clsco.Cone(apex=(0.0, 0.0, 1.0), nappe="towards"),
-        clsco.Ellipsoid(center=(0.0, 0.0, -49.0)),
-    ],
-)
-def test_a_part_in_front_of_the_lens_is_enough(shape: AnyShape) -> None:
-    assert clsco.Scene(objects=(shape,)).objects == (shape,)
-
-
 def test_python_code_may_say_object_or_objects() -> None:
     assert clsco.Scene(objects=(clsco.Sphere(),)) == clsco.Scene.model_validate({"object": [{"shape": "sphere"}]})
 
