@@ -7,12 +7,12 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import getitem
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, cast, get_args
 
 from pydantic import BaseModel
 
 from clsco.errors import SceneError
-from clsco.scene.faults import ALIASES, parsed
+from clsco.scene.faults import ALIASES, Root, parsed
 from clsco.scene.sensor import EXPOSURE_KEYS
 from clsco.scene.spread import APERTURE_KEYS, MODEL_KEYS, ApertureShape, SpreadModel
 from clsco.scene.text import brief, shown
@@ -48,9 +48,6 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),
 )
-
-
-Root = TypeVar("Root", bound=BaseModel)
 
 
 def key_parts(key: str) -> list[str]:
