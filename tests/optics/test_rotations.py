@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsco.optics.motion import TOWARDS_CAMERA, pose_at, rotation_matrix, static_rotation
@@ -15,8 +14,8 @@ from clsco.optics.texture_mapping import texture_map
 from clsco.reference.common.geometry import solve_quadric, surface_normal
 from clsco.scene.model import AnyShape, Cone, Cylinder, Disc, Ellipsoid, ObjectMotion, Plane, Quadric, Rectangle, Sphere
 from clsco.scene.rotations import AxisAngle, UnitQuaternion
+from tests.optics.grids import Array
 
-Array = NDArray[np.float64]
 REST = ObjectMotion()
 MOTION = ObjectMotion(velocity=(3.0, -2.0, 9.0), angular_velocity=(25.0, -40.0, 60.0))
 ANY: tuple[float, float, float] = (35.0, -50.0, 110.0)
