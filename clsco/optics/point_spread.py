@@ -255,7 +255,7 @@ class PointSpread:
         limit = floor(sqrt(float(key.max(initial=0.0))))
         span = np.arange(-limit, limit + 1)
         lattice = np.sort((span[:, None] ** 2 + span[None, :] ** 2).ravel())
-        if self.uniform:
+        if not self.pupil.soft:
             return value / np.searchsorted(lattice, key, side="right")
         sigma = self.pupil.lengths["sigma"] * np.maximum(r, MINIMUM_BLUR)
         # Sum over the lattice, once per shell of equal distance.
