@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.transform import FEWEST, image_parts, spot_light
+from clsco.optics.pupils.fourier import FEWEST, image_parts, spot_light
 from clsco.optics.pupils.wavefront import Wavefront
 
 Array = NDArray[np.float64]

@@ -14,13 +14,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
-from clsco.truth.judge import trace_frame
+from clsco.truth.judge import trace
 from clsco.truth.pixels import labels_at
 from clsco.truth.problem import Problem, make_problem
 
 Array = NDArray[np.float64]
 MOST_RAYS = 2**17  # of a pixel
+REPEATS = 4  # independent estimates of a pixel
 CACHE_FORMAT = 3  # part of the key of cached images; a change of what is computed must change it
 
 
@@ -46,6 +48,23 @@ def traced(
             np.savez_compressed(file, image=image, error=error)
         Path(file.name).replace(path)
     return image, error
+
+
+def trace_frame(problem: Problem, noise: float, rays: int, seed: int = 0) -> tuple[Array, Array]:
+    """Radiance (rows, columns[, channels]) of all pixels by rays, and its standard error; the error's RMS is below
+    `noise`, if `rays` rays per pixel are enough.
+    """
+    row, column = np.indices(problem.size).reshape(2, -1)
+    places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
+
+    def go_on(error: Array) -> NDArray[np.bool_]:  # a pixel near others with an error may have missed a surface
+        near = maximum_filter(error.reshape(problem.size), 5).ravel()
+        return np.asarray((near > noise / 4) & (math.sqrt(np.mean(error**2)) > noise))
+
+    jobs = np.full((len(row), 2), -1)
+    image, error, _ = trace(problem, jobs, places, rays, math.inf, seed, go_on, REPEATS)
+    size = problem.size if image.shape[1] == 1 else (*problem.size, image.shape[1])
+    return image.reshape(size), error.reshape(size)
 
 
 def _key(problem: Problem, noise: float) -> str:

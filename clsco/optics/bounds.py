@@ -20,7 +20,7 @@ FAR = 1e3  # multiple of the largest bound, in place of an infinite one
 NULL = 1e-13  # fraction of the largest coefficient that counts as 0
 Interval = tuple[float, float]
 Bounds = tuple[Interval, Interval, Interval]
-Matrix = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 @lru_cache(maxsize=1024)
@@ -49,7 +49,7 @@ def cutting(rows: tuple[tuple[float, ...], ...], nappe: int, bounds: Bounds) -> 
     return (x, y, z) if cuts.any() else None
 
 
-def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
+def _ends(matrix: Array, axis: int, box: Array) -> Iterator[float]:
     """Candidates for the ends of a surface along an axis, in both directions; infinite where it has no end.
 
     matrix: (M, L; L, K); box: (3, 2), low and high limit of each axis. Finite candidates lie inside the box.
@@ -81,7 +81,7 @@ def _ends(matrix: Matrix, axis: int, box: Matrix) -> Iterator[float]:
                 yield x
 
 
-def _roots(form: Matrix) -> Iterator[float]:
+def _roots(form: Array) -> Iterator[float]:
     """Real x with (x, 1) form (x, 1) = 0; form: symmetric, (2, 2)."""
     a, b, c = form[0, 0], form[0, 1], form[1, 1]
     discriminant = b * b - a * c

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.pupils.pupil import Borders
-from clsco.optics.pupils.quadrature import pixel_integral, unit_nodes
+from clsco.optics.pupils.pupil import Borders, pixel_integral, unit_nodes
 
 Array = NDArray[np.float64]
 Circle = tuple[Array, Array, Array]

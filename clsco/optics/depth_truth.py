@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.lens import ray_step
 from clsco.optics.motion import Eye, Pose, moved_points, rest_center
-from clsco.optics.rays import image_slopes, slopes_at
+from clsco.optics.rays import image_slopes, ray_slopes
 from clsco.scene.model import Camera, Object
 
 # A depth at a point's position that is nearer by at most this factor belongs to the point's own surface.
@@ -23,9 +23,7 @@ Mask = NDArray[np.bool_]
 
 def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
     """Surface points (rows, columns, 3) in mm of a depth map in mm; 0 where depth is infinite."""
-    rows, columns = depth.shape
-    i, j = np.indices(depth.shape)
-    rays = np.stack([*slopes_at(camera, j - (columns - 1) / 2, (rows - 1) / 2 - i), np.ones(depth.shape)], axis=-1)
+    rays = np.stack([*ray_slopes(camera, *np.indices(depth.shape)), np.ones(depth.shape)], axis=-1)
     return np.asarray(rays * np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)[..., None])
 
 

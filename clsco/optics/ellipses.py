@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsco.optics.distortion import Distortion
-
-Array = NDArray[np.float64]
+from clsco.optics.distortion import Array, Distortion
 
 
 def shape_of(distortion: Distortion, x: Array, y: Array) -> Array:

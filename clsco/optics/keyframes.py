@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsco.scene.motions import Interpolation, Outside
 from clsco.scene.quantities import Vector
+from clsco.scene.rotations import quaternion_rows
 
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
@@ -193,11 +194,4 @@ def _product(p: Quaternion, q: Quaternion) -> Quaternion:
 def _matrix(q: Quaternion) -> Array:
     """Rotation matrix (3, 3) of a quaternion."""
     size = hypot(*q)
-    w, x, y, z = (part / size for part in q)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return np.array(quaternion_rows(*(part / size for part in q)))

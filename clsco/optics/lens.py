@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsco.optics.distortion import Distortion, distortion_of
+from clsco.optics.distortion import Array, Distortion, distortion_of
 from clsco.scene.lens import Lens as Aberrations
 from clsco.scene.model import Camera
 
-Array = NDArray[np.float64]
 LARGEST_BLUR = 512.0  # px; a source beyond it spreads over a million pixels
 SHARP = 0.5  # px, |R| up to which a point counts as in focus
 

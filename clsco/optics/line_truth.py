@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.distortion import distortion_of
+from clsco.optics.distortion import Array, distortion_of
 from clsco.optics.exposure import line_times
 from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
@@ -26,7 +26,6 @@ from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import image_slopes
 from clsco.scene.model import Camera, Object, Scene
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 STEPS, CLOSE = 24, 1e-9  # largest number of Newton's steps, and change in lines at which they end

@@ -8,9 +8,8 @@ from math import fsum, pi, radians, sin, sqrt
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsco.optics.keyframes import Orientations, Path, orientations_through, path_through
+from clsco.optics.keyframes import Array, Orientations, Path, orientations_through, path_through
 from clsco.scene.groups import group_origin
 from clsco.scene.model import Group, Object, ObjectMotion, Scene
 from clsco.scene.motions import CameraShake, Keyframe
@@ -18,7 +17,6 @@ from clsco.scene.quantities import Vector
 from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
 
-Array = NDArray[np.float64]
 Eye = Literal["left", "right"]
 # The thesis turns an object in a frame whose z axis points towards the camera (2.13).
 TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])

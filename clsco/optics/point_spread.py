@@ -235,10 +235,6 @@ class PointSpread:
         share = self.pupil.axis_share(offset, np.where(point, 1.0, radius), self.edge == "integrated")
         return np.where(point, offset == 0.0, share)
 
-    def rows(self, radii: Array, dx: Array, dy: Array, subpixel: bool) -> Array:
-        """Weights (radii, dy, dx) for steps of 1 px in dx and dy; only for "general", radii > 0 unless `diffracted`."""
-        return self.pupil.rows(radii, dx, dy, self.edge == "integrated" and not subpixel)
-
     def lens_cells(self) -> Array:
         """Light through the cells (2 LENS_CELLS, 2 LENS_CELLS) of a square around the lens, up to a factor.
 
@@ -259,11 +255,9 @@ class PointSpread:
         limit = floor(sqrt(float(key.max(initial=0.0))))
         span = np.arange(-limit, limit + 1)
         lattice = np.sort((span[:, None] ** 2 + span[None, :] ** 2).ravel())
-        from clsco.optics.pupils.gaussian import Gaussian
-
-        if not isinstance(self.pupil, Gaussian):
+        if not self.pupil.soft:
             return value / np.searchsorted(lattice, key, side="right")
-        sigma = self.pupil.sigma * np.maximum(r, MINIMUM_BLUR)
+        sigma = self.pupil.lengths["sigma"] * np.maximum(r, MINIMUM_BLUR)
         # Sum over the lattice, once per shell of equal distance.
         shells, counts = np.unique(lattice, return_counts=True)
         total = np.zeros_like(r)
@@ -286,10 +280,8 @@ def point_spread(
     if psf.model == "gaussian":
         from clsco.optics.pupils.gaussian import Gaussian
 
-        round_cut = psf.edge == "sampled"
-        return PointSpread(
-            Gaussian(psf.sigma_ratio, psf.truncation, round_cut), psf.edge, 2 * psf.silhouette_samples, rims
-        )
+        gaussian = Gaussian(psf.sigma_ratio, psf.truncation, round=psf.edge == "sampled")
+        return PointSpread(gaussian, psf.edge, 2 * psf.silhouette_samples, rims)
     pupil = image or FORMULAS[aperture.shape](aperture)
     if psf.model == "wave" or psf.aberrated:
         if camera is None:

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 OUTLINE, OUTLINE_RUN = 2, 4  # lengths of the last axis of outlines, without and with a run of equal weights
 SAME = 1e-9  # weights that differ by a smaller fraction count as equal; those of wide blurs are exact to 1e-10
+NONE = np.zeros(0, np.float32)
 RUN = 16  # largest number of intervals of one half-width whose weights are computed at once
 
 
@@ -80,7 +81,7 @@ def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
                         taps[0, :, k] = right[dy, :, dx]
                 else:
                     outlines[k, : half_width + 1] = _outline(right)
-    return WeightBlock(widths.astype(np.int32), np.concatenate(coefficients), _none(), taps, outlines)
+    return WeightBlock(widths.astype(np.int32), np.concatenate(coefficients), NONE, taps, outlines)
 
 
 def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
@@ -88,7 +89,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     them; unless the PSF is diffracted, the blur of -R is that of R mirrored in its center.
     """
     fine = samples > 0
-    offsets = subpixel_offsets(samples) if fine else np.zeros(1)
+    offsets, tent = subpixel_offsets(samples) if fine else np.zeros(1), psf.edge == "integrated" and not fine
     coefficients: tuple[list[Floats], ...] = ([], [])
     widths = half_widths(psf, span, fine).astype(np.int32)
     reach, by_columns = int(widths[-1]), psf.has_runs and not fine
@@ -97,7 +98,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     for number, radii, half_width in _runs(psf, span, fine):
         taps = np.arange(-half_width, half_width + 1.0)
         squares, mirrored = (
-            [psf.rows(sign * radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
+            [psf.pupil.rows(sign * radii, taps - ox, taps - oy, tent) for oy in offsets for ox in offsets]
             if (sign == 1 and psf.most[1] >= 0.0) or (sign == -1 and psf.most[0] >= 0.0 and psf.diffracted)
             else []
             for sign in (1, -1)
@@ -111,7 +112,7 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
             mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
         for blocks, square in zip(coefficients, (squares, mirrored), strict=True):
             blocks += [block.ravel() for block in _cubics(np.concatenate(square, axis=1), half_width)] if square else []
-    positive, negative = (np.concatenate(blocks or [_none()]) for blocks in coefficients)
+    positive, negative = (np.concatenate(blocks or [NONE]) for blocks in coefficients)
     return WeightBlock(widths, positive, negative, np.zeros((0, POWERS, 0), np.float32), outlines)
 
 
@@ -128,11 +129,7 @@ def _separable(psf: PointSpread, span: range) -> WeightBlock:
             sides[: half_width + 1, :, k] = block[:, half_width : 2 * half_width + 1].T
             rows.append(block.ravel())
     outlines = np.zeros((0, 0, 2), np.int32)
-    return WeightBlock(widths.astype(np.int32), np.concatenate(rows), _none(), sides, outlines)
-
-
-def _none() -> Floats:
-    return np.zeros(0, np.float32)
+    return WeightBlock(widths.astype(np.int32), np.concatenate(rows), NONE, sides, outlines)
 
 
 def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, Array, int]]:

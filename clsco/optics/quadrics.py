@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from math import inf, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsco.optics.bounds import Bounds, cutting
+from clsco.optics.bounds import Array, Bounds, cutting
 from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose, rest_center, static_rotation
 from clsco.scene.model import Background, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
 
-Array = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
 NULL_CURVATURE = 1e-13
 # The square is completed along an axis only if this moves the origin by at most this multiple of the center's distance.

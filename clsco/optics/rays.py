@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from clsco.optics.distortion import distortion_of
+from clsco.optics.distortion import Array, distortion_of
 from clsco.optics.lens import ray_step
 from clsco.scene.model import Camera
-
-Array = NDArray[np.float64]
 
 
 def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array, Array]:

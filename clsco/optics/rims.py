@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsco.optics.chords import open_share
+from clsco.optics.chords import Array, open_share
 from clsco.optics.lens import Lens
 from clsco.optics.lens_path import camera_at, lens_at
 from clsco.optics.point_spread import PointSpread, Rim
@@ -13,7 +12,6 @@ from clsco.optics.rays import ray_slopes
 from clsco.optics.vignetting import throughput
 from clsco.scene.model import Scene
 
-Array = NDArray[np.float64]
 LEAST_SPREAD = 1e-6  # least width in a rim, relative to the lens, of the rays from a point through the lens
 CELLS = 24  # cells per lens radius over which light is summed
 POINTS = 1024  # number of points at a time, so that their data stays in the caches

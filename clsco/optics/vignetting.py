@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsco.optics.distortion import distortion_of
+from clsco.optics.distortion import Array, distortion_of
 from clsco.optics.lens import ray_step
 from clsco.optics.rays import slopes_at
 from clsco.scene.lens import Vignetting
 from clsco.scene.model import Camera
-
-Array = NDArray[np.float64]
 
 
 def throughput(camera: Camera, vignetting: Vignetting) -> Array:

@@ -12,16 +12,14 @@ from functools import lru_cache
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
+from clsco.optics.distortion import Array
 from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import EVERYWHERE, Extent, cutting_bounds, place
 from clsco.scene.model import Camera, Object, Plane, Rectangle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -122,23 +120,14 @@ def occlusion_groups(
     extents: of `items`, in the same order. Each of the two roots of a hollow object forms a group of its own. If no
     object can be hidden, there is a single group without occluders.
     """
-    count, reach = len(extents), psf.extent
-    hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]
-    groups: list[list[int]] = []
-    for k in (k for k in range(count) if not is_hollow(items[k])):
-        group = next((g for g in groups if not any(hides[k][m] or hides[m][k] for m in g)), None)
-        if group is None:
-            groups.append([k])
-        else:
-            group.append(k)
-    occluders = [{m for k in group for m in range(count) if hides[k][m]} for group in groups]
-    hollow = [
-        OcclusionGroup(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, root)
-        for k in range(count)
-        if is_hollow(items[k])
-        for root in (1, 2)
-    ]
-    return (*hollow, *(
-        OcclusionGroup(sum(1 << k for k in group), sum(1 << m for m in numbers))
-        for group, numbers in zip(groups, occluders, strict=True)
-    ))  # fmt: skip
+    hides, groups = list[int](), list[OcclusionGroup]()  # for each object: the objects that may hide it
+    for k, far in enumerate(extents):
+        near = (m for m, each in enumerate(extents) if m != k and may_hide(each, far, camera, psf.extent))
+        hides.append(sum(1 << m for m in near))
+    for k in (k for k, item in enumerate(items) if not is_hollow(item)):
+        fits = (n for n, g in enumerate(groups) if not (g.members & hides[k] or g.occluders >> k & 1))
+        place = next(fits, len(groups))
+        group = groups[place] if place < len(groups) else NO_GROUP
+        groups[place : place + 1] = [OcclusionGroup(group.members | 1 << k, group.occluders | hides[k])]
+    hollow = (k for k, item in enumerate(items) if is_hollow(item))
+    return (*(OcclusionGroup(1 << k, 1 << k | hides[k], k, root) for k in hollow for root in (1, 2)), *groups)

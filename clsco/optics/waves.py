@@ -51,8 +51,7 @@ def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes
 
     silhouettes: n for n x n sub-pixel sources, 0 for none.
     """
-    spreads = psf.places or (psf,)
-    pupils = {p.upright for spread in spreads if isinstance(p := spread.pupil, FourierDiffracted)}
+    pupils = {p.upright for place in psf.places if isinstance(p := place.pupil, FourierDiffracted)}
     seconds = 0.0
     for pupil in pupils:
         for radius in range(int(smallest), int(largest) + 1):

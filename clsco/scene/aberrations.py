@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, create_model
 
@@ -14,6 +13,9 @@ NAMES = {
     "2,-2": "Oblique astigmatism", "2,0": "Defocus", "2,2": "Astigmatism", "3,-3": "Oblique trefoil",
     "3,-1": "Vertical coma", "3,1": "Horizontal coma", "3,3": "Trefoil", "4,0": "Spherical aberration",
 }  # fmt: skip
+ABOUT = "{}, rms over the whole lens, waves."
+POLYNOMIALS = {f"{n},{m}": (n, m) for n in range(2, MOST_ORDER + 1) for m in range(-n, n + 1, 2)}
+"""Indices n and m of all Zernike polynomials that a scene may have, by key."""
 
 Waves = Annotated[float, Within(-20.0, 20.0, "waves")]
 
@@ -52,18 +54,6 @@ class Seidel(Strict):
         return 2e-6 * wavelength * self.W311 / (diameter * corner**3)
 
 
-def _polynomials() -> Iterator[tuple[int, int]]:
-    """Indices n and m of all Zernike polynomials that a scene may have."""
-    for n in range(2, MOST_ORDER + 1):
-        yield from ((n, m) for m in range(-n, n + 1, 2))
-
-
-def _described(name: str) -> Any:
-    """Type and default of the key of a polynomial; name: "n,m"."""
-    about = f"{NAMES.get(name, 'Zernike polynomial')}, rms over the whole lens, waves."
-    return Waves, Field(default=0.0, description=about)
-
-
 if TYPE_CHECKING:
     Zernike = Strict
 else:
@@ -72,7 +62,10 @@ else:
         __base__=Strict,
         __module__=__name__,
         __doc__="""Zernike polynomials of the wavefront, "n,m" by OSA and ANSI Z80.28, in waves of green light.""",
-        **{f"{n},{m}": _described(f"{n},{m}") for n, m in _polynomials()},
+        **{
+            key: (Waves, Field(0.0, description=ABOUT.format(NAMES.get(key, "Zernike polynomial"))))
+            for key in POLYNOMIALS
+        },
     )
 
 
@@ -80,5 +73,5 @@ def zernike_terms(table: Strict) -> tuple[tuple[int, int, float], ...]:
     """Indices n and m, and coefficient in waves, of each nonzero polynomial of [psf.zernike]."""
     if not table.model_fields_set:  # fast path, as each frame calls this several times
         return ()
-    terms = ((n, m, float(getattr(table, f"{n},{m}"))) for n, m in _polynomials())
+    terms = ((n, m, float(getattr(table, key))) for key, (n, m) in POLYNOMIALS.items())
     return tuple(term for term in terms if term[2])

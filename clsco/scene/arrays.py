@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from pydantic import GetCoreSchemaHandler, SerializationInfo
+from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from clsco.scene.quantities import Name, fault
@@ -92,10 +92,7 @@ class _InputOf:
         return text(os.fspath(value) if isinstance(value, os.PathLike) else value)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        def serialized(value: Any, info: SerializationInfo) -> Any:
-            return str(value) if info.mode_is_json() else value
-
-        written = core_schema.plain_serializer_function_ser_schema(serialized, info_arg=True)
+        written = core_schema.plain_serializer_function_ser_schema(str, when_used="json")
         text = handler.generate_schema(Name)
         return core_schema.no_info_wrap_validator_function(self.check, text, serialization=written)
 

@@ -7,12 +7,12 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import getitem
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, cast, get_args
 
 from pydantic import BaseModel
 
 from clsco.errors import SceneError
-from clsco.scene.faults import ALIASES, parsed
+from clsco.scene.faults import ALIASES, Root, parsed
 from clsco.scene.sensor import EXPOSURE_KEYS
 from clsco.scene.spread import APERTURE_KEYS, MODEL_KEYS, ApertureShape, SpreadModel
 from clsco.scene.text import brief, shown
@@ -20,11 +20,11 @@ from clsco.scene.text import brief, shown
 MAX_VARIANTS = 4096
 MOST_JOINED = 8  # depth of tables that are joined; deeper nesting is rejected later
 VARIANT = "variant"  # array of tables; each has the keys of one scene that differ from the rest of the file
-# (key, its section, its values, other keys of the section that are allowed only with some of these values)
+# (section, its key, values of this key, other keys of the section that are allowed only with some of these values)
 _CHOICES: tuple[tuple[str, str, tuple[str, ...], Mapping[str, tuple[str, ...]]], ...] = (
-    ("aperture.shape", "aperture", get_args(ApertureShape), APERTURE_KEYS),
-    ("psf.model", "psf", get_args(SpreadModel), MODEL_KEYS),
-    ("sensor.exposure", "sensor", ("normalized", "physical"), EXPOSURE_KEYS),
+    ("aperture", "shape", get_args(ApertureShape), APERTURE_KEYS),
+    ("psf", "model", get_args(SpreadModel), MODEL_KEYS),
+    ("sensor", "exposure", ("normalized", "physical"), EXPOSURE_KEYS),
 )
 # (key that is set, its new value or None for any, other key that contradicts this value)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
@@ -39,8 +39,8 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("sensor.iso", None, "sensor.gain"),
     ("sensor.mosaic", "none", "sensor.demosaic"),
     *(
-        (selector, value, f"{section}.{key}")
-        for selector, section, values, homes in _CHOICES
+        (f"{section}.{selector}", value, f"{section}.{key}")
+        for section, selector, values, homes in _CHOICES
         for key, own in homes.items()
         for value in values
         if value not in own
@@ -48,9 +48,6 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),
 )
-
-
-Root = TypeVar("Root", bound=BaseModel)
 
 
 def key_parts(key: str) -> list[str]:
@@ -152,18 +149,14 @@ def dump(scene: Any) -> dict[str, Any]:
     an equal scene.
     """
     data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
-    if scene.camera.f_number is not None:
-        del data["camera"]["aperture_diameter"]
-    if scene.camera.focus_distance is not None:
-        del data["camera"]["sensor_distance"]
+    for key in ("camera.f_number", "camera.focus_distance", *(f"{section}.{key}" for section, key, *_ in _CHOICES)):
+        if (value := entry_at(data, key.split("."))) is not None:
+            displace(data, key, value)
+    displace(data, "motion.warp", scene.motion.warp)
     if scene.sensor is not None and scene.sensor.iso is None:
         del data["sensor"]["iso_base"]
-    if scene.sensor is not None:
-        displace(data, "sensor.exposure", scene.sensor.exposure)
     if not scene.groups:
         del data["group"]
-    for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):
-        displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
         del data["psf"]["occlusion"]  # not set, and its default depends on the plan
     for place, item in scene.inputs:

@@ -174,7 +174,8 @@ def parse_file(data: dict[str, Any], where: str, parse: Callable[[dict[str, Any]
         return parse(data, where)
     except SceneError as error:
         folder = Path(where).absolute().parent
-        missing = ((place, name) for place, name in named_files(data) if name and not _exists(folder, name))
+        # Unlike Path.exists, this is False for what is no file name: too long, or with a null character.
+        missing = ((place, name) for place, name in named_files(data) if name and not os.path.exists(folder / name))  # noqa: PTH110
         rules = ((place, name, missing_input(str(place[-1]), name)) for place, name in islice(missing, MAX_MESSAGES))
         messages = [f"{where}: {key_name(place)}: {rule}; got {shown(name)}" for place, name, rule in rules]
         raise SceneError([*error.messages, *messages]) from error
@@ -183,14 +184,6 @@ def parse_file(data: dict[str, Any], where: str, parse: Callable[[dict[str, Any]
 def missing_input(key: str, name: str) -> str:
     """The rule of an error message about a missing file that a scene names under a key."""
     return "must be an existing file" if key in FILES_ONLY else missing_texture(name)
-
-
-def _exists(folder: Path, name: str) -> bool:
-    """True if a file of this name exists."""
-    try:
-        return (folder / name).exists()
-    except (OSError, ValueError):  # not a file name: too long, or with a null character
-        return False
 
 
 def parse_scene(mapping: Mapping[str, Any] | str, where: str = "scene") -> Scene:

@@ -161,13 +161,13 @@ class Scene(Strict):
     @field_validator("lens")
     @classmethod
     def _lens_of_the_camera(cls, value: Lens | None, info: ValidationInfo) -> Lens | None:
-        camera, faults = info.data.get("camera"), list[Fault]()
-        if value is None or camera is None:
+        camera, psf, faults = info.data.get("camera"), info.data.get("psf"), list[Fault]()
+        if camera is None:
             return value
-        for k, key in enumerate(value.keyframe or ()):
+        for k, key in enumerate(value.keyframe or () if value else ()):
             f, u, number = key.focal_length, key.focus_distance, key.f_number
             name = "camera.focal_length" if f is None else "its focal_length"
-            if f is None and value.zooms:
+            if f is None and value and value.zooms:
                 continue  # the focal length is interpolated from other keyframes
             f = camera.focal_length if f is None else f
             if u is not None and not (u > f and image_distance(f, u) <= MAX_LENGTH_MM):
@@ -175,18 +175,12 @@ class Scene(Strict):
             if number is not None and not MIN_LENGTH_MM <= f / number <= MAX_LENGTH_MM:
                 rule = f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm"
                 faults.append((("keyframe", k, "f_number"), rule, number))
-        for k, longer in enumerate(value.axial):
+        for k, longer in enumerate(value.axial if value else ()):
             if not MIN_LENGTH_MM <= camera.focal_length + longer <= MAX_LENGTH_MM:
                 rule = f"must leave a focal length, of camera.focal_length = {camera.focal_length:g} mm"
                 faults.append((("axial", k), rule, longer))
         raise_faults(*faults)
-        return value
-
-    @field_validator("lens")
-    @classmethod
-    def _with_distortion_of_wavefront(cls, value: Lens | None, info: ValidationInfo) -> Lens | None:
-        psf, camera = info.data.get("psf"), info.data.get("camera")
-        if psf is None or camera is None or camera.resolution is None:
+        if psf is None or camera.resolution is None:
             return value
         return with_distortion_of_wavefront(value, psf, camera)
 

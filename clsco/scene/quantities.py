@@ -103,17 +103,21 @@ def raise_faults(*faults: Fault) -> None:
 class Within:
     """Constraint on a number: finite and between `low` and `high`, in `unit`.
 
-    ends: a bracket for each limit, square if the limit itself is allowed.
+    ends: a bracket for each limit, square if the limit itself is allowed. infinite: True if the number may also be
+    infinite: inf, or "inf" if a file format has no such number.
     """
 
     low: float
     high: float
     unit: str = ""
     ends: Literal["[]", "[)", "()"] = "[]"
+    infinite: bool = False
 
     def check(self, value: float) -> float:
         """Return the value if it satisfies the constraint; otherwise raise the fault that states the constraint."""
         unit = f" {self.unit}" if self.unit else ""
+        if self.infinite and value == math.inf:
+            return value
         if isinstance(value, float) and not math.isfinite(value):
             raise fault("must be a finite number")
         above = self.low <= value if self.ends[0] == "[" else self.low < value
@@ -126,33 +130,21 @@ class Within:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         number = core_schema.no_info_before_validator_function(as_python, handler(source))
-        return core_schema.no_info_after_validator_function(self.check, number)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        low = "minimum" if self.ends[0] == "[" else "exclusiveMinimum"
-        high = "maximum" if self.ends[1] == "]" else "exclusiveMaximum"
-        return {**handler(schema), low: self.low, high: self.high}
-
-
-@dataclass(frozen=True)
-class WithinOrInfinite(Within):
-    """Constraint on a number that may also be infinite: inf, or "inf" if a file format has no such number."""
-
-    def check(self, value: float) -> float:
-        """Return the value if it is valid, else raise the fault, as `Within.check` does."""
-        return value if value == math.inf else super().check(value)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        number = super().__get_pydantic_core_schema__(source, handler)
+        checked = core_schema.no_info_after_validator_function(self.check, number)
+        if not self.infinite:
+            return checked
         written = core_schema.plain_serializer_function_ser_schema(
             lambda value: "inf" if value == math.inf else value, when_used="json"
         )
         return core_schema.no_info_before_validator_function(
-            lambda value: math.inf if type(value) is str and value == "inf" else value, number, serialization=written
+            lambda value: math.inf if type(value) is str and value == "inf" else value, checked, serialization=written
         )
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"anyOf": [super().__get_pydantic_json_schema__(schema, handler), {"const": "inf", "type": "string"}]}
+        low = "minimum" if self.ends[0] == "[" else "exclusiveMinimum"
+        high = "maximum" if self.ends[1] == "]" else "exclusiveMaximum"
+        limited = {**handler(schema), low: self.low, high: self.high}
+        return {"anyOf": [limited, {"const": "inf", "type": "string"}]} if self.infinite else limited
 
 
 def _list_of(count: int, what: str) -> Callable[[Any], Any]:
@@ -213,7 +205,7 @@ Flag = Annotated[bool, BeforeValidator(as_python)]
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
 Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 Length = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
-FocusDistance = Annotated[float, WithinOrInfinite(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
+FocusDistance = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm", infinite=True)]
 Sides = Annotated[tuple[Length, Length], Pair]
 Lengths = Annotated[tuple[Length, Length, Length], Triple]
 Coordinate = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]

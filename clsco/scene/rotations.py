@@ -69,7 +69,7 @@ def rotation_rows(rotation: EulerAngles | AxisAngle | UnitQuaternion | None) -> 
     if isinstance(rotation, UnitQuaternion):
         w, *axis = rotation.quaternion
         size = math.hypot(*rotation.quaternion)
-        return _quaternion_rows(w / size, *(part / size for part in axis))
+        return quaternion_rows(w / size, axis[0] / size, axis[1] / size, -axis[2] / size)
     about_x, about_y, about_z = (
         _about((float(k == 0), float(k == 1), float(k == 2)), angle) for k, angle in enumerate(rotation)
     )
@@ -119,9 +119,8 @@ def _sine_cosine(degrees: float) -> tuple[float, float]:
     return quarter.get(math.fmod(degrees + 360.0, 360.0), (math.sin(angle), math.cos(angle)))
 
 
-def _quaternion_rows(w: float, x: float, y: float, z: float) -> Rows:
-    """Matrix of a unit quaternion; x, y, z: right, up, towards the camera."""
-    z = -z
+def quaternion_rows(w: float, x: float, y: float, z: float) -> Rows:
+    """Matrix of a unit quaternion; x, y, z: right, up, away from the camera."""
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
         (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),

@@ -328,21 +328,14 @@ class DepthMap(_Bounded):
     )
     _not_zero = field_validator("scale")(refuse_if(lambda value: abs(value) < 1e-12, "must be at least 1e-12 in size"))
 
-    @field_validator("depth_kind")
+    @field_validator("depth_kind", "near")
     @classmethod
-    def _of_lengths(cls, value: str, info: ValidationInfo) -> str:
+    def _of_lengths(cls, value: str | float | None, info: ValidationInfo) -> str | float | None:
         unit = info.data.get("unit")
-        if value == "ray" and unit in ("disparity", "coc"):
-            raise fault(f'"ray" belongs to units of length and their inverse, not to "{unit}"')
-        return value
-
-    @field_validator("near")
-    @classmethod
-    def _of_depths(cls, value: float | None, info: ValidationInfo) -> float | None:
-        unit = info.data.get("unit")
-        if value is not None and unit in ("disparity", "coc"):
-            raise fault(f'belongs to units of length and their inverse, not to "{unit}"')
-        if value is not None and info.data.get("offset") is not None:
+        if value not in (None, "z") and unit in ("disparity", "coc"):
+            what = '"ray" ' if value == "ray" else ""
+            raise fault(f'{what}belongs to units of length and their inverse, not to "{unit}"')
+        if value is not None and info.field_name == "near" and info.data.get("offset") is not None:
             raise fault("must be without offset, as it maps the range of all numbers")
         return value
 

@@ -191,22 +191,18 @@ class Psf(Strict):
 
 def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
     """Key of [aperture] that is incompatible with the PSF, the rule, and the value that breaks it; None if all fit."""
-    faults: list[tuple[str, str, Any]] = []
-    if aperture.shape != "circle":
-        faults.append(("shape", f'"{aperture.shape}"', aperture.shape))
-    if aperture.squeeze != 1.0:
-        faults.append(("squeeze", "an aperture that is squeezed", aperture.squeeze))
-    if aperture.rim and psf.edge == "sampled":
-        return "rim", 'needs psf.edge = "integrated" or "area"', psf.edge
-    if aperture.rim and psf.model == "wave":
-        return "rim", 'needs psf.model = "pillbox" or "gaussian"', psf.model
-    if aperture.rim and psf.aberrated:
-        return "rim", "must be absent with psf.seidel or psf.zernike", "some"
-    if psf.aberrated and aperture.squeeze < 1.0:
-        return "squeeze", "must be at least 1 with psf.seidel or psf.zernike, which are of a circle", aperture.squeeze
-    for key, about, value in faults:
-        if psf.model == "gaussian":
-            return key, f'{about} needs psf.model = "pillbox" or "wave"', value
-        if psf.edge == "sampled":
-            return key, f'{about} needs psf.edge = "integrated" or "area"', value
-    return None
+    shape, squeeze, rim = aperture.shape, aperture.squeeze, bool(aperture.rim)
+    gaussian, sampled = psf.model == "gaussian", psf.edge == "sampled"
+    by_waves, by_area = 'needs psf.model = "pillbox" or "wave"', 'needs psf.edge = "integrated" or "area"'
+    least = "must be at least 1 with psf.seidel or psf.zernike, which are of a circle"
+    rules: tuple[tuple[bool, str, str, Any], ...] = (
+        (rim and sampled, "rim", by_area, psf.edge),
+        (rim and psf.model == "wave", "rim", 'needs psf.model = "pillbox" or "gaussian"', psf.model),
+        (rim and psf.aberrated, "rim", "must be absent with psf.seidel or psf.zernike", "some"),
+        (psf.aberrated and squeeze < 1.0, "squeeze", least, squeeze),
+        (shape != "circle" and gaussian, "shape", f'"{shape}" {by_waves}', shape),
+        (shape != "circle" and sampled, "shape", f'"{shape}" {by_area}', shape),
+        (squeeze != 1.0 and gaussian, "squeeze", f"an aperture that is squeezed {by_waves}", squeeze),
+        (squeeze != 1.0 and sampled, "squeeze", f"an aperture that is squeezed {by_area}", squeeze),
+    )
+    return next(((key, rule, value) for broken, key, rule, value in rules if broken), None)

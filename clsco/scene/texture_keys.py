@@ -179,24 +179,21 @@ def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
     shape, mapping = type(item).model_fields["shape"].default, item.texture_mapping
     lying = ("texture_size", "texture_repeats", "texture_offset", "texture_angle", "texture_wrap")
     keys = {key: getattr(item, key) for key in lying if getattr(item, key) is not None}
-    sides: list[tuple[str, str, Any]] = []
-    if isinstance(item, SixSided) and not item.has_sides:
-        rule = 'belongs to boxes, and to texture_mapping = "cube"'
-        sides = [(key, rule, getattr(item, key)) for key in item.inputs() if key != "texture"]
     images = (value for key, value in item.inputs().items() if key != "depth")
     if item.texture_layer is not None and not any(isinstance(image, LayerInput) for image in images):
         yield "texture_layer", "belongs to images in EXR files", item.texture_layer
-    if mapping == "projected":
-        yield from sides
-        for key, value in keys.items():
-            yield key, 'belongs to textures on surfaces: texture_mapping = "surface", "triplanar" or "cube"', value
-        return
-    if mapping not in item.MAPPINGS:
+    if mapping not in ("projected", *item.MAPPINGS):
         known = " or ".join(f'"{name}"' for name in ("projected", *item.MAPPINGS))
         yield "texture_mapping", f"on a {shape} must be {known}", mapping
         return
-    yield from sides
-    yield from _unfit(item, RULES[item.MAPPINGS[mapping]], f'"{mapping}" on a {shape}')
+    if isinstance(item, SixSided) and not item.has_sides:
+        rule = 'belongs to boxes, and to texture_mapping = "cube"'
+        yield from ((key, rule, getattr(item, key)) for key in item.inputs() if key != "texture")
+    if mapping == "projected":
+        rule = 'belongs to textures on surfaces: texture_mapping = "surface", "triplanar" or "cube"'
+        yield from ((key, rule, value) for key, value in keys.items())
+    else:
+        yield from _unfit(item, RULES[item.MAPPINGS[mapping]], f'"{mapping}" on a {shape}')
 
 
 def _unfit(item: Textured, takes: _Rule, where: str) -> Iterator[tuple[str, str, Any]]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 PROJECTED, FLAT, ROUND, GLOBE, ROLLED, THREE, CUBE = range(7)
 WRAPS = ("repeat", "mirror", "clamp", "none")
+MIRROR = 1  # number in WRAPS
 FILTERS = ("nearest", "bilinear", "bicubic")
 # Numbers of a mapping: kind, first texel, rows, columns, wrap, width and height of a copy, cosine and sine of its turn,
 # shift right and up in copies, a radius or the sine of a half angle; then right, up and front vector, and the filter.
@@ -84,13 +85,13 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int, texture_filter: st
 
 
 @njit(cache=True, inline="always")
-def _texel(index, count, wrap):  # type: ignore[no-untyped-def]
+def texel(index, count, wrap):  # type: ignore[no-untyped-def]
     """Number of the texel at an index along an axis of `count` texels, -1 for none; wrap: number in WRAPS."""
     if 0 <= index < count:
         return index
     if wrap == 0:
         return index % count
-    if wrap == 1:
+    if wrap == MIRROR:
         index %= 2 * count
         return index if index < count else 2 * count - 1 - index
     if wrap == 2:
@@ -125,12 +126,12 @@ def _add_image(total, share, s, t, m, images, side=0):  # type: ignore[no-untype
     first += side * rows * columns
     wrap_rows = wrap
     if int(m[0]) == GLOBE and abs(m[6] - math.pi) < 1e-12 and m[10] == 0.0:
-        wrap_rows = 1
+        wrap_rows = MIRROR
     for i in range(top, top + 4):
-        line = _texel(i, rows, wrap_rows)
+        line = texel(i, rows, wrap_rows)
         across = _weight(row - i, kind)
         for j in range(left, left + 4):
-            at = _texel(j, columns, wrap)
+            at = texel(j, columns, wrap)
             if line < 0 or at < 0:
                 continue
             weight = share * across * _weight(column - j, kind)

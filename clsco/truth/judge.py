@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from clsco.frame.frame import Frame
 from clsco.resources import processors
@@ -24,7 +23,7 @@ from clsco.truth.waves import HIDDEN, cells_of, spread_light
 
 NOISE = 1e-3  # standard error to reach for a pixel, 1 = white
 LIGHT_NOISE = 4e-3  # standard error to reach for the total light around a small object, in px of white
-REPEATS, FRAME_REPEATS = 16, 4  # independent estimates of a selected pixel; of each pixel if a whole frame is traced
+REPEATS = 16  # independent estimates of a pixel
 FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first; largest number of rays of a pixel
 CELL_RAYS = 16  # number of rays of a cell whose light is spread by waves
 RECORD_RAYS = 2**12  # number of rays of a pixel, for the record of a frame
@@ -219,23 +218,6 @@ def _judgement(
         for masks in (by_class, by_object)
     )
     return Judgement(classes, objects, lights, pixels, mean, got, error, cast, time.perf_counter() - began)
-
-
-def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int = 0) -> tuple[Array, Array]:
-    """Radiance (rows, columns[, channels]) of all pixels by rays, and its standard error; the error's RMS is below
-    `noise`, if `rays` rays per pixel are enough.
-    """
-    row, column = np.indices(problem.size).reshape(2, -1)
-    places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
-
-    def go_on(error: Array) -> NDArray[np.bool_]:  # a pixel near others with an error may have missed a surface
-        near = maximum_filter(error.reshape(problem.size), 5).ravel()
-        return np.asarray((near > noise / 4) & (math.sqrt(np.mean(error**2)) > noise))
-
-    jobs = np.full((len(row), 2), -1)
-    image, error, _ = trace(problem, jobs, places, rays, math.inf, seed, go_on, FRAME_REPEATS)
-    size = problem.size if image.shape[1] == 1 else (*problem.size, image.shape[1])
-    return image.reshape(size), error.reshape(size)
 
 
 def trace_waves(problem: Problem, seed: int = 0) -> tuple[Array, Array, Array, int]:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from clsco.truth.images import shade
+from clsco.truth.images import MIRROR, shade, texel
 from clsco.truth.pupils import bend, lens_point
 
 STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -37,17 +37,6 @@ def _inside(box, x, y, z):  # type: ignore[no-untyped-def]
     """True if a point in the object's frame is within its bounds."""
     within = (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
     return within & (x * x + y * y <= box[6])
-
-
-@njit(cache=True, inline="always")
-def mirror(index, count):  # type: ignore[no-untyped-def]
-    """Half-sample mirror reflection of an integer: -1 -> 0, count -> count - 1; computed in floating point."""
-    # The half keeps the product off whole numbers, where rounding would decide.
-    index = index - 2 * count * np.floor((index + 0.5) * (0.5 / count))
-    index = index if index < count else 2 * count - 1 - index
-    # An index that is infinite, or so large that float64 skips integers, may give any texel.
-    index = index if index > 0.0 else 0.0
-    return index if index < count else count - 1
 
 
 @njit(cache=True, inline="always")
@@ -189,11 +178,10 @@ def _texel(x, y, z, n, mapping):  # type: ignore[no-untyped-def]
     """Index of the texel, a square of constant radiance, that the camera of the reference pose sees at a point (x, y,
     z).
     """
-    first, rows, columns = mapping[1], mapping[2], mapping[3]
+    first, rows, columns = int(mapping[1]), int(mapping[2]), int(mapping[3])
     x, y, _, _, _ = distorted(x / z, y / z, n)
-    j = mirror(np.floor(x / n[2] + 0.5 * columns), columns)
-    i = mirror(np.floor(0.5 * rows - y / n[2]), rows)
-    return int(first + i * columns + j)
+    j = texel(math.floor(x / n[2] + 0.5 * columns), columns, MIRROR)
+    return first + texel(math.floor(0.5 * rows - y / n[2]), rows, MIRROR) * columns + j
 
 
 @njit(cache=True)

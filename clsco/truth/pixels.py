@@ -84,7 +84,8 @@ def choose_pixels(problem: Problem, seed: int) -> Pixels:
     at = draw.integers(0, max(len(row), 1), COUNTS[FOCUS] if len(row) else 0)
     candidates.append((row[at], column[at], FOCUS, -1))
     candidates.append((draw.integers(0, rows, COUNTS[RANDOM]), draw.integers(0, columns, COUNTS[RANDOM]), RANDOM, -1))
-    small = [n for n in range(len(problem.scene.objects)) if is_small(problem, n)]
+    extents = [extent_of(problem, n) for n in range(len(problem.scene.objects))]
+    small = [n for n, extent in enumerate(extents) if extent is not None and extent.width < SMALL_PX]
     for n in small:
         count = max(OF_EACH, COUNTS[SMALL] // len(small))
         candidates.append((*_around(problem, n, middle, count, draw), SMALL, n))
@@ -143,12 +144,6 @@ def extent_of(problem: Problem, number: int) -> Extent | None:
     scale = 1.0 / (problem.moments.lenses[len(problem.moments.poses) // 2, 0] * at[2])
     sizes = np.sort(2.0 * half)[::-1] * scale
     return Extent(places, half, float(sizes[1]))
-
-
-def is_small(problem: Problem, number: int) -> bool:
-    """True if the image of an object is smaller than SMALL_PX along an axis."""
-    extent = extent_of(problem, number)
-    return extent is not None and extent.width < SMALL_PX
 
 
 def places_of(problem: Problem, number: int, moment: int, points: Array) -> tuple[Array, Array, Array]:

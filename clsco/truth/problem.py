@@ -1,21 +1,23 @@
-"""A scene as arrays for rays: surfaces, images, and their state at many times (float64)."""
+"""A scene as arrays for rays: surfaces by textbook formulas, images, and their state at many times (float64)."""
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.inputs.files import InputFiles, shared_files
+from clsco.inputs.files import shared_files
 from clsco.scene.model import Scene
 from clsco.scene.sequence import CURVES
-from clsco.truth.equations import bounds_of, surface_of
 from clsco.truth.images import CUBE, SIZE, lies, mapping_of
 from clsco.truth.poses import camera_at, lens_at, poses_at, static_rotation
 from clsco.truth.pupils import Pupil, Wavefront, pupil_of, wavefront_of
 
 Array = NDArray[np.float64]
+TOUCHING = 1e-7  # tolerance of bounds, as a share of the largest bound
+FARTHEST = 1e12  # mm, distance of a background
 MOMENTS = 8192  # number of moments from the first opening to the last closing of the shutter
 QUANTILES = 4096  # number of quantiles of the light through a shutter
 
@@ -84,6 +86,55 @@ class Problem(NamedTuple):
         return rows, columns
 
 
+def surface_of(item: Any) -> tuple[Array, Any, tuple[float, float]]:
+    """Coefficients (10,), center (3) in mm, and z range (2) of an object's surface.
+
+    The coefficients are a200 a020 a002 a110 a011 a101 a100 a010 a001 a000, relative to the center, x right, y up, z
+    away from the camera. Raises ValueError for an unknown shape.
+    """
+    k = np.zeros(10)
+    everywhere = (-np.inf, np.inf)
+    match item.shape:
+        case "plane":  # b x + c y - z = 0 about (0, 0, a)
+            k[6:9] = item.slope_x, item.slope_y, -1.0
+            return k, (0.0, 0.0, item.distance), everywhere
+        case "rectangle" | "disc":  # z = offset about its center
+            k[8:] = 1.0, -item.offset
+            return k, item.center, everywhere
+        case "sphere":
+            k[[0, 1, 2, 9]] = 1.0, 1.0, 1.0, -(item.radius**2)
+            return k, item.center, everywhere
+        case "ellipsoid":
+            k[:3], k[9] = 1.0 / np.asarray(item.semi_axes, float) ** 2, -1.0
+            return k, item.center, everywhere
+        case "cylinder":  # |q|^2 - (q . axis)^2 = radius^2
+            x, y, z = np.asarray(item.axis, float) / np.linalg.norm(item.axis)
+            k[:6] = 1 - x * x, 1 - y * y, 1 - z * z, -2 * x * y, -2 * y * z, -2 * x * z
+            k[9] = -(item.radius**2)
+            return k, item.center, everywhere
+        case "cone":
+            k[:3] = 1.0, 1.0, -(math.tan(math.radians(item.half_angle)) ** 2)
+            return k, item.apex, (0.0, np.inf) if item.nappe == "away" else (-np.inf, 0.0)
+        case "quadric":
+            return np.asarray(item.coefficients, float), item.center, everywhere
+        case "background":  # no surface: rays that meet no surface show it
+            return k, (0.0, 0.0, FARTHEST), everywhere
+    raise ValueError(f"rays: shape must be analytic; got {item.shape!r}")
+
+
+def bounds_of(item: Any, span: tuple[float, float]) -> Array:
+    """Bounds (7,) of an object: x0 x1 y0 y1 z0 z1 in its frame, and largest x^2 + y^2; span: z range of the shape."""
+    box = np.array([-np.inf, np.inf] * 3 + [np.inf])
+    if item.bounds is not None:
+        box[:6] = np.ravel(item.bounds)
+        slack = TOUCHING * np.abs(box[:6][np.isfinite(box[:6])]).max(initial=0.0)
+        box[:6] += np.array([-slack, slack] * 3)
+    box[4:6] = max(box[4], span[0]), min(box[5], span[1])
+    if item.shape == "disc":
+        box[6] = item.radius**2
+    return box
+
+
 def not_judged(scene: Scene) -> str | None:
     """Reason why rays cannot predict a frame of the scene; None if they can."""
     if not scene.is_analytic:
@@ -94,15 +145,15 @@ def not_judged(scene: Scene) -> str | None:
     return None
 
 
-def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles | None = None) -> Problem:
+def make_problem(scene: Scene, frame: int = 0, eye: str = "") -> Problem:
     """Read a scene that rays can predict, with its resolution; frame: index; eye: left or right view of a stereo
     pair.
     """
     aperture, pupil = scene.aperture.model_copy(update={"exposure": "normalized"}), pupil_of(scene)
-    textures = (files or shared_files()).textures(scene.model_copy(update={"aperture": aperture}))
+    textures = shared_files().textures(scene.model_copy(update={"aperture": aperture}))
     exposure = pupil.light if scene.aperture.exposure == "area" else 1.0
     surfaces = _surfaces(scene, [texture.images for texture in textures])
-    return Problem(scene, surfaces, _moments(scene, frame, eye), _optics(scene, pupil, exposure))
+    return Problem(scene, surfaces, _moments(scene, frame, eye, surfaces.light), _optics(scene, pupil, exposure))
 
 
 def _surfaces(scene: Scene, textures: Any) -> Surfaces:
@@ -142,19 +193,15 @@ def poses_of(scene: Scene, eye: str, times: Array) -> tuple[Array, tuple[Array, 
     return poses_at(scene, centers, rotations, camera, times), camera
 
 
-def _moments(scene: Scene, frame: int, eye: str) -> Moments:
+def _moments(scene: Scene, frame: int, eye: str, light: Array) -> Moments:
     sequence = scene.sequence
     span = sequence.shutter + sequence.readout
     begins = frame * sequence.interval + sequence.shutter_start
     times = begins + span * (np.arange(MOMENTS) + 0.5) / MOMENTS if scene.moves else np.zeros(1)
     poses, camera = poses_of(scene, eye, times)
     cameras = np.concatenate([camera[0].reshape(-1, 9), np.zeros((len(times), 3))], axis=1)
-    if scene.light is not None:
-        if scene.light.position is not None:
-            place = np.asarray(scene.light.position) - camera[1]
-        else:
-            place = np.broadcast_to(np.multiply(scene.light.direction or (), [1.0, 1.0, -1.0]), (len(times), 3))
-        cameras[:, 9:] = np.einsum("tji,tj->ti", camera[0], place)
+    if light.size:
+        cameras[:, 9:] = np.einsum("tji,tj->ti", camera[0], light[:3] - light[3] * camera[1])
     curve = sequence.shutter_curve
     weights = np.asarray(CURVES[curve] if isinstance(curve, str) else curve, float)
     at = np.linspace(0.0, 1.0, 64 * QUANTILES + 1)

@@ -18,16 +18,14 @@ from clsco.opencl.session import Session
 from clsco.optics.field import SeidelField
 from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.pupils.blades import CurvedPolygon
 from clsco.optics.pupils.circle import Circle
 from clsco.optics.pupils.differences import Asymmetric
 from clsco.optics.pupils.diffracted import Diffracted
-from clsco.optics.pupils.ellipse import Ellipse
 from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.gaussian import Gaussian
 from clsco.optics.pupils.hankel import HankelDiffracted
 from clsco.optics.pupils.image import Image, image_pupil
-from clsco.optics.pupils.outline import Outline
+from clsco.optics.pupils.outline import CurvedPolygon, Ellipse, Outline
 from clsco.optics.pupils.polygon import Polygon
 from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring

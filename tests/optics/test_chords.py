@@ -6,11 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from clsco.optics.chords import chord_weights, open_share
+from tests.optics.grids import Array
 
-Array = NDArray[np.float64]
 Rims = list[tuple[float, float, float]]
 WAY = 1.0 - 16.0 / 250.0
 OPENINGS: dict[str, Rims] = {

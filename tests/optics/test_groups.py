@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from clsco.optics.motion import Pose, pose_at, poses_at, rest_center
 from clsco.plan.image_motion import image_paths
 from clsco.scene.model import Camera, CameraMotion, Group, Motion, ObjectMotion, Plane, Scene, Sphere
+from tests.optics.grids import Array
 from tests.scenes import plan_of, scene_of
 
-Array = NDArray[np.float64]
 CART = ObjectMotion(velocity=(3.0, -2.0, 9.0), angular_velocity=(25.0, -40.0, 60.0))
 OWN = ObjectMotion(velocity=(-1.0, 5.0, 2.0), angular_velocity=(10.0, 30.0, -20.0))
 TURNING = ObjectMotion(angular_velocity=(0.0, 10.0, 0.0))

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -14,8 +13,8 @@ from clsco.optics.keyframes import orientations_through, path_through
 from clsco.optics.motion import TOWARDS_CAMERA, eye_pose, keyframe_at, pose_at, poses_at
 from clsco.scene.model import Camera, CameraMotion, Group, Motion, ObjectMotion, Plane, Scene, Sphere
 from clsco.scene.motions import Keyframe
+from tests.optics.grids import Array
 
-Array = NDArray[np.float64]
 UNEVEN = np.array([-0.5, 0.0, 0.1, 1.3, 2.0, 4.0])
 EVEN = np.linspace(-1.0, 4.0, 6)
 INTERPOLATIONS = ["step", "linear", "cubic", "bspline"]

@@ -7,14 +7,13 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from clsco.optics.motion import TOWARDS_CAMERA, eye_pose, pose_at, poses_at, rest_center, rest_poses, rotation_matrix
 from clsco.scene.model import CameraMotion, Cone, Ellipsoid, Object, ObjectMotion, Plane, Quadric, Scene, Sphere, Stereo
+from tests.optics.grids import Array
 from tests.scenes import scene_of
 
-Array = NDArray[np.float64]
 EPS = np.finfo(np.float64).eps
 ROTATIONS = ["euler", "axis"]
 

@@ -6,15 +6,14 @@ from math import radians, tan
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import Canonical, PlacedSurface, canonical, place, predict_inverse_depth
 from clsco.reference.common.geometry import solve_quadric
 from clsco.scene.model import AnyShape, Cone, Cylinder, Disc, Ellipsoid, ObjectMotion, Plane, Quadric, Sphere
+from tests.optics.grids import Array
 
-Array = NDArray[np.float64]
 EPS = np.finfo(np.float64).eps
 MOTION = ObjectMotion(velocity=(3.0, -2.0, 9.0), angular_velocity=(25.0, -40.0, 60.0))
 NAMED = {

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsco.optics.motion import TOWARDS_CAMERA, pose_at, rotation_matrix, static_rotation
@@ -15,8 +14,8 @@ from clsco.optics.texture_mapping import texture_map
 from clsco.reference.common.geometry import solve_quadric, surface_normal
 from clsco.scene.model import AnyShape, Cone, Cylinder, Disc, Ellipsoid, ObjectMotion, Plane, Quadric, Rectangle, Sphere
 from clsco.scene.rotations import AxisAngle, UnitQuaternion
+from tests.optics.grids import Array
 
-Array = NDArray[np.float64]
 REST = ObjectMotion()
 MOTION = ObjectMotion(velocity=(3.0, -2.0, 9.0), angular_velocity=(25.0, -40.0, 60.0))
 ANY: tuple[float, float, float] = (35.0, -50.0, 110.0)
@@ -47,16 +46,6 @@ def test_an_axis_and_a_quaternion_have_the_matrix_of_an_angular_velocity() -> No
         x, y, z = (3.0 * np.sin(np.radians(35.0)) * unit).tolist()
         quaternion = UnitQuaternion(quaternion=(3.0 * float(np.cos(np.radians(35.0))), x, y, z))
         np.testing.assert_allclose(static_rotation(Sphere(rotation=quaternion)), expected, rtol=0, atol=2e-15)
-
-
-def test_the_sense_of_each_axis() -> None:
-    """About x the top goes away, about y the right side comes nearer, about z what is on top goes to the right."""
-    top, right = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    assert (static_rotation(Sphere(rotation=(90.0, 0.0, 0.0))) @ top).tolist() == [0.0, 0.0, 1.0]
-    assert (static_rotation(Sphere(rotation=(0.0, 90.0, 0.0))) @ right).tolist() == [0.0, 0.0, -1.0]
-    assert (static_rotation(Sphere(rotation=(0.0, 0.0, 90.0))) @ top).tolist() == [1.0, 0.0, 0.0]
-    first_x = static_rotation(Sphere(rotation=(90.0, 90.0, 0.0)))  # then about y
-    assert (first_x @ top).tolist() == [1.0, 0.0, 0.0]
 
 
 def rotated_coefficients(item: Ellipsoid) -> tuple[float, ...]:

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsco.optics.motion import eye_pose, pose_at, poses_at, shake_pose
 from clsco.scene.model import Camera, CameraMotion, CameraShake, Motion, Scene, Sphere, Stereo
+from tests.optics.grids import Array
 
-Array = NDArray[np.float64]
 SHAKE = CameraShake(rotation_rms=0.3, translation_rms=0.8, band=(2.0, 15.0), seed=5)
 
 

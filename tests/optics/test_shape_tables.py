@@ -8,9 +8,8 @@ import pytest
 from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import psf_table
-from clsco.optics.pupils.blades import CurvedPolygon
-from clsco.optics.pupils.ellipse import Ellipse
 from clsco.optics.pupils.image import image_pupil
+from clsco.optics.pupils.outline import CurvedPolygon, Ellipse
 from clsco.optics.pupils.polygon import Polygon
 from clsco.optics.pupils.pupil import Pupil
 from tests.slow import mostly_slow

@@ -275,6 +275,9 @@ shape = "depth_map", depth = "z.png", bounds = [[0, 1], [0, 1], [0, 1]]
 shape = "background", distance = 3 -> object[0].distance: belongs to plane, not to background; got 3
 shape = "background", bounds = [[0, 1], [0, 1], [0, 1]]
     -> object[0].bounds: belongs to shapes with a surface, not to background; got a list of 3 entries
+shape = "background", group = "g" -> object[0].group: belongs to shapes with a surface, not to background; got "g"
+shape = "depth_map", depth = "z.npy", rotation = [0, 10, 0]
+    -> object[0].rotation: belongs to analytic shapes, not to depth_map; got [0, 10, 0]
 shape = "background", motion.velocity = [1, 0, 0]
     -> object[0].motion: a background stays where it is; turn the camera by camera.motion; got a motion
 shape = "sphere", depth = "z.png" -> object[0].depth: belongs to depth_map, not to sphere; got "z.png"

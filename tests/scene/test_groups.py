@@ -63,12 +63,6 @@ def test_dump_is_the_way_back() -> None:
     assert Scene.model_validate({"objects": scene.objects, "groups": scene.groups, "camera": scene.camera}) == scene
 
 
-def test_without_groups_a_file_is_what_it_was() -> None:
-    data = dump(parse_scene({"object": [{"shape": "plane"}]}))
-    assert "group" not in data
-    assert "group" not in data["object"][0]
-
-
 def test_unknown_groups_are_reported_with_the_other_faults() -> None:
     data = cart()
     data["object"][0]["group"] = "card"
@@ -85,11 +79,6 @@ def test_unknown_groups_are_reported_with_the_other_faults() -> None:
     )
     assert faults({"object": [{"shape": "plane", "group": 3}]}) == ("object[0].group: must be text; got 3",)
     assert faults({"object": [{"shape": "plane", "group": ""}]}) == ('object[0].group: must not be empty; got ""',)
-
-
-def test_a_background_is_in_no_group() -> None:
-    data = {"object": [{"shape": "background", "group": "cart"}], "group": [{"name": "cart"}]}
-    assert faults(data) == ('object[0].group: belongs to shapes with a surface, not to background; got "cart"',)
 
 
 def test_replace_reaches_groups() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from typing import Any
 
@@ -171,11 +170,6 @@ def load(text: str, overrides: list[str]) -> dict[str, Any]:
     override(data, overrides, "scene")
     found: dict[str, Any] = data["object"][0]["motion"]["keyframe"][1]
     return found
-
-
-def test_scenes_without_keyframes_are_recorded_as_before() -> None:
-    text = json.dumps(dump(clsco.parse_scene(PLANE)))
-    assert not any(key in text for key in ("keyframe", "interpolation", "outside", "acceleration"))
 
 
 def test_a_motion_with_keyframes_moves_where_one_is_off_the_reference_pose() -> None:

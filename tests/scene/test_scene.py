@@ -17,19 +17,6 @@ from clsco.scene.shapes import origin
 COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
 
-@pytest.mark.parametrize(
-    ("shape", "expected"),
-    [
-        (clsco.Plane(), {"slope_x": 0.0, "slope_y": 0.0}),
-        (clsco.Cylinder(), {"axis": (0.0, 1.0, 0.0)}),
-        (clsco.Cone(), {"nappe": "away"}),
-    ],
-)
-def test_defaults_of_the_shapes(shape: AnyShape, expected: dict[str, Any]) -> None:
-    assert {key: getattr(shape, key) for key in expected} == expected
-    assert shape.name == shape.shape
-
-
 def test_a_camera_given_by_f_number_and_focus_has_numbers_for_both_distances() -> None:
     camera = clsco.Camera(focal_length=50.0, f_number=2.5, focus_distance=1000.0)
     assert camera.aperture_diameter == 20.0
@@ -42,19 +29,6 @@ def test_the_default_focus_is_at_250_mm() -> None:
     camera = clsco.Camera()
     focus = 1.0 / (1.0 / camera.focal_length - 1.0 / camera.sensor_distance)
     assert round(focus, 3) == 250.017
-
-
-def test_truncation_follows_the_edge() -> None:
-    assert clsco.Psf(model="gaussian").truncation == 3.0
-    assert clsco.Psf(model="gaussian", edge="area").truncation == 3.0
-    assert clsco.Psf(model="gaussian", edge="sampled").truncation == 2.0
-    assert clsco.Psf(model="gaussian", edge="sampled", truncation=3.0).truncation == 3.0
-
-
-def test_the_shutter_is_open_for_the_interval() -> None:
-    assert clsco.Sequence(interval=0.04).shutter == 0.04
-    assert clsco.Sequence(interval=0.04, shutter=0.01).shutter == 0.01
-    assert clsco.Sequence(samples="auto").samples == "auto"
 
 
 @pytest.mark.parametrize(
@@ -99,21 +73,6 @@ def test_rays_meet_what_is_analytic_and_not_warped_forward() -> None:
     assert not clsco.Scene(objects=(clsco.Plane(), clsco.DepthMap(depth="z.npy"))).is_ray_castable
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        clsco.Sphere(center=(0.0, 0.0, -29.0)),
-        clsco.Cylinder(center=(0.0, 0.0, -29.0)),
-        clsco.Cylinder(center=(0.0, 0.0, -1000.0), axis=(0.0, 1.0, 1e-3)),
-        clsco.Cone(apex=(0.0, 0.0, -1000.0)),
-        clsco.Cone(apex=(0.0, 0.0, 1.0), nappe="towards"),
-        clsco.Ellipsoid(center=(0.0, 0.0, -49.0)),
-    ],
-)
-def test_a_part_in_front_of_the_lens_is_enough(shape: AnyShape) -> None:
-    assert clsco.Scene(objects=(shape,)).objects == (shape,)
-
-
 def test_python_code_may_say_object_or_objects() -> None:
     assert clsco.Scene(objects=(clsco.Sphere(),)) == clsco.Scene.model_validate({"object": [{"shape": "sphere"}]})
 
@@ -141,12 +100,6 @@ def test_scenes_are_frozen_and_hashable() -> None:
     with pytest.raises(ValidationError, match="frozen"):
         scene.title = "other"
     assert hash(scene) == hash(clsco.Scene(objects=(clsco.Sphere(),)))
-
-
-def test_whole_numbers_become_floats() -> None:
-    radius = clsco.Sphere(radius=25).radius
-    assert radius == 25.0
-    assert isinstance(radius, float)
 
 
 MANY_THREADS = """

@@ -33,12 +33,6 @@ def test_dumps_are_the_way_back(sensor: dict[str, Any]) -> None:
     assert scene.sensor == clsco.Sensor(**given)
 
 
-def test_without_the_section_there_is_none() -> None:
-    scene = parse_scene({"object": [BALL]})
-    assert scene.sensor is None
-    assert "sensor" not in dump(scene)
-
-
 @pytest.mark.parametrize(("bits", "black"), [(12, 64), (16, 1024), (8, 4), (5, 0)])
 def test_the_black_level_follows_the_bits(bits: int, black: int) -> None:
     assert clsco.Sensor(bits=bits).black_level == black

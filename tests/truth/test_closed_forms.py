@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import clsco
-from benchmarks.truth.traced import decibels, rms, traced
-from clsco.truth.judge import trace_frame
+from benchmarks.truth.traced import decibels, rms, trace_frame, traced
 from clsco.truth.pixels import labels_at
 from clsco.truth.poses import rotation_matrix
 from clsco.truth.problem import make_problem

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 import clsco
 import clsco.truth
+from benchmarks.truth.traced import trace_frame
 from benchmarks.truth.wave import hopkins
 from clsco.errors import ClscoError
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at
-from clsco.truth.judge import NOISE, Judgement, judge, trace, trace_frame, trace_waves
+from clsco.truth.judge import NOISE, Judgement, judge, trace, trace_waves
 from clsco.truth.kernel import accumulate
 from clsco.truth.pixels import choose_pixels
 from clsco.truth.poses import lens_at

@@ -14,18 +14,7 @@ class Circle(Pupil):
     """Open lens: light passes at |l| <= 1."""
 
     uniform = True
-
-    @property
-    def name(self) -> str:
-        return "circle"
-
-    @property
-    def light(self) -> float:
-        return 1.0
-
-    @property
-    def second_moment(self) -> float:
-        return 0.25
+    name, light, second_moment = "circle", 1.0, 0.25
 
     def transmission(self, x: Array, y: Array) -> Array:
         return np.asarray((x * x + y * y <= 1.0).astype(np.float64))

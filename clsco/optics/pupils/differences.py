@@ -20,10 +20,7 @@ class Asymmetric(Pupil):
     """Aperture without symmetry, whose x is divided by `squeeze`, the height over width of its blur."""
 
     squeeze: float
-
-    @property
-    def signed(self) -> bool:
-        return True
+    signed = True
 
     @property
     @abstractmethod
@@ -71,7 +68,7 @@ def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array
 
 def corner_share(
     running_integral: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool,
-    extent: float = 1.0,
+    extent: float,
 ) -> Array:  # fmt: skip
     """Fractions of the light in pixels at any (dx, dy) px, from the integral of `grid_share` at each pixel's corners.
 

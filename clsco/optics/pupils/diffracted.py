@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.pupils.pupil import Array, Edges, Pupil
+from clsco.optics.pupils.pupil import Array, Pupil
 
 LAW = 1.1  # light beyond d px outside of the rim is at most LAW times 2 Q / (pi^2 d), for an open circle
 LEAST_MARGIN = 1.0  # px
 MOST_STEPS = 32  # intervals of tables per px
 PANEL_NODES = 10
+
+
+def _of_opening(name: str) -> Any:
+    """Property or method of a pupil that is that of its opening."""
+    return property(lambda pupil: getattr(pupil.opening, name))
 
 
 @dataclass(frozen=True)
@@ -35,35 +39,13 @@ class Diffracted(Pupil):
     tail: float = 0.01
     keeps: bool = True
 
-    @property
-    def signed(self) -> bool:
-        return self.opening.signed
-
-    @property
-    def extent(self) -> float:
-        """Largest |l| of the opening; light spreads `margin` px farther."""
-        return self.opening.extent
-
-    @property
-    def edges(self) -> Edges:
-        return self.opening.edges
-
-    @property
-    def lengths(self) -> Mapping[str, float]:
-        return self.opening.lengths
+    # Light spreads `margin` px farther than `extent`; diffraction adds to the blur's second moment, independently of R.
+    extent, light, second_moment, edges = map(_of_opening, ("extent", "light", "second_moment", "edges"))
+    signed, lengths, transmission, cells = map(_of_opening, ("signed", "lengths", "transmission", "cells"))
 
     @property
     def name(self) -> str:
         return f"{self.opening.name}, waves"
-
-    @property
-    def light(self) -> float:
-        return self.opening.light
-
-    @property
-    def second_moment(self) -> float:
-        """Second moment of the opening; diffraction adds to the blur's second moment, independently of R."""
-        return self.opening.second_moment
 
     @property
     @abstractmethod
@@ -93,12 +75,6 @@ class Diffracted(Pupil):
         edge.
         """
         return max(LAW * 2.0 * self.widest * self.rim / (pi**2 * self.tail), LEAST_MARGIN) + 0.5
-
-    def transmission(self, x: Array, y: Array) -> Array:
-        return self.opening.transmission(x, y)
-
-    def cells(self, count: int) -> Array:
-        return self.opening.cells(count)
 
     def waves(self, radius: float) -> float:
         """Defocus of a blur radius in px, at the edge of the opening, in waves of the shortest wavelength."""

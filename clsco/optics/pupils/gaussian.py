@@ -23,7 +23,7 @@ class Gaussian(Pupil):
     cut: float
     round: bool = False
 
-    soft = True
+    soft, name = True, "gaussian"
 
     @property
     def separable(self) -> bool:
@@ -37,10 +37,6 @@ class Gaussian(Pupil):
     def extent(self) -> float:
         """Cut-off along an axis."""
         return self.sigma * self.cut
-
-    @property
-    def name(self) -> str:
-        return "gaussian"
 
     @property
     def light(self) -> float:

@@ -1,4 +1,4 @@
-"""Base of pupils with outlines of straight edges and arcs: areas by Green's theorem (float64, pure).
+"""Pupils with outlines of straight edges and arcs, and their areas by Green's theorem (float64, pure).
 
 Axes of an image: x to the right, y down. A negative blur radius mirrors the outline in its center.
 """
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.differences import ROUNDING, Asymmetric
-from clsco.optics.pupils.pupil import Array
-from clsco.optics.pupils.quadrature import unit_nodes
+from clsco.optics.pupils.polygon import Polygon, vertices
+from clsco.optics.pupils.pupil import Array, Borders, unit_nodes
 
 LONGEST_ARC, NODES = pi / 4.0, 8  # along such an arc, quadrature is exact to 1e-14 for cubics in both coordinates
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
@@ -195,3 +195,63 @@ class Outline(Asymmetric):
             total -= integral * length
         scale = radius * radius / self.squeeze if tent else 1.0
         return np.asarray(total / self.area * scale)
+
+
+@dataclass(frozen=True)
+class Ellipse(Outline):
+    """Ellipse as high as the unit circle; squeeze: height over width; obstruction: size of a central obstruction of the
+    same shape, relative to the opening, 0 for none.
+    """
+
+    squeeze: float
+    obstruction: float = 0.0
+
+    @property
+    def label(self) -> str:
+        return f"ring, {self.obstruction:g} covered" if self.obstruction else "circle"
+
+    @cached_property
+    def borders(self) -> Borders:
+        holes = ((0.0, 0.0, self.obstruction),) if self.obstruction else ()
+        return Borders((-1.0 / self.squeeze, 1.0 / self.squeeze), (), ((0.0, 0.0, 1.0),), holes, self.squeeze)
+
+    @cached_property
+    def arcs(self) -> tuple[Arc, ...]:
+        hole = arc((0.0, 0.0), self.obstruction, 2.0 * pi, 0.0) if self.obstruction else []
+        return (*arc((0.0, 0.0), 1.0, 0.0, 2.0 * pi), *hole)
+
+
+@dataclass(frozen=True)
+class CurvedPolygon(Outline):
+    """Aperture of curved blades, with corners on the unit circle; blades, rotation, squeeze: as for `Polygon`.
+
+    curvature: height of an arc over its chord, relative to the height of the unit circle: 1 for the circle, negative
+    for concave blades.
+    """
+
+    blades: int
+    rotation: float
+    curvature: float
+    squeeze: float = 1.0
+
+    @property
+    def label(self) -> str:
+        return f"{self.blades} blades, curved by {self.curvature:g}"
+
+    @cached_property
+    def _blades(self) -> list[list[Arc]]:
+        corners = [(float(x), float(y)) for x, y in vertices(self.blades, self.rotation)]
+        sagitta = self.curvature * (1.0 - cos(pi / self.blades))
+        return [bulging(corners[k - 1], corners[k], sagitta) for k in range(self.blades)]
+
+    @cached_property
+    def borders(self) -> Borders:
+        ends = sorted({x / self.squeeze for arc in self.arcs for x, _ in (arc.start, arc.end)})
+        circles = tuple((*blade[0].center, blade[0].radius) for blade in self._blades if blade[0].radius)
+        edges = () if circles and self.curvature > 0.0 else Polygon(self.blades, self.rotation, self.squeeze).edges
+        convex, holes = ((), circles) if edges else (circles, ())
+        return Borders(tuple(ends), edges, convex, holes, self.squeeze)
+
+    @cached_property
+    def arcs(self) -> tuple[Arc, ...]:
+        return tuple(arc for blade in self._blades for arc in blade)

@@ -1,10 +1,11 @@
-"""Base class of pupils: the interface for blur, tables and visibility tests."""
+"""Base class of pupils: the interface for blur, tables and visibility tests; quadrature for several of them."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -124,3 +125,21 @@ class Pupil(ABC):
         """Light through each cell of a square around the lens, 2 count cells per side, up to a factor."""
         at = np.arange(2.0 * count) + 0.5 - count
         return self.share(at[None, :], at[:, None], np.asarray(count / self.extent), tent=False)
+
+
+@cache
+def unit_nodes(count: int) -> tuple[Array, Array]:
+    """Gauss-Legendre nodes and weights on [0, 1].
+
+    Computed at the first use: importing numpy's polynomials takes as long as reading a small scene.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 + 0.5 * nodes, 0.5 * weights
+
+
+def pixel_integral(t: Array, tent: bool) -> Array:
+    """Integral of a pixel's response up to t px from its middle, minus 1/2; tent: see `Pupil.share`."""
+    if not tent:
+        return np.clip(t, -0.5, 0.5)
+    t = np.clip(t, -1.0, 1.0)
+    return t - 0.5 * t * np.abs(t)

@@ -17,8 +17,7 @@ import numpy as np
 from clsco.constants import POWERS
 from clsco.optics.pupils.diffracted import panel_nodes
 from clsco.optics.pupils.fourier import FourierDiffracted, spot_cache
-from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.optics.pupils.quadrature import pixel_integral
+from clsco.optics.pupils.pupil import Array, Pupil, pixel_integral
 from clsco.optics.pupils.wavefront import Wavefront
 
 MOST_PARTS, LEAST_PARTS = 16, 2  # limits of cells per px of a spot, which reaches at most SPOT cells if possible

@@ -42,11 +42,6 @@ class Wavefront:
         return not (self.zernike or self.spherical or any(self.coma) or any(self.bend))
 
     @property
-    def is_round(self) -> bool:
-        """True if the wavefront has rotational symmetry."""
-        return all(m == 0 for _, m, _ in self.zernike) and not (any(self.coma) or any(self.bend))
-
-    @property
     def upright(self) -> Wavefront:
         """The wavefront in an orientation that all its mirror images share; itself if it has Zernike polynomials."""
         if self.zernike:
