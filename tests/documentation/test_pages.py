@@ -87,7 +87,7 @@ def test_the_first_data_set_is_read_and_trained_on(tmp_path: Path) -> None:
         "--count 100": "--count 12",
         "=80,test=20": "=10,test=2",
     }
-    for _, text in list(blocks("first_data_set", "sh"))[1:]:
+    for _, text in blocks("first_data_set", "sh"):
         for many, few in fewer.items():
             text = text.replace(many, few)
         paste(text.replace("STACKS 7", "STACKS 4"), tmp_path)
