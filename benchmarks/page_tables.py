@@ -62,9 +62,7 @@ OCCLUSION_SCENES = {
     "wire": "wire, thinner than its blur", "tube": "tube, seen inside", "alone": "one sphere, nothing overlaps",
 }  # fmt: skip
 SOFT_DEPTHS = {
-    "averaged": "averaged over the pixel", "blurred by 0.7 px": "blurred by 0.7 px",
-    "blurred by 2 px": "blurred by 2 px", "halved, bilinear": "halved, enlarged bilinearly",
-    "halved, bicubic": "halved, enlarged bicubically",
+    "averaged": "averaged", "blurred by 2 px": "blurred by 2 px", "halved, bicubic": "halved, enlarged bicubically",
     "codes halved, bicubic, then JPEG": "8 bits, halved, bicubic, JPEG of quality 90",
     "codes, JPEG": "8 bits, hard, JPEG of quality 90",
 }  # fmt: skip

@@ -20,7 +20,8 @@ from clsco.scene.text import key_name, shown
 Location = tuple[str | int, ...]
 MAX_PARAMETERS = 1000
 MAX_SWEPT = 4096  # entries of a list that are searched for distributions
-VALUE_TABLES = frozenset(("axis", "angle", "quaternion", "from", "to", "steps"))  # keys of tables that are one value
+# Keys of tables that are one value: a rotation, a range.
+VALUE_TABLES = frozenset(("axis", "angle", "quaternion", "from", "to", "steps", "spacing"))
 MOVING = ("camera", "object", "group")
 
 

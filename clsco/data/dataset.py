@@ -242,7 +242,7 @@ class Dataset(Sequence[Record]):
     def __repr__(self) -> str:
         arrays = [name for name in self.card.get("arrays", ()) if is_named(name, self._names)]
         named = f": {', '.join(map(str, arrays))}" if arrays else ""
-        named += f", through {len(self._functions)} functions" if self._functions else ""
+        named += f", functions: {len(self._functions)}" if self._functions else ""
         return f"<Dataset of {len(self)} samples, {self._shards.form}{named}>"
 
     def _repr_html_(self) -> str:

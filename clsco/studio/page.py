@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from clsco.studio.forms import field_at
-from clsco.studio.pictures import VIEWS
+from clsco.studio.pictures import SENSOR_VIEWS, VIEWS
 from clsco.studio.server import Studio
 from clsco.studio.session import Document
 from clsco.studio.widgets.files import open_dialog, preset_dialog, recover_dialog, save_dialog, share_dialog
@@ -137,7 +137,11 @@ def _middle() -> None:
     with say("div", id="views", role="tablist", aria_label="Views"):
         for view in VIEWS:
             is_first = "true" if view == "color" else "false"
-            say("button", view, role="tab", data_view=view, aria_selected=is_first, aria_controls="stage")
+            only = "sensor" if view in SENSOR_VIEWS else None
+            say(
+                "button", view, role="tab", data_view=view, data_only=only, aria_selected=is_first,
+                aria_controls="stage",
+            )  # fmt: skip
     with say("div", id="stage", role="tabpanel", aria_label="Picture"):
         say("canvas", id="canvas", width=1, height=1, role="img", aria_label="Rendered frame")
         say("canvas", id="pinned", width=1, height=1, hidden=True, aria_hidden="true")

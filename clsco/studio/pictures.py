@@ -27,6 +27,7 @@ VIEWS = {  # attribute of `Frame` for each view by name, in the order of the tab
     "normal": "normal", "id": "object_id", "mask": "mask", "missing": "missing", "raw": "raw", "noise": "noise_sigma",
 }  # fmt: skip
 
+SENSOR_VIEWS = ("raw", "noise")  # views of scenes with a sensor
 UNBLURRED = ("depth", "normal", "id")  # views that do not show blur, which takes most of the time
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)  # rungs, see ViewPicture
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)

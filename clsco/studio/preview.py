@@ -161,9 +161,9 @@ class Preview:
         """Call `report` with the figures of a pixel when the exact frame is ready.
 
         Only the latest request with each purpose is answered. If the purpose is MEASURE, the response of the pixel's
-        source is measured instead. After `stop` there is no answer.
+        source is measured instead. After `stop`, pixels under the cursor (purpose "") have no answer.
         """
-        if self._is_stopped:
+        if self._is_stopped and not purpose:
             return
         self._asked[purpose] = x, y, report
         self._news.set()
@@ -204,11 +204,11 @@ class Preview:
             elif self._outlines and self._outlined < self._state:
                 self._outlined = self._state
                 await self._show(OUTLINED)
+            elif self._asked:  # before programs for later, which take long
+                await self._ask(next(iter(self._asked)))
             elif (kind := kind_of(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
                 await self._besides(self._renderer.warm(self._session.scene))
-            elif self._asked:
-                await self._ask(next(iter(self._asked)))
             else:
                 self._news.clear()
                 await self._news.wait()

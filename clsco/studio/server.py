@@ -361,6 +361,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "interval": session.scene.sequence.interval,
             "pair": session.scene.stereo is not None,
             "moves": session.scene.moves,
+            "sensor": session.scene.sensor is not None,
             "lens": lens_line(session.scene),
         }
         shown = ((path, session.shown(path)) for path in tab.watched)

@@ -170,7 +170,7 @@ def test_functions_are_called_when_records_are_read(folder: Path) -> None:
     assert called == []
     assert mapped[1:][0] == np.nanmax(opened[1]["depth"])
     assert called == [opened[1].key]
-    assert (len(mapped), repr(mapped).endswith(", through 2 functions>")) == (len(opened), True)
+    assert (len(mapped), repr(mapped).endswith(", functions: 2>")) == (len(opened), True)
     assert "<img" in mapped._repr_html_()
 
 

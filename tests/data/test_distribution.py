@@ -199,9 +199,11 @@ def test_a_pair_of_focus_settings_is_one_sample(load: Load) -> None:
     assert [s.camera.focus_distance for s in sample.scenes] == [
         sample.parameters["camera.focus_distance.0"], sample.parameters["camera.focus_distance.1"],
     ]  # fmt: skip
-    stack = load("[vary.camera]\nfocus_distance = { from = { uniform = [300, 310] }, to = 400, steps = 5 }").draw(1, 7)
-    assert len(stack.scenes) == 5
-    assert stack.scenes[-1].camera.focus_distance == 400
+    values = '{ from = { uniform = [300, 310] }, to = 400, steps = 5, spacing = "diopters" }'
+    stack = load(f"[vary.camera]\nfocus_distance = {values}").draw(1, 7)
+    focus = [scene.camera.focus_distance for scene in stack.scenes]
+    assert focus[-1] == 400
+    assert np.diff([1 / each for each in focus]) == pytest.approx([(1 / 400 - 1 / focus[0]) / 4] * 4)
 
 
 def test_shapes_of_a_population_take_the_keys_that_they_have(load: Load) -> None:

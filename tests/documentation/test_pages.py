@@ -19,7 +19,7 @@ from clsco.files.images import write_exr
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-BLOCK = re.compile(r"(?:<!-- ([^\n]*) -->\n)?```(sh|python)\n(.*?)```", re.DOTALL)
+BLOCK = re.compile(r"(?:<!-- ([^\n]*) -->\n)?```(sh|python|toml)\n(.*?)```", re.DOTALL)
 ENDLESS = "runs until Ctrl-C"
 ENVIRONMENT = os.environ | {"PATH": os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))}
 
@@ -36,6 +36,8 @@ PAGES = [path.stem for path in sorted(DOCS.glob("*.md")) if any(True for _ in bl
 
 def given(page: str, folder: Path) -> None:
     """Files that the reader of a page brings along."""
+    if page == "first_data_set":
+        (folder / "stacks.toml").write_text(next(text for _, text in blocks(page, "toml")))
     if page == "blender":
         across = np.linspace(0, 1, 320, dtype=np.float32) * np.ones((180, 1), np.float32)
         view = {f"ViewLayer.Combined.{name}": across for name in "RGB"}
@@ -78,13 +80,22 @@ def test_commands_can_be_pasted(page: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_first_data_set_is_read_and_trained_on(tmp_path: Path) -> None:
     """Error of a network falls; without PyTorch the part that reads runs alone."""
-    paste(next(text for remark, text in blocks("first_data_set", "sh") if not remark), tmp_path)
-    small = (
-        "clsco dataset make defocus_pairs.toml -o PAIRS --count 12 --seed 2026 --truth depth --split train=0.8,test=0.2"
-    )
-    paste(small, tmp_path)
-    reading, training = (text for _, text in blocks("first_data_set", "python"))
-    subprocess.run([sys.executable, "-c", reading], cwd=tmp_path, env=ENVIRONMENT, check=True)
+    given("first_data_set", tmp_path)
+    fewer = {
+        "--count 60": "--count 6",
+        "=50,test=10": "=5,test=1",
+        "--count 100": "--count 12",
+        "=80,test=20": "=10,test=2",
+    }
+    for _, text in blocks("first_data_set", "sh"):
+        for many, few in fewer.items():
+            text = text.replace(many, few)
+        paste(text.replace("STACKS 7", "STACKS 4"), tmp_path)
+    reading, drawing, training = (text for _, text in blocks("first_data_set", "python"))
+    (tmp_path / "boards.py").write_text(drawing.replace("count=60", "count=6").replace("=50,test=10", "=5,test=1"))
+    boards = "import clsco.data, boards\nassert clsco.data.remake('BOARDS', distribution=boards.draw) == []"
+    for code in (["-c", reading], ["boards.py"], ["-c", boards]):
+        subprocess.run([sys.executable, *code], cwd=tmp_path, env=ENVIRONMENT, check=True)
     if find_spec("torch") is None:
         pytest.skip("PyTorch is not installed: the loop has not run")
     found = subprocess.run(

@@ -160,3 +160,57 @@ def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
     columns = [x for x, _ in found]
     assert min(abs(x - middle) for x in columns) <= 1.5
     assert columns.count(max(set(columns), key=columns.count)) >= stage["height"] * 0.9
+
+
+@pytest.mark.everyday
+def test_messages_leave_with_esc_and_cover_no_control(page: Any) -> None:
+    page.mouse.move(*at(page, 64, 64))
+    page.evaluate("studio.fail(Array.from({ length: 4 }, (_, row) => `scene: must be right; got row ${row}`))")
+    page.locator("#message", has_text="row 3").wait_for()
+    covered = page.evaluate("""() => {
+      const over = document.querySelector("#message").getBoundingClientRect();
+      return [...document.querySelectorAll("button, input, select")].filter((control) => {
+        const box = control.getBoundingClientRect(), isBeside = box.right < over.left || box.left > over.right;
+        return control.checkVisibility() && !isBeside && box.top < over.bottom && box.bottom > over.top;
+      }).map((control) => control.id); }""")
+    assert covered == []
+    page.keyboard.press("Escape")
+    page.locator("#message").wait_for(state="hidden")
+
+
+def test_esc_leaves_a_box_so_that_letters_are_shortcuts(page: Any) -> None:
+    page.locator("#dial-camera\\.f_number").click()
+    page.keyboard.press("3")
+    assert page.evaluate("studio.view") == "color"
+    page.keyboard.press("Escape")
+    assert page.evaluate("document.activeElement === document.body")
+    page.keyboard.press("3")
+    page.wait_for_function("studio.view === 'depth'")
+    page.keyboard.press("1")
+    rest(page)
+
+
+def test_views_of_a_sensor_say_that_there_is_none(page: Any) -> None:
+    for view in ("raw", "noise"):
+        tab = page.locator(f'[data-view="{view}"]')
+        assert tab.is_disabled()
+        assert tab.get_attribute("title") == "the scene has no sensor: see its panel"
+    for view in ("depth", "missing", "mask"):
+        assert page.locator(f'[data-view="{view}"]').is_enabled()
+
+
+def test_the_histogram_is_that_of_the_step_of_a_stack(page: Any) -> None:
+    before = page.locator("#clipped").inner_text()
+    plotted = "document.querySelector('#histogram').toDataURL()"
+    whole = page.evaluate(plotted)
+    page.locator("#stack").click()
+    page.locator("#stack-nearest").fill("60")
+    page.locator("#stack-farthest").fill("400")
+    page.locator("#stack-steps").fill("2")
+    page.locator("#render-stack").click()
+    page.locator("#stack-about", has_text="2 frames").wait_for(timeout=60000)
+    near = page.evaluate(plotted)
+    assert near != whole
+    page.locator("#stack").click()
+    page.wait_for_function(f"{plotted} === {whole!r}")
+    assert page.locator("#clipped").inner_text() == before

@@ -133,6 +133,20 @@ def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
     assert len(renders.warmed) == 1  # afterwards
 
 
+def test_a_click_before_the_first_picture_is_answered_before_programs_for_later() -> None:
+    warmed: list[int] = []
+
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        async def focus(answer: dict[str, Any]) -> None:
+            warmed.append(len(renders.warmed))
+
+        preview.inspect(1, 2, focus, "focus")
+        await rests(session, renders, browser, preview)
+
+    played(play)
+    assert warmed == [0]
+
+
 def test_of_many_changes_the_latest_is_shown_and_none_after_it() -> None:
     async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
         for _ in range(60):

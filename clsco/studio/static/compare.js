@@ -29,6 +29,7 @@ const choose = (name) => {
   mode = pinned === null ? "off" : name;
   one("#compare").value = mode;
   compare();
+  studio.measure();
   studio.viewport.changed();
 };
 
@@ -100,12 +101,17 @@ studio.compares = (event) => { // a key
   if (event.key === "p" || event.key === "P") pin();
   if (event.key !== " " || event.target !== document.body || event.repeat) return;
   event.preventDefault();
-  flipped = true;
+  flip(true);
+};
+
+const flip = (isThere) => {
+  flipped = isThere;
   compare();
+  studio.measure();
 };
 
 studio.parts.push(() => {
-  on("keyup", (event) => { if (event.key === " ") { flipped = false; compare(); } });
+  on("keyup", (event) => { if (event.key === " " && flipped) flip(false); });
   one("#pin").addEventListener("change", ({ target }) => {
     if (target.value === "this") pin();
     else studio.send({ do: `pin ${target.value}` });

@@ -12,8 +12,9 @@ const PEAK = 40; // codes by which a pixel differs from the mean of those around
 const DEGREE = Math.PI / 180;
 
 const isImage = () => studio.view === "color" || studio.view === "sharp";
-const codes = () => {
-  const canvas = one("#canvas");
+const codes = () => { // of what is seen: the frame, the step of a stack in its place, or the pinned frame without a wipe
+  const pinned = one("#wipe").hidden ? one("#pinned:not([hidden])") : null;
+  const canvas = one("#stacked:not([hidden])") ?? pinned ?? one("#canvas");
   return canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
 };
 

@@ -351,15 +351,17 @@ const mark = () => { // hardly any control is at fault: the others are not touch
 };
 
 // A control that does nothing is disabled and says why, but for one whose value is at fault.
+const WITHOUT = { moves: "nothing moves", sensor: "the scene has no sensor: see its panel" };
 const idle = () => {
   for (const control of all("[data-only]")) {
     const [path, values] = control.dataset.only.split("="), now = studio.values[path];
     const works = now === undefined || (values === undefined ? now : values.split("|").includes(now)) || control.dataset.path in studio.faults;
     control.disabled = !works;
-    const reason = path === "moves" ? "nothing moves" : `only with ${path} = ${values?.replace("|", " or ")}`;
+    const reason = WITHOUT[path] ?? `only with ${path} = ${values?.replace("|", " or ")}`;
     const place = control.closest(".live, .field, .vector");
-    if (works) place?.removeAttribute("data-idle");
-    else place?.setAttribute("data-idle", reason);
+    if (place === null) control.title = works ? "" : reason;
+    else if (works) place.removeAttribute("data-idle");
+    else place.setAttribute("data-idle", reason);
   }
 };
 
@@ -367,9 +369,10 @@ const told = (said) => {
   if (said.error) { fail(said.error); studio.notInspected(); }
   if (said.about) reword(one("#plan"), said.about.plan);
   if (said.values) valued(said.values);
-  if ("moves" in said) studio.values.moves = said.moves;
+  for (const name of Object.keys(WITHOUT)) if (name in said) studio.values[name] = said[name];
   if (said.faults) { studio.faults = said.faults; mark(); }
   if (said.values || "moves" in said) idle();
+  if (one(`[data-view="${studio.view}"]`).disabled) look("color");
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
   for (const hear of studio.hearing) hear(said);
 };
@@ -392,7 +395,14 @@ const notify = (text, isGood) => { // above all, dialogs too
   place.hidden = false;
   place.showPopover();
   clearTimeout(failing);
-  failing = setTimeout(() => { place.hidden = true; place.hidePopover(); }, isGood ? 5000 : 12000);
+  place.style.bottom = `${innerHeight - one("#stage").getBoundingClientRect().bottom + 8}px`; // over no control
+  failing = setTimeout(dismiss, isGood ? 5000 : 12000);
+};
+const dismiss = () => { // false where there is no message
+  const place = one("#message"), isThere = !place.hidden;
+  if (isThere) place.hidePopover();
+  place.hidden = true;
+  return isThere;
 };
 Object.assign(studio, { fail, notify });
 
@@ -464,9 +474,10 @@ const TYPING = "input:not([type=range]):not([type=checkbox]):not([type=radio]), 
 const keys = (event, target) => {
   const key = event.key.toLowerCase();
   if (event.ctrlKey || event.metaKey) { COMMANDS[key]?.(event); return; }
-  if (key === "escape" && !taken()) studio.escape();
+  if (key === "escape" && !taken() && !dismiss()) studio.escape();
+  if (key === "escape" && target.matches?.(TYPING)) target.blur(); // from here on letters are shortcuts
   if (event.altKey || target.closest?.(TYPING)) return;
-  if (/^[1-9]$/.test(key)) look(VIEWS[Number(key) - 1]);
+  if (/^[1-9]$/.test(key)) one(`[data-view="${VIEWS[Number(key) - 1]}"]`).click();
   else if (key in KEYS) KEYS[key](event);
   else studio.extra(event);
 };

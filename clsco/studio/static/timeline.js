@@ -132,6 +132,7 @@ const forget = () => {
   for (const image of stack) image?.close();
   [distances, stack] = [[], []];
   one("#stacked").hidden = true;
+  studio.measure();
   turn();
 };
 studio.unstack = forget;
@@ -154,6 +155,7 @@ const turn = () => { // to the picture that the slider points at, or the nearest
   [canvas.width, canvas.height, canvas.hidden] = [image.width, image.height, false];
   canvas.getContext("2d").drawImage(image, 0, 0);
   one("#step-about").textContent = `focus ${digits(distances[here])} mm`;
+  studio.measure();
 };
 
 const begin = () => {
