@@ -107,12 +107,16 @@ def test_renormalized_subpixel_sources(session: Session) -> None:
     assert (found[:, slots][:, lost] == before[:, slots][:, lost]).all()
 
 
-def test_subpixel_sources_in_focus(session: Session) -> None:
+def test_subpixel_sources_in_focus_and_of_the_first_slot(session: Session) -> None:
+    """The latter in pixels without a source of their own, of which all are."""
     given = light(Psf(), shape=(9, 11), guard=1, channels=3, samples=2)
     assert given.sub is not None
-    given = replace(given, sub=replace(given.sub, radius=np.zeros_like(given.sub.radius)))
-    assert_close(blurred(session, given, "gather"), given.expected(), FIGURE["area"])
-    assert_close(blurred(session, given, "scatter"), given.expected(), FIGURE["area"])
+    sharp = replace(given, sub=replace(given.sub, radius=np.zeros_like(given.sub.radius)))
+    alone = replace(given, sources=replace(given.sources, lit=np.zeros_like(given.sources.lit)))
+    assert alone.expected().max() > 0.1
+    for each in (sharp, alone):
+        assert_close(blurred(session, each, "gather"), each.expected(), FIGURE["area"])
+        assert_close(blurred(session, each, "scatter"), each.expected(), FIGURE["area"])
 
 
 def gathered(
@@ -214,15 +218,6 @@ def test_memory_of_wide_gaussians(
     given = replace(given, sources=sources)
     expected = summed(given)
     np.testing.assert_allclose(light_sources.gather_alone(session, given), expected, rtol=2e-5)
-
-
-def test_subpixel_sources_of_the_first_slot(session: Session) -> None:
-    """In pixels without a source of their own, of which all are."""
-    given = light(Psf(), shape=(9, 11), guard=1, channels=3, samples=2)
-    given = replace(given, sources=replace(given.sources, lit=np.zeros_like(given.sources.lit)))
-    expected = given.expected()
-    assert expected.max() > 0.1
-    assert_close(blurred(session, given, "gather"), expected, FIGURE["area"])
 
 
 def test_partly_hidden_sources_in_focus(session: Session) -> None:

@@ -476,14 +476,16 @@ def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye, items: tuple[
     assert 0.02 < occluded.mean() < 0.5
 
 
-def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
-    """The scenes above would not test `hidden` if nothing were."""
-    hidden = [
-        truth_on_device(session, planned(*SCENES[name]), ("hidden",), 1)["hidden"].mean()
-        for name in ("sphere moved, 2 x 2", "plane at rest")
-    ]
-    assert 0.005 < hidden[0] < 0.5
-    assert hidden[1] == 0.0
+def test_points_are_hidden_and_occluded_in_the_next_frame(session: Session) -> None:
+    """The scenes above would not test either if nothing, or everything, were."""
+    for name, moves in (("sphere moved, 2 x 2", True), ("three in a row", True), ("plane at rest", False)):
+        plan = planned(*SCENES[name])
+        found = truth_on_device(session, plan, ("hidden", "flow_occluded", "object_id"), 1)
+        last = found["object_id"] == len(plan.scene.objects) - 1  # a wall at rest, or the object itself
+        shares = found["hidden"].mean(), found["flow_occluded"][last].mean()
+        assert all(
+            least < share < 0.5 if moves else share == 0 for share, least in zip(shares, (0.005, 0.003), strict=True)
+        )
 
 
 @pytest.mark.parametrize("output", mostly_slow(MONO, ["depth", "normal", "hidden", "flow_occluded"]))

@@ -191,19 +191,6 @@ def test_what_was_behind_the_lens_is_dark(session: Session) -> None:
     traces.assert_truth(session, plan, ("sharp",), 1)
 
 
-def test_points_are_occluded_in_the_next_frame_by_others_and_their_own(session: Session) -> None:
-    """The scenes above would not test `flow_occluded` if nothing, or everything, were."""
-    shares = []
-    for name in ("sphere moved, 2 x 2", "three in a row", "plane at rest"):
-        plan = planned(*SCENES[name])
-        found = traces.truth_on_device(session, plan, ("flow_occluded", "object_id"), 1)
-        last = found["object_id"] == len(plan.scene.objects) - 1
-        shares.append(found["flow_occluded"][last].mean())
-    assert 0.003 < shares[0] < 0.5  # its own back
-    assert 0.003 < shares[1] < 0.5  # a wall at rest
-    assert shares[2] == 0.0
-
-
 def test_what_is_behind_the_lens_in_the_next_frame_is_not_visible(session: Session) -> None:
     motion = ObjectMotion(velocity=(0.0, 0.0, -1000.0))
     plan = planned(scene(Sphere(center=(0.0, 0.0, 580.0), radius=200.0), motion, psf=Psf(silhouette_samples=2)), 3)
