@@ -210,7 +210,7 @@ def warp_case(
     return Case(replace(plan, scene=scene, guard_px=guard), textures, guard)
 
 
-@pytest.fixture(params=mostly_slow(WARPS, ["cone 50 x 31", "two balls", "map before map"]))
+@pytest.fixture(params=mostly_slow(WARPS, ["cone 50 x 31", "map before map"]))
 def any_warp(request: pytest.FixtureRequest) -> tuple[tuple[Object, ...], tuple[int, int]]:
     """Objects and (rows, columns) of each scene for the forward warp."""
     return WARPS[request.param]

@@ -33,6 +33,7 @@ from tests.kernels import sources as light_sources
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid, run
 from tests.kernels.sources import FIGURE, RNG, ROUNDING, SMOOTH, Light, assert_close, blurred, features, light
+from tests.slow import mostly_slow
 from tests.spreads import spec_of
 
 Array = NDArray[Any]
@@ -45,7 +46,7 @@ def in_color(session: Session, psf: Psf) -> Program:
 
 
 @pytest.mark.parametrize(("columns", "items"), [(80, 8), (80, 10), (75, 10)])
-@pytest.mark.parametrize("tilt", [True, False])
+@pytest.mark.parametrize("tilt", mostly_slow([True, False], [True]))
 def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: bool, columns: int, items: int) -> None:
     """With marks; all of a row that fills whole vectors or not, or the first 64 columns of it."""
     psf = Psf(tilt=tilt)
@@ -137,7 +138,7 @@ def gathered(
 @pytest.mark.parametrize(("part_rows", "start"), [(1, 1), (3, 1), (3, 2)])
 def test_gather_source_by_source(session: Session, part_rows: int, start: int) -> None:
     """Sums of few rows of sources, each with light up to the top of its reach, in bands from the second on."""
-    psf = Psf(edge="sampled", tilt=False)
+    psf = Psf(edge="sampled")
     given = light(psf, shape=(3 * BAND, 17), guard=5, largest=4.0, channels=2)
     given = given.constant(4.0)
     _, pitch = margin(17, 5, psf_table(point_spread(psf), 4.0, 4.0).reach)

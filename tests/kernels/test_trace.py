@@ -111,7 +111,7 @@ SCENES: dict[str, tuple[Scene, int]] = {
     "paraboloid": (scene(BOWL), 1),
     "bounded paraboloid": (scene(BOWL.model_copy(update={"bounds": BOX})), 3),
     "one column": (scene(BALL, size=(1, 40)), 1),
-    "one pixel": (scene(BALL, size=(1, 1)), 1),
+    "one pixel": (scene(Cone(half_angle=40.0), motion=Motion(rotation="axis"), size=(1, 1)), 1),
     "nothing in visibility": (scene(Sphere(center=(900.0, 0.0, 280.0)), psf=Psf(silhouette_samples=2)), 3),
     "three in a row": (scene(ROW, psf=Psf(silhouette_samples=2)), 1),
     "card in a cylinder": (scene((CARD, *ROW[1:]), psf=Psf(silhouette_samples=1)), 3),
@@ -468,7 +468,7 @@ def test_ground_truth(session: Session, name: str, frame: int) -> None:
 
 @pytest.mark.parametrize(("eye", "items"), [("left", ROW), ("right", ROW), ("right", ROW[:2])])
 def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye, items: tuple[Object, ...]) -> None:
-    plan = planned(scene(items, stereo=Stereo(baseline=12.0, toe_in=1.0)), 1, eye=eye)
+    plan = planned(scene(items, stereo=Stereo(baseline=12.0, toe_in=1.0), psf=Psf(silhouette_samples=2)), 1, eye=eye)
     assert_truth(session, plan, tuple(RAY_OUTPUTS), 0)
     if items != ROW:  # there is nothing behind them
         return

@@ -28,6 +28,7 @@ from clsco.scene.model import Cylinder, ObjectMotion, Psf, Sphere
 from tests.kernels import test_trace as traces
 from tests.kernels.launches import run
 from tests.kernels.test_trace import GUARD, SCENES, built, planned, scene, traced, view
+from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 Run = Callable[..., None]
@@ -40,7 +41,7 @@ TIME = 0.55
 def plan() -> Plan:
     """A card that sinks into a cylinder, both moved, in color."""
     cylinder = traces.ROW[1].model_copy(update={"motion": traces.MOTION})
-    psf = Psf(silhouette_samples=2, edge="sampled", occlusion="none")
+    psf = Psf(silhouette_samples=2, edge="sampled")
     return planned(scene((traces.CARD, cylinder), psf=psf), 3)
 
 
@@ -69,7 +70,7 @@ def pixel_arguments(session: Session, plan: Plan, group: OcclusionGroup) -> dict
     }
 
 
-@pytest.mark.parametrize("occlusion", ["none", "visibility"])
+@pytest.mark.parametrize("occlusion", mostly_slow(["none", "visibility"], ["visibility"]))
 def test_what_is_cast_once_is_aimed_for_one_lens_after_the_other(
     session: Session, plan: Plan, occlusion: Literal["none", "visibility"]
 ) -> None:

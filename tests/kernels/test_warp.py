@@ -212,7 +212,7 @@ def test_gather_takes_what_winners_bring(session: Session, make_case: Maker) -> 
 
 def test_of_equal_sources_the_first_wins(session: Session, make_case: Maker) -> None:
     """Depths that differ in double but not in float are a tie; of others the nearest wins, first or last."""
-    case = make_case((Plane(),), (1, 200), guard=0)
+    case = make_case((Plane(),), (1, 200), guard=0, channels=3)
     rng = np.random.default_rng(13)
     moved = rng.integers(1, 4, 200) * (1 / 250.0) * (1 + 1e-10 * rng.random(200))
     target = rng.integers(-1, 40, 200).astype(np.int32)
@@ -248,7 +248,7 @@ def test_local_sizes_change_no_bit(session: Session, make_case: Maker, warps: Wa
 @pytest.mark.parametrize("owned", [True, False])
 def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None:
     """Few or no pixels are known, in the last column and the last row as well."""
-    case = make_case((Plane(),), (9, 70))
+    case = make_case((Plane(),), (9, 70), channels=3)
     kernels, (height, width) = Kernels(session, case, owned), case.shape
     rng = np.random.default_rng(11)
     size = (-(-width // (OWNED_PIXELS if owned else 1)), height)

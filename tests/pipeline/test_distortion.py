@@ -177,7 +177,7 @@ def test_tiles_make_no_ellipses() -> None:
         clsco.render_frame(scene(WALL, lens=D), method="tiles")
 
 
-@pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=["visibility", "layered"])
+@pytest.mark.parametrize("psf", mostly_slow([{}, {"occlusion": "layered"}], [{}]), ids=["visibility", "layered"])
 def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
     tall = scene(BALL, WALL, lens=D, psf=psf, camera=CAMERA | {"resolution": [24, 200], "pixel_pitch": 0.1})
     assert_strips_agree(tall, ("blur_radius",))

@@ -279,12 +279,20 @@ SCENE = """
 [camera]
 resolution = [20, 14]
 pixel_pitch = 0.2
+[psf]
+edge = "sampled"
+tilt = false
+silhouette_samples = 1
+occlusion = "none"
 [sensor]
 mosaic = "rggb"
 bits = 14
 [[object]]
 shape = "sphere"
 texture = "#e08020"
+[[object]]
+shape = "plane"
+distance = 330.0
 """
 
 

@@ -155,7 +155,7 @@ def test_a_depth_map_in_strips(occlusion: str, holes: bool, tmp_path: Path, peak
     rng, (i, j) = np.random.default_rng(4), np.indices((rows, columns))
     depth = np.where(np.sin(i / 30.0) * np.cos(j / 9.0) > 0.3, 260.0, 320.0) + i / 20
     depth = np.where(rng.random(depth.shape) < 0.02 * holes, 0.0, depth).astype(np.float32)
-    np.save(tmp_path / "image.npy", rng.random((rows, columns, 3), np.float32))
+    np.save(tmp_path / "image.npy", rng.random((rows, columns), np.float32))
     np.save(tmp_path / "depth.npy", depth)
     item = {"shape": "depth_map", "texture": str(tmp_path / "image.npy"), "depth": str(tmp_path / "depth.npy")}
     camera = {"pixel_pitch": 0.04, "aperture_diameter": 7.0}
