@@ -34,7 +34,7 @@ def test_programs_of_gpus_are_plain(
     session: Session, files: tuple[str, ...], real: Real, monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """Of cards with less, in floats; and of those with doubles and atomics of 64 bits what asks for these."""
+    """Floats are built for cards with less; what asks for doubles or atomics of 64 bits, also for cards with these."""
     made, texts = source_text.program_text, list[str]()
 
     def pedantic(*given: Any) -> str:

@@ -203,24 +203,12 @@ def test_a_sweep_in_strips() -> None:
 def test_the_forward_warp_needs_the_whole_frame(peak: list[int]) -> None:
     scene = scene_from({"camera": CAMERA, "object": [BALL]}, motion={"warp": "forward"})
     needed, before = memory_for(scene, ROWS, ()), peak[0]
-    with pytest.raises(
-        SceneError, match=r"^memory: must be at least \d+ MiB for this frame, as the forward warp needs the whole"
-    ):
+    with pytest.raises(SceneError, match="as the forward warp needs the whole"):
         next(clsco.render(scene, truth=(), memory=needed // 2))
     peak[1] = before
     frame = next(clsco.render(scene, truth=(), memory=needed))
     assert frame.metadata["strips"] == 1
     assert peak[1] - before == pytest.approx(needed, rel=0.05)
-
-
-def test_too_little_memory() -> None:
-    scene = named("card before a floor")
-    with pytest.raises(
-        SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows; got"
-    ):
-        next(clsco.render(scene, memory="300 kB"))
-    with pytest.raises(SceneError, match=r"^memory: must be a size greater than 0, like 1.5GiB or 800MB; got lots"):
-        next(clsco.render(scene, memory="lots"))
 
 
 @pytest.mark.parametrize(("rows", "tallest"), [(1, 1), (64, 64), (65, 64), (500, 128), (500, 500)])
