@@ -139,14 +139,6 @@ def test_a_silhouette_at_the_border_renormalized() -> None:
     assert_agrees(scene({**BALL, "center": [30.0, 20.0, 280.0]}, psf={"border": "renormalize"}))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("samples", [1, 3])
-@pytest.mark.parametrize("edge", ["integrated", "area", "sampled"])
-@pytest.mark.parametrize("model", ["pillbox", "gaussian"])
-def test_point_spread_functions(model: str, edge: str, samples: int) -> None:
-    assert_agrees(scene(BALL, psf={"model": model, "edge": edge, "silhouette_samples": samples}))
-
-
 @pytest.mark.parametrize(
     ("sampling", "rotation", "warp"),
     combined(
