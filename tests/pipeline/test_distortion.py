@@ -57,19 +57,15 @@ SCENES: dict[str, Scene] = {
     "narrow ellipses": scene(BALL | SMALL, WALL | {"distance": 230.0}, lens=WIDER, camera=WIDEST),
     "ellipses, renormalize": scene(BALL | NEARER, WALL, lens=WIDER, camera=WIDEST, psf={"border": "renormalize"}),
     "wide": scene(WALL | {"distance": 330.0}, lens=BARREL, camera=WIDE),
+    "map": scene(SLOPE, lens=D | CURVED, sequence=EXPOSED),
+    "map, moving": scene(SLOPE | MOVING, lens=D | CURVED, sequence=EXPOSED),
+    "map along rays": scene(SLOPE | {"depth_kind": "ray"}, lens=D | CURVED, sequence=EXPOSED),
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ["hidden ellipses"]))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ["hidden ellipses", "map along rays"]))
 def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
-
-
-@pytest.mark.parametrize("how", mostly_slow(["static", "moving", "ray"], ["ray"]))
-def test_depth_maps_against_the_reference(how: str) -> None:
-    given = SLOPE | ({"depth_kind": "ray"} if how == "ray" else {})
-    found = scene(given | (MOVING if how == "moving" else {}), lens=D | CURVED, sequence=EXPOSED)
-    assert_agree(rendered(found), reference_frames(found))
 
 
 @pytest.mark.parametrize("real", mostly_slow(["double", "single"], ["double"]))
