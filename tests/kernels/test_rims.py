@@ -17,7 +17,7 @@ from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.point_spread import point_spread
 from clsco.optics.rims import frame_throughput, rim_throughput
 from clsco.scene.model import Scene
-from tests.pipeline.test_strips import memory_for
+from tests.pipeline.common import assert_strips_agree
 from tests.scenes import scene_from
 from tests.slow import combined, mostly_slow
 
@@ -177,11 +177,7 @@ def test_scenes_are_those_of_the_twin(name: str, method: str) -> None:
 
 
 def test_strips_have_the_bits_of_the_whole() -> None:
-    wanted = SCENES["objects"].replace("camera.resolution", [24, 3 * BAND])
-    (whole,) = clsco.render(wanted, truth=())
-    (strips,) = clsco.render(wanted, truth=(), memory=memory_for(wanted, BAND, ()))
-    assert strips.metadata["strips"] > 1
-    np.testing.assert_array_equal(whole.color, strips.color)
+    assert_strips_agree(SCENES["objects"].replace("camera.resolution", [24, 3 * BAND]))
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 import clsco
 from clsco.optics.point_spread import diffraction_unit
 from clsco.plan.prepare import prepare
+from clsco.scene.model import Scene
 from tests.pipeline.common import assert_strips_agree
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import combined, mostly_slow
@@ -28,25 +29,31 @@ FIELD: Any = {
 BY_RAYS: Any = {"wavelengths": FIELD["wavelengths"], "seidel": FIELD["seidel"], "silhouette_samples": 2}
 rays = partial(scene_from, {"camera": CAMERA, "psf": BY_RAYS})
 scene = partial(scene_from, {"camera": CAMERA, "psf": FIELD})
-CASES: dict[str, dict[str, Any]] = {
-    "facing": {"object": [FACING]},
-    "through the focus": {"object": [TILTED]},
-    "hidden": {"object": [NEAR, FACING]},
-    "renormalized": {"object": [TILTED], "psf": {**FIELD, "border": "renormalize"}},
-    "layered": {"object": [NEAR, FACING], "psf": {**FIELD, "occlusion": "layered"}},
-    "colors": {"object": [{**FACING, "texture": "#c86432"}], "psf": {**FIELD, "wavelengths": [2600.0, 2500.0, 2200.0]}},
-    "blades": {"object": [FACING], "aperture": {"shape": "polygon", "blades": 5}},
-    "moving": {
-        "object": [{**NEAR, "motion": {"velocity": [20.0, 0.0, 0.0]}}, FACING],
-        "sequence": {"frames": 1, "samples": 2, "shutter": 0.05},
-    },
+small = partial(scene, camera=SMALL)
+CASES: dict[str, Scene] = {
+    "facing": small(object=[FACING]),
+    "through the focus": small(object=[TILTED]),
+    "hidden": small(object=[NEAR, FACING]),
+    "renormalized": small(object=[TILTED], psf={"border": "renormalize"}),
+    "layered": small(object=[NEAR, FACING], psf={"occlusion": "layered"}),
+    "colors": small(object=[{**FACING, "texture": "#c86432"}], psf={"wavelengths": [2600.0, 2500.0, 2200.0]}),
+    "blades": small(object=[FACING], aperture={"shape": "polygon", "blades": 5}),
+    "moving": small(
+        object=[{**NEAR, "motion": {"velocity": [20.0, 0.0, 0.0]}}, FACING],
+        sequence={"frames": 1, "samples": 2, "shutter": 0.05},
+    ),
+    "rays": rays(object=[TILTED], camera=SMALL),
+    "rays, hidden": rays(object=[NEAR, FACING]),
+    "rays, hidden, blades": rays(object=[NEAR, FACING], aperture={"shape": "polygon", "blades": 5}),
 }
 
 
-@pytest.mark.parametrize(("case", "method"), combined(CASES, ("auto", "scatter"), kept=[]))
+@pytest.mark.parametrize(
+    ("case", "method"),
+    [*combined(CASES, ("auto", "scatter"), kept=[("rays", "auto")]), *mostly_slow([("rays", "tiles")], [])],
+)
 def test_device_and_reference_agree(case: str, method: str) -> None:
-    wanted = scene(**CASES[case], camera=SMALL)
-    assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
+    assert_agree(rendered(CASES[case], method=method), reference_frames(CASES[case]), least=0.0)
 
 
 def test_strips_have_the_bits_of_the_whole() -> None:
@@ -129,19 +136,6 @@ def test_a_card_before_a_wall_of_its_color_is_not_seen(tables: dict[str, Any]) -
     middle = frame.color[6:-6, 6:-6]
     assert middle == pytest.approx(1.0, abs=0.018)
     assert middle.mean() == pytest.approx(1.0, abs=1e-3 if "psf" in tables else 1e-4)
-
-
-@pytest.mark.parametrize("method", mostly_slow(["auto", "scatter", "tiles"], ["auto"]))
-def test_device_and_reference_agree_by_rays(method: str) -> None:
-    wanted = rays(object=[TILTED], camera=SMALL)
-    assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("aperture", [{}, {"shape": "polygon", "blades": 5}])
-def test_what_is_hidden_by_rays(aperture: dict[str, Any]) -> None:
-    wanted = rays(object=[NEAR, FACING], aperture=aperture)
-    assert_agree(rendered(wanted), reference_frames(wanted), least=0.0)
 
 
 def test_a_plan_names_rays() -> None:
