@@ -39,16 +39,10 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
     assert_close(blurred(session, given, method), expected, FIGURE[psf.edge])
 
 
-@pytest.mark.parametrize(
-    ("psf", "channels"),
-    [
-        pytest.param(Psf(), 3, marks=pytest.mark.slow),
-        (Psf(edge="sampled", tilt=False), 1),
-        pytest.param(Psf(), 1, marks=pytest.mark.slow),
-        pytest.param(Psf(edge="area"), 1, marks=pytest.mark.slow),
-    ],
-    ids=["colors", "sampled", "gray", "area"],
-)
+DISCS = [(Psf(edge="sampled", tilt=False), 1), (Psf(), 3), (Psf(), 1), (Psf(edge="area"), 1)]
+
+
+@pytest.mark.parametrize(("psf", "channels"), mostly_slow(DISCS, DISCS[:1]), ids=["sampled", "colors", "gray", "area"])
 def test_wide_discs(session: Session, psf: Psf, channels: int) -> None:
     """Radii of one interval side by side, and none such; steep tilts, of which weights end at 0; several bands."""
     shape = (3 * BAND // 2, 61)
@@ -77,7 +71,7 @@ def test_rows_of_any_length(session: Session) -> None:
         assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
-@pytest.mark.parametrize("tilt", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("tilt", mostly_slow([False, True], [True]))
 def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, tilt: bool) -> None:
     """Rows that reach a band are more than the items of ITEMS_BYTES, so that they come in several parts."""
     psf, shape, guard = SMOOTH.model_copy(update={"tilt": tilt}), (BAND + 30, 20), 3

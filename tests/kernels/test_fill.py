@@ -330,13 +330,7 @@ def test_what_cannot_be_filled_is_left(session: Session, method: Method) -> None
 
 @pytest.mark.parametrize(
     ("method", "real", "far"),
-    [
-        ("ait", "float", False),
-        pytest.param("mean_median", "double", True, marks=pytest.mark.slow),
-        pytest.param("ait", "double", True, marks=pytest.mark.slow),
-        pytest.param("mean_median", "float", False, marks=pytest.mark.slow),
-        pytest.param("mean_median", "double", False, marks=pytest.mark.slow),
-    ],
+    combined(("ait", "mean_median"), ("float", "double"), (False, True), kept=[("ait", "float", False)]),
 )
 def test_lists_and_local_sizes_change_no_bit(
     session: Session, method: str, real: Real, far: bool, monkeypatch: pytest.MonkeyPatch

@@ -229,10 +229,10 @@ def test_a_lone_pixel_is_filled_by_one_launch_and_smoothed(session: Session, mon
     assert (holes.smooth(1, lambda share: None) == smoothed[missing]).all()
 
 
-@pytest.mark.parametrize(
-    ("shape", "channels"),
-    [((1, 1), 1), ((1, 9), 1), ((2, 70), 3), ((50, 43), 3), pytest.param((33, 8), 16, marks=pytest.mark.slow)],
-)
+BORDERED = [((1, 1), 1), ((1, 9), 1), ((2, 70), 3), ((50, 43), 3), ((33, 8), 16)]
+
+
+@pytest.mark.parametrize(("shape", "channels"), mostly_slow(BORDERED, BORDERED[:-1]))
 def test_the_border_is_its_twin(
     session: Session, shape: tuple[int, int], channels: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

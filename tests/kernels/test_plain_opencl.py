@@ -13,15 +13,16 @@ from clsco.opencl import source_text
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.passes.trace import TRACE_FILES
+from clsco.passes.warp import KERNELS as FORWARD
 from clsco.records import Real, structs
-from tests.kernels.test_programs_build import ELSEWHERE, FORWARD, GATHER, PROGRAMS, SCATTER, TILES, defined_in, variants
+from tests.kernels.test_programs_build import ELSEWHERE, GATHER, PROGRAMS, SCATTER, TILES, defined_in, variants
 
 ROOT = Path(__file__).resolve().parents[2]
 ON_GPU = {files: features for files, features in PROGRAMS.items() if files != GATHER}
 ON_GPU |= {TRACE_FILES: PROGRAMS[TRACE_FILES] | {"GATHER": (0,)}, FORWARD: PROGRAMS[FORWARD] | {"OWNED": (0,)}}
 FIELD = dict.fromkeys(("GENERAL", "WAVES", "FIELD"), (0, 1)) | dict.fromkeys(("SAMPLED", "DISC", "SEPARABLE"), (0,))
 ON_GPU |= {TILES: PROGRAMS[TILES] | FIELD}  # weights that no other test of `make test` builds them with
-LESS = {"has_fp64": False, "has_int64_atomics": False, "correctly_rounded": False}
+LESS: dict[str, Any] = {"has_fp64": False, "has_int64_atomics": False, "correctly_rounded": False}
 EXTENSIONS = re.compile(r"__builtin_|ext_vector_type|vector_size|__atomic_|__AVX|__SSE|__FMA__|min_vector_width|\(\{")
 # The last line of PoCL's own header has no end.
 PEDANTIC = '#pragma clang diagnostic error "-Wpedantic"\n#pragma clang diagnostic ignored "-Wnewline-eof"\n'

@@ -208,16 +208,13 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     assert not {"gather", "scatter"} & set(on_a_gpu)
 
 
+BLURS: Any = [
+    ({}, "convolve", True), ({"model": "gaussian"}, "convolve", True), ({"occlusion": "layered"}, "scatter", False),
+]  # fmt: skip
+
+
 @pytest.mark.processor
-@pytest.mark.parametrize(
-    ("psf", "method", "constant"),
-    [
-        ({}, "convolve", True),
-        pytest.param({"model": "gaussian"}, "convolve", True, marks=pytest.mark.slow),
-        pytest.param({"occlusion": "layered"}, "scatter", False, marks=pytest.mark.slow),
-    ],
-    ids=["convolve", "gaussian", "layered"],
-)
+@pytest.mark.parametrize(("psf", "method", "constant"), mostly_slow(BLURS, BLURS[:1]))
 def test_plain_opencl_has_the_bits_of_processors(
     session: Session, monkeypatch: pytest.MonkeyPatch, psf: dict[str, Any], method: str, constant: bool
 ) -> None:

@@ -28,7 +28,7 @@ from clsco.reference.common.visibility import CLEAR, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Scene, Sphere
 from tests.kernels.lines import crossings, lens_points
-from tests.slow import mostly_slow
+from tests.slow import combined, mostly_slow
 
 Array = NDArray[Any]
 Runner = Callable[..., None]
@@ -230,15 +230,7 @@ def assert_same(seen: Seen) -> None:
     np.testing.assert_array_equal((seen.share < 0.5)[decided], seen.blocked[decided])
 
 
-@pytest.mark.parametrize(
-    ("psf", "gather"),
-    [
-        pytest.param(Psf(), 1, id="pillbox, vectors"),
-        pytest.param(Psf(), 0, id="pillbox", marks=pytest.mark.slow),
-        pytest.param(Psf(model="gaussian"), 1, id="gaussian, vectors", marks=pytest.mark.slow),
-        pytest.param(Psf(model="gaussian"), 0, id="gaussian", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("psf", "gather"), combined((PILLBOX, Psf(model="gaussian")), (1, 0), kept=[(PILLBOX, 1)]))
 @pytest.mark.parametrize("name", mostly_slow(list(SCENES), QUICK))
 def test_taps(session: Session, run_source: Runner, name: str, gather: int, psf: Psf) -> None:
     narrow = name.endswith("narrow lens")  # of points: pixels are tested tap by tap
