@@ -7,7 +7,6 @@ from typing import Any
 
 import imagecodecs
 import numpy as np
-import OpenEXR
 import pytest
 import tifffile
 from numpy.typing import NDArray
@@ -18,12 +17,8 @@ from clsco.files.transfer import encode
 from clsco.optics.lens import blur_radius
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Camera
+from tests.cli.test_defocus import exr_pixels
 from tests.command import clsco_, done
-
-
-def exr_pixels(path: Path) -> NDArray[Any]:
-    channels = OpenEXR.File(str(path), separate_channels=True).channels()
-    return np.dstack([channels[name].pixels for name in "RGB"])
 
 
 @pytest.fixture
