@@ -46,7 +46,7 @@ def assert_agrees(wanted: Scene, **options: Any) -> list[Any]:
     ("warp", "method"), combined(("inverse", "forward"), ("gather", "scatter"), kept=[("inverse", "gather")])
 )
 def test_color_is_three_gray_scenes(method: str, warp: str) -> None:
-    """Of an image of another size than the frame."""
+    """The image has another size than the frame."""
     picture = (ODD.random((30, 44, 3)) * [1.0, 0.5, 1.0]).astype(np.float32)
     item = {**BALL, "texture": picture, "motion": GOING}
     color = scene(item, motion={"warp": warp}, sequence={"samples": 3}, psf=PLAIN)
