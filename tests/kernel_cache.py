@@ -43,21 +43,13 @@ def exchange_programs(folder: Path, kept: Path = KEPT) -> None:
         return
     for program in folder.glob("??/*"):
         if not program.is_symlink():
-            link_files(program, kept / program.parent.name / program.name)
+            with suppress(OSError):  # files that are there, or that another process has removed, are passed over
+                target = kept / program.parent.name / program.name
+                shutil.copytree(program, target, copy_function=os.link, dirs_exist_ok=True)
     for program in kept.glob("??/*"):
         with suppress(FileExistsError):
             (folder / program.parent.name).mkdir(exist_ok=True)
             (folder / program.parent.name / program.name).symlink_to(program)
-
-
-def link_files(source: Path, target: Path) -> None:
-    """Link each file below a folder into another, unless it has one of that name."""
-    for place, _, names in os.walk(source):
-        copy = target / os.path.relpath(place, source)
-        copy.mkdir(parents=True, exist_ok=True)
-        for name in names:
-            with suppress(OSError):  # it is there, or another process has removed it
-                os.link(f"{place}/{name}", copy / name)
 
 
 def remove_old(kept: Path = KEPT, largest: int = LARGEST) -> None:

@@ -12,6 +12,7 @@ import traceback
 import zipfile
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -240,14 +241,7 @@ class TestTerminal:
 @pytest.fixture(scope="module")
 def one_set(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """A set of a format, made once."""
-    made: dict[str, Path] = {}
-
-    def get(form: str) -> Path:
-        if form not in made:
-            made[form] = make_set(tmp_path_factory.mktemp("made") / "set", form=form)
-        return made[form]
-
-    return get
+    return cache(lambda form: make_set(tmp_path_factory.mktemp("made") / "set", form=form))
 
 
 class TestNoRegularFiles:

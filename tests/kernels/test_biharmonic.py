@@ -79,13 +79,13 @@ def test_it_is_the_direct_solution(session: Session, rows: int, columns: int, ch
 @pytest.mark.parametrize("count", [2 * DOT_SEGMENT, 2 * DOT_SEGMENT + 1])
 def test_products_are_added_in_whole_segments(session: Session, count: int) -> None:
     """The host adds up ceil(count / DOT_SEGMENT) sums: none may be left out, and none written beyond them."""
-    a, b = np.random.default_rng(6).random((2, count, 2))
+    a, b = np.random.default_rng(6).random((2, count, 3))
     expected = np.add.reduceat(a * b, np.arange(0, count, DOT_SEGMENT))
-    partial = copied(session, np.full((len(expected) + 1, 2), 7.0))
-    program = build(session, ["inpainting/biharmonic.cl"], {"CHANNELS": 2, "SAMPLED": 0}, structs("double"), "double")
+    partial = copied(session, np.full((len(expected) + 1, 3), 7.0))
+    program = build(session, ["inpainting/biharmonic.cl"], {"CHANNELS": 3}, structs("double"), "double")
     vectors = (upload(session, a), upload(session, b), np.int32(count), partial)
     launch(session, kernel(program, "add_products"), (len(expected),), biharmonic.LOCAL, *vectors)
-    found = download(session, partial, (len(expected) + 1, 2), np.float64)
+    found = download(session, partial, (len(expected) + 1, 3), np.float64)
     assert np.allclose(found[:-1], expected, rtol=1e-13)
     assert (found[-1] == 7).all()
 
@@ -99,7 +99,7 @@ def test_narrow_images(session: Session, shape: tuple[int, int]) -> None:
 
 
 def test_values_of_any_range_and_of_one(session: Session) -> None:
-    image, missing = picture(30, 30, 2), holes((30, 30))["wide"]
+    image, missing = picture(30, 30, 3), holes((30, 30))["wide"]
     far = image * np.float32(1e6) - np.float32(3e5)
     found = filled(session, fill_biharmonic, far, missing)
     assert np.allclose(found, filled(session, fill_biharmonic, image, missing) * 1e6 - 3e5, atol=1e6 * FIGURE)

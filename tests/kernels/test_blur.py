@@ -39,22 +39,17 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
     assert_close(blurred(session, given, method), expected, FIGURE[psf.edge])
 
 
-@pytest.mark.parametrize(
-    ("psf", "channels"),
-    [
-        pytest.param(Psf(), 3, marks=pytest.mark.slow),
-        (Psf(edge="sampled", tilt=False), 1),
-        pytest.param(Psf(), 1, marks=pytest.mark.slow),
-        pytest.param(Psf(edge="area"), 1, marks=pytest.mark.slow),
-    ],
-    ids=["colors", "sampled", "gray", "area"],
-)
+DISCS = [(Psf(edge="sampled", tilt=False), 1), (Psf(), 3), (Psf(), 1), (Psf(edge="area"), 1)]
+
+
+@pytest.mark.parametrize(("psf", "channels"), mostly_slow(DISCS, DISCS[:1]), ids=["sampled", "colors", "gray", "area"])
 def test_wide_discs(session: Session, psf: Psf, channels: int) -> None:
     """Radii of one interval side by side, and none such; steep tilts, of which weights end at 0; several bands."""
     shape = (3 * BAND // 2, 61)
     largest = 44.0 if psf.edge == "sampled" else 26.0
-    given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=2)
-    assert features(psf, channels, 2, largest)["BY_COLUMNS"]
+    samples = 0 if psf.edge == "sampled" else 2
+    given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=samples)
+    assert features(psf, channels, samples, largest)["BY_COLUMNS"]
     rows, columns = np.indices(given.sources.lit.shape)
     alone = (columns > 40) | (RNG(45).random(rows.shape) < 0.02)
     radius = np.where(alone, given.sources.radius, 0.55 * largest + 0.11 * rows + 0.02 * columns)
@@ -76,7 +71,7 @@ def test_rows_of_any_length(session: Session) -> None:
         assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
-@pytest.mark.parametrize("tilt", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("tilt", mostly_slow([False, True], [True]))
 def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, tilt: bool) -> None:
     """Rows that reach a band are more than the items of ITEMS_BYTES, so that they come in several parts."""
     psf, shape, guard = SMOOTH.model_copy(update={"tilt": tilt}), (BAND + 30, 20), 3

@@ -33,6 +33,7 @@ from tests.kernels import sources as light_sources
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid, run
 from tests.kernels.sources import FIGURE, RNG, ROUNDING, SMOOTH, Light, assert_close, blurred, features, light
+from tests.slow import mostly_slow
 from tests.spreads import spec_of
 
 Array = NDArray[Any]
@@ -45,7 +46,7 @@ def in_color(session: Session, psf: Psf) -> Program:
 
 
 @pytest.mark.parametrize(("columns", "items"), [(80, 8), (80, 10), (75, 10)])
-@pytest.mark.parametrize("tilt", [True, False])
+@pytest.mark.parametrize("tilt", mostly_slow([True, False], [True]))
 def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: bool, columns: int, items: int) -> None:
     """With marks; all of a row that fills whole vectors or not, or the first 64 columns of it."""
     psf = Psf(tilt=tilt)
@@ -107,12 +108,16 @@ def test_renormalized_subpixel_sources(session: Session) -> None:
     assert (found[:, slots][:, lost] == before[:, slots][:, lost]).all()
 
 
-def test_subpixel_sources_in_focus(session: Session) -> None:
+def test_subpixel_sources_in_focus_and_of_the_first_slot(session: Session) -> None:
+    """The latter in pixels without a source of their own, of which all are."""
     given = light(Psf(), shape=(9, 11), guard=1, channels=3, samples=2)
     assert given.sub is not None
-    given = replace(given, sub=replace(given.sub, radius=np.zeros_like(given.sub.radius)))
-    assert_close(blurred(session, given, "gather"), given.expected(), FIGURE["area"])
-    assert_close(blurred(session, given, "scatter"), given.expected(), FIGURE["area"])
+    sharp = replace(given, sub=replace(given.sub, radius=np.zeros_like(given.sub.radius)))
+    alone = replace(given, sources=replace(given.sources, lit=np.zeros_like(given.sources.lit)))
+    assert alone.expected().max() > 0.1
+    for each in (sharp, alone):
+        assert_close(blurred(session, each, "gather"), each.expected(), FIGURE["area"])
+        assert_close(blurred(session, each, "scatter"), each.expected(), FIGURE["area"])
 
 
 def gathered(
@@ -133,7 +138,7 @@ def gathered(
 @pytest.mark.parametrize(("part_rows", "start"), [(1, 1), (3, 1), (3, 2)])
 def test_gather_source_by_source(session: Session, part_rows: int, start: int) -> None:
     """Sums of few rows of sources, each with light up to the top of its reach, in bands from the second on."""
-    psf = Psf(edge="sampled", tilt=False)
+    psf = Psf(edge="sampled")
     given = light(psf, shape=(3 * BAND, 17), guard=5, largest=4.0, channels=2)
     given = given.constant(4.0)
     _, pitch = margin(17, 5, psf_table(point_spread(psf), 4.0, 4.0).reach)
@@ -214,15 +219,6 @@ def test_memory_of_wide_gaussians(
     given = replace(given, sources=sources)
     expected = summed(given)
     np.testing.assert_allclose(light_sources.gather_alone(session, given), expected, rtol=2e-5)
-
-
-def test_subpixel_sources_of_the_first_slot(session: Session) -> None:
-    """In pixels without a source of their own, of which all are."""
-    given = light(Psf(), shape=(9, 11), guard=1, channels=3, samples=2)
-    given = replace(given, sources=replace(given.sources, lit=np.zeros_like(given.sources.lit)))
-    expected = given.expected()
-    assert expected.max() > 0.1
-    assert_close(blurred(session, given, "gather"), expected, FIGURE["area"])
 
 
 def test_partly_hidden_sources_in_focus(session: Session) -> None:

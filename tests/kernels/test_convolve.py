@@ -29,6 +29,7 @@ from tests.spreads import PSFS, convolve, name_of
 
 Array = NDArray[Any]
 RNG = np.random.default_rng
+SMOOTH = Psf(model="gaussian")
 # A float adds up 64 runs of up to 8 weights in two steps: some 1e-7 RMS of the brightest light.
 RMS, LARGEST = 2e-7, 1e-6
 
@@ -65,41 +66,27 @@ class Convolver:
         return image if image.ndim == 3 else image[..., None]
 
 
-def assert_exact(session: Session, psf: Psf, radius: float, shape: tuple[int, ...]) -> None:
+FRAMES: list[tuple[Psf, float, tuple[int, int, int]]] = [
+    *((psf, radius, (37, 45, 3)) for psf in PSFS for radius in (0.0, 1e-7, 0.4, -2.7, 10.99, 20.0)),
+    *((psf, 60.0 if psf.model == "pillbox" else 25.3, (34, 66, 1)) for psf in (*PSFS[:3], PSFS[5])),
+    # Small and odd ones, and those of more tiles than lie side by side.
+    *(
+        (psf, radius, (rows, columns, 1))
+        for rows, columns in ((1, 1), (1, 150), (150, 1), (2, 3), (33, 65), (32, 64), (63, 31), (64, 129))
+        for psf, radius in ((Psf(), 5.5), (Psf(), 12.5), (SMOOTH, 3.0))
+    ),
+    *((Psf(), 2.5, (rows, columns, 1)) for rows, columns in ((3, 1100), (270, 5))),
+    *((psf, radius, (20, 40, channels)) for psf, radius in ((Psf(), 12.5), (SMOOTH, 2.5)) for channels in (1, 2, 16)),
+]
+
+
+@pytest.mark.parametrize(("psf", "radius", "shape"), FRAMES, ids=lambda value: getattr(value, "model", None))
+def test_frames_are_exact(session: Session, psf: Psf, radius: float, shape: tuple[int, int, int]) -> None:
     light = lit(psf, radius, shape)
     expected = convolve(point_spread(psf), light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
     error = Convolver(session, psf, light, radius)() - expected
     assert np.sqrt(np.mean(error**2)) < RMS
     assert np.abs(error).max() < LARGEST
-
-
-@pytest.mark.parametrize("psf", PSFS, ids=name_of)
-@pytest.mark.parametrize("radius", [0.0, 1e-7, 0.4, -2.7, 10.99, 20.0])
-def test_every_psf(session: Session, psf: Psf, radius: float) -> None:
-    assert_exact(session, psf, radius, (37, 45, 3))
-
-
-@pytest.mark.parametrize("psf", [*PSFS[:3], PSFS[5]], ids=name_of)
-def test_wide_psfs(session: Session, psf: Psf) -> None:
-    assert_exact(session, psf, 60.0 if psf.model == "pillbox" else 25.3, (34, 66, 1))
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 150), (150, 1), (2, 3), (33, 65), (32, 64), (63, 31), (64, 129)])
-def test_small_and_odd_frames(session: Session, shape: tuple[int, int]) -> None:
-    for radius in (5.5, 12.5):
-        assert_exact(session, Psf(), radius, (*shape, 1))
-    assert_exact(session, Psf(model="gaussian"), 3.0, (*shape, 1))
-
-
-@pytest.mark.parametrize("shape", [(3, 1100), (270, 5)])
-def test_more_tiles_than_lie_side_by_side(session: Session, shape: tuple[int, int]) -> None:
-    assert_exact(session, Psf(), 2.5, (*shape, 1))
-
-
-@pytest.mark.parametrize("channels", [1, 2, 16])
-@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
-def test_channels(session: Session, psf: Psf, channels: int) -> None:
-    assert_exact(session, psf, 12.5 if psf.model == "pillbox" else 2.5, (20, 40, channels))
 
 
 @pytest.mark.parametrize("radius", [4.3, 17.7])
@@ -135,7 +122,7 @@ def test_sums_of_either_width(session: Session) -> None:
     assert point_spread(psf).reach(radius) > SUMMED
 
 
-@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
+@pytest.mark.parametrize("psf", [Psf(), SMOOTH], ids=name_of)
 def test_dark_images(session: Session, psf: Psf) -> None:
     """Errors are relative to the brightest value of an image, if it is not black."""
     for brightest in (1e-9, 0.0):
@@ -157,7 +144,7 @@ def test_no_sums_beyond_the_last_row(session: Session) -> None:
     assert not sums[light.size :].any()
 
 
-@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
+@pytest.mark.parametrize("psf", [Psf(), SMOOTH], ids=name_of)
 def test_same_bits_again_and_in_other_groups(session: Session, psf: Psf, monkeypatch: pytest.MonkeyPatch) -> None:
     found = Convolver(session, psf, lit(psf, 13.3, (70, 161, 2)), 13.3)
     first = found().tobytes()

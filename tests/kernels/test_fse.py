@@ -118,8 +118,8 @@ def test_the_same_bits_again_and_nothing_missing(session: Session) -> None:
 
 
 def test_channels_far_apart_in_size_count_alike(session: Session) -> None:
-    image, missing = picture(50, 50, 2), holes(50, 50)
-    scale = np.array([1.0, 4096.0], np.float32)
+    image, missing = picture(50, 50, 3), holes(50, 50)
+    scale = np.array([1.0, 64.0, 4096.0], np.float32)
     found = filled(session, fill_texture, image * scale, missing)
     assert np.allclose(found / scale, filled(session, fill_texture, image, missing), atol=1e-5)
 
@@ -134,7 +134,7 @@ def test_single_pixels_agree_with_the_reference(
 ) -> None:
     """No later block can hide or spread a difference; beyond the last of an odd number of columns is not the first
     pixel of the next row, which is settled before it."""
-    image, missing = picture(40, columns, 2), np.zeros((40, columns), bool)
+    image, missing = picture(40, columns, 3), np.zeros((40, columns), bool)
     missing[tuple(np.transpose(pixels))] = True
     low, high = image[~missing].min(axis=0), image[~missing].max(axis=0)
     expected = reference.fill_texture((image.astype(np.float64) - low) / (high - low), missing) * (high - low) + low

@@ -33,6 +33,7 @@ FLOAT = 2.0**-24  # largest relative error of rounding to float32
 UNIT = {"double": 2.0**-53, "float": FLOAT}  # relative error of an operation
 
 SOURCE = """
+#include "common/angles.clh"
 // Of the hit of the ray through (row, column): slope, normal, blur radius and its gradient, pixel at rest.
 __kernel void follow(__constant surface_t *surface, const grid_t grid, const lens_t given,
                      __global const real *row, __global const real *column, const int count, __global real *w,
@@ -89,6 +90,28 @@ __kernel void small(const psf_t psf, __global const real *a, __global const real
     mirrored[i] = mirror_index(i - 50, 7);
 }
 
+__kernel void solve(__constant surface_t *surfaces, __global const real *x, __global const real *y, const int count,
+                    const int each, __global real *w, __global uchar *label)
+{
+    const int i = get_global_id(0);
+    if (i >= count)
+        return;
+    uchar root;
+    const real found = solve_quadric(surfaces + i / each, (real3)(x[i], y[i], 1), &root);
+    w[i] = found;
+    label[i] = root;
+}
+
+__kernel void angles(__global const real *y, __global const real *x, const int count, __global real *out)
+{
+    const int i = get_global_id(0);
+    if (i >= count)
+        return;
+    const real angle = polar_angle(y[i], x[i]);
+    const real3 turn = cos_sin(angle);
+    out[3 * i] = angle, out[3 * i + 1] = turn.x, out[3 * i + 2] = turn.y;
+}
+
 // Ray i, of components in `rays` one after the other, and surface i, or the only one.
 __kernel void roots(__constant surface_t *surfaces, const int single, const int only, __global const real *rays,
                     const int count, __global real *w, __global uchar *label)
@@ -108,18 +131,18 @@ CURVED = clsco.Lens(field_curvature=-1 / 30, focus_surface="sphere")
 DISTORTED = clsco.Lens(distortion=(-2.0, 1.0, 0.5), tangential=(0.02, -0.03))
 MOTION = ObjectMotion(velocity=(2.0, 1.0, 5.0), angular_velocity=(10.0, -15.0, 30.0))
 # Features of all programs; those whose code does not meet go together, so that few are compiled.
-NAPPE, FIELD, IMAGE = {"NAPPE": 1, "FILTER": 1}, {"CURVED": 3, "SAMPLED": 1}, {"CURVED": 7, "FILTER": 2}
+NAPPE, FIELD, IMAGE = {"NAPPE": 1, "FILTER": 1}, {"CURVED": 3, "SAMPLED": 1, "LINEAR": 1}, {"CURVED": 7, "FILTER": 2}
 BOUNDED = {"LINEAR": 1, "BOUNDED": 1}
-FLAT = {"QUADRATIC": 0}
+FLAT = {"QUADRATIC": 0, "CURVED": 4}
 SLOPED = Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION)
 BODY = Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION)
 ITEMS: list[tuple[Object, dict[str, int]]] = [
-    (SLOPED, FLAT | BOUNDED),
+    (SLOPED, BOUNDED | {"QUADRATIC": 0}),
     (BODY, {}),
     (Cone(half_angle=40.0, apex=(1.0, 2.0, 250.0), motion=MOTION), NAPPE),
-    (SLOPED, FLAT | {"CURVED": 3}),
+    (SLOPED, FIELD),
     (BODY, FIELD),
-    (SLOPED, FLAT | {"CURVED": 4}),
+    (SLOPED, FLAT),
     (BODY, IMAGE),
     (Quadric(coefficients=(1.0, -0.5, 0.0, 0, 0, 0, 0, 0, -40.0, 0), motion=MOTION), BOUNDED),
 ]
@@ -267,6 +290,25 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
     exact = twin.difference_of_products(radius, b, c, d)
     assert (np.abs(difference - exact) <= 4 * UNIT[real] * np.abs(exact))[usual].all()  # 1.5 units each
     assert (np.abs(exact) < (1e-8 if real == "double" else 1e-6) * np.abs(radius * b))[usual].mean() > 0.9
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_angles_and_their_cosines_and_sines(session: Session, run_source: Run, real: Real) -> None:
+    rng = np.random.default_rng(6)
+    angle = np.concatenate(
+        [rng.uniform(-np.pi, np.pi, 500), np.arctan(np.arange(-32, 33) / 32), [0.0, 1e-9, np.pi / 2]]
+    )
+    size = np.exp(rng.uniform(-6, 6, angle.size))
+    y, x = (held(size * part) for part in (np.sin(angle), np.cos(angle)))
+    y, x = np.append(y, [0.0, 0.0, 3.0, -3.0, -0.0]), np.append(x, [0.0, -2.0, 0.0, 0.0, 5.0])
+    out = empty(session, 8 * 3 * y.size)
+    given = (values.astype(REAL[real]) for values in (y, x))
+    run_source(SOURCE, "angles", real, {}, y.size, *given, np.int32(y.size), out)
+    found = whole(session, out, (y.size, 3), real)
+    exact, limit = np.arctan2(y, x), 4e-15 if real == "double" else 1.6e-6
+    assert np.abs(found[:, 0] - exact).max() < limit
+    assert np.abs(found[:, 1] - np.cos(exact)).max() < limit
+    assert np.abs(found[:, 2] - np.sin(exact)).max() < limit
 
 
 # Roots of a quadric that count: within bounds, as near to them as arithmetic can tell, and of one root.

@@ -29,6 +29,7 @@ from clsco.reference.layered import layered as twin
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
 from tests.kernels.sources import assert_close
+from tests.slow import mostly_slow
 from tests.spreads import spec_of
 
 Array = NDArray[Any]
@@ -124,7 +125,7 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "near and far")) for n in VIEWS])
+@pytest.mark.parametrize("name", mostly_slow(VIEWS, ["near and far"]))
 def test_frames(session: Session, name: str) -> None:
     view = VIEWS[name]
     expected, count = view.expected()

@@ -1,4 +1,4 @@
-"""Every kernel file builds with every feature on, with none, and with each one the other way, in both precisions."""
+"""Every kernel file builds with every feature on, with none, and with each one the other way, on any device."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from clsco.passes.warp import forward_features
 from clsco.records import Real, structs
 from clsco.scene.model import Psf, Sphere
 from tests.scenes import plan_of
-from tests.slow import mostly_slow
 from tests.spreads import spec_of
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
@@ -34,13 +33,12 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
 }
 # Not with what is alike in all octants.
 GENERAL = {"GENERAL": (0, 0, 1), "EDGES": (0, 0, 6), "WAVES": (0, 0, 1), "FIELD": (0, 0, 1)}
-# Files of programs that can test what hides a source: by one object, or any other number up to all but one.
-OCCLUSION = (TRACE_FILES, FILES_OF["gather"], FILES_OF["scatter"])
 BLUR = dict.fromkeys(("SAMPLED", "TILT", "GATHER", "SCATTER", "RENORMALIZE", "DISC", "SEPARABLE", "LIMITED"), ON_OR_OFF)
 BLUR |= {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2, 4, 7), "PREPARE": (0, 1, 2)}
 BLUR |= {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": ON_OR_OFF, **GENERAL}
 BLUR |= {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
-GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
+GATHER, SCATTER, TILES = (FILES_OF[method] for method in ("gather", "scatter", "tiles"))
+LAYERED = ("layered/layered.cl",)
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
@@ -52,21 +50,20 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"BY_COLUMNS": ON_OR_OFF, "GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "ELLIPSES": (0, 0, 1)}
     | {"SEPARABLE": (0, 0, 1)},
     SCATTER: BLUR | dict.fromkeys(("GATHER", "BY_COLUMNS", "RING"), (0,)) | {"ELLIPSES": ON_OR_OFF},
-    ("blur/tiles.cl",): dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
-    | GENERAL,
-    ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
-    ("blur/vignetting.cl",): GEOMETRY,
-    ("sensor/sensor.cl",): GEOMETRY | {"FIXED_PATTERN": ON_OR_OFF},
-    ("blur/convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
-    ("inpainting/fse.cl",): GEOMETRY,
-    ("inpainting/biharmonic.cl",): GEOMETRY,
+    ("blur/accumulate.cl",): {"SCAN_COLUMNS": ON_OR_OFF},
+    ("blur/vignetting.cl",): {},
+    ("sensor/sensor.cl",): {"FIXED_PATTERN": ON_OR_OFF},
+    ("blur/convolve.cl",): {"WIDE_SUMS": ON_OR_OFF},
+    ("inpainting/fse.cl",): {"CHANNELS": (1, 3)},
+    ("inpainting/biharmonic.cl",): {"CHANNELS": (1, 3)},
     FORWARD: GEOMETRY
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
 PROGRAMS[HOLES] = {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
-PROGRAMS["layered/layered.cl",] = {"CHANNELS": (2, 4), "RIMS": (0, 2), "SCATTER": ON_OR_OFF}
+PROGRAMS[TILES] = PROGRAMS[SCATTER] | dict.fromkeys(("OCCLUDED", "CUT_CHORDS", "BORDERS"), (0,))
+PROGRAMS[LAYERED] = {"CHANNELS": (2, 4), "RIMS": (0, 2), "SCATTER": ON_OR_OFF}
+IN_DOUBLE = (TRACE_FILES, GATHER, SCATTER, TILES, FORWARD, LAYERED, ("inpainting/biharmonic.cl",))  # others: in floats
 GIVEN_BY_THE_BUILD = {
     *("REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"),
     *("CURVED_FIELD", "CURVED_SPHERE", "CURVED_IMAGE"),
@@ -146,42 +143,37 @@ def test_every_feature_is_known() -> None:
     assert FEATURES.keys() ^ read == {"LINEAR", "SAMPLED"}  # which are numbers in the code
 
 
-# What takes seconds: programs with most kernels, and files that are built by themselves as well.
-LONG = (*OCCLUSION, FORWARD)
-# What hardly any feature of the geometry changes.
-PLAIN_NAMES = "blur/accumulate blur/vignetting sensor/sensor blur/convolve inpainting/fse inpainting/biharmonic"
-PLAIN_FILES = tuple((f"{name}.cl",) for name in PLAIN_NAMES.split())
+# Of kernels that programs with all features lack, programs of cards have one, and those that scatter the other.
+ELSEWHERE = {FORWARD: {"reproject_depth", "reproject_winner"}, TILES: {"open_share"}}
 
 
-# In single precision all features are built for a device with less, too.
-@pytest.mark.parametrize("real", mostly_slow(["double", "float"], ["double"]))
+def defined_in(files: tuple[str, ...]) -> set[str]:
+    """Names of the kernels in some files."""
+    text = "".join((KERNELS / file).read_text("utf-8") for file in files)
+    return set(re.findall(r"__kernel void (\w+)\(", text))
+
+
 @pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
-def test_with_all_features_and_none(
-    session: Session, files: tuple[str, ...], real: Real, capfd: pytest.CaptureFixture[str]
-) -> None:
-    chosen = variants(PROGRAMS[files])[:2]
-    if real == "float":  # SPANS are doubles
-        chosen = [one | {"SPANS": 0} for one in chosen]
-    kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
-    defined = {
-        name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
-    }
-    assert set().union(*kernels) == defined
+def test_with_all_features(session: Session, files: tuple[str, ...], capfd: pytest.CaptureFixture[str]) -> None:
+    """Most of those that are off in one of these programs are so in many that other tests run."""
+    real: Real = "double" if files in IN_DOUBLE else "float"
+    program = build(session, files, variants(PROGRAMS[files])[1], structs(real), real)
+    assert program.keys() == defined_in(files) - ELSEWHERE.get(files, set())
     assert capfd.readouterr() == ("", "")  # of no warning that the compiler counts
 
 
-@pytest.mark.parametrize(
-    "files",
-    [pytest.param(f, marks=[pytest.mark.slow] * (f in (*LONG, *PLAIN_FILES)), id="+".join(f)) for f in PROGRAMS],
-)
-def test_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("files", PROGRAMS, ids="+".join)
+def test_with_none_and_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> None:
     """In double precision: `real` is a type, and what a feature compiles does not depend on it."""
-    for features in variants(PROGRAMS[files])[2:]:
+    none, _, *others = variants(PROGRAMS[files])
+    build(session, files, none, structs("double"), "double")
+    for features in others:
         assert build(session, files, features, structs("double"), "double")
 
 
-def test_a_device_with_less(session: Session) -> None:
+def test_vectors_on_a_device_with_less(session: Session) -> None:
+    """Files without vectors: test_plain_opencl.py."""
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
-        for files, features in PROGRAMS.items():
-            assert build(opened, files, variants(features)[1] | {"SPANS": 0}, structs("float"), "float")
+        assert build(opened, GATHER, variants(PROGRAMS[GATHER])[1] | {"SPANS": 0}, structs("float"), "float")

@@ -160,5 +160,6 @@ def test_a_smaller_opening_is_darker_where_exposure_goes_by_area(name: str) -> N
 def test_an_image_is_darker_where_exposure_goes_by_area() -> None:
     image, coc = picture(20, 24)
     ring = Aperture(shape="ring", obstruction=0.5)
-    found = [defocus(image, coc, aperture=ring.model_copy(update={"exposure": e})) for e in ("normalized", "area")]
+    psf = {"occlusion": "none"}
+    found = [defocus(image, coc, psf, aperture=ring.model_copy(update={"exposure": e})) for e in ("normalized", "area")]
     np.testing.assert_allclose(found[1], 0.75 * found[0], rtol=0, atol=1e-6)

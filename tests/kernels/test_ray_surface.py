@@ -17,24 +17,11 @@ from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.records import REAL, Real, structs
 from tests.kernels.launches import held, whole
+from tests.kernels.test_geometry import FIELD, FLAT, NAPPE, SOURCE
 
 Array = NDArray[Any]
 Solve = Callable[[Real, dict[str, int], Array, Array, Array], tuple[Array, Array]]
 UNIT = {"double": 2.0**-53, "float": 2.0**-24}  # relative error of an operation
-
-SOURCE = """
-__kernel void solve(__constant surface_t *surfaces, __global const real *x, __global const real *y, const int count,
-                    const int each, __global real *w, __global uchar *label)
-{
-    const int i = get_global_id(0);
-    if (i >= count)
-        return;
-    uchar root;
-    const real found = solve_quadric(surfaces + i / each, (real3)(x[i], y[i], 1), &root);
-    w[i] = found;
-    label[i] = root;
-}
-"""
 
 
 @pytest.fixture
@@ -247,15 +234,15 @@ def one_missing(rng: np.random.Generator, count: int) -> Array:
     return np.where(np.arange(3) == np.arange(count)[:, None] % 3, 0.0, any_signs(rng, count))
 
 
-# name: surfaces and rays, features
+# name: surfaces and rays, features of a program of test_geometry.py
 FAMILIES: dict[str, tuple[Callable[[int, int], Case], dict[str, int]]] = {
     "spheres": (spheres, {}),
     "ellipsoids": (turned_quadrics(lambda rng, count: np.ones((count, 3)), 2), {}),
     "cylinders": (turned_quadrics(lambda rng, count: np.tile([1.0, 0.0, 1.0], (count, 1)), 3), {}),
     "central": (turned_quadrics(any_signs, 4), {}),
-    "paraboloids": (turned_quadrics(one_missing, 7), {"LINEAR": 1}),
-    "asymptotes": (asymptotes, {"LINEAR": 1}),
-    "cones": (cones, {"NAPPE": 1}),
+    "paraboloids": (turned_quadrics(one_missing, 7), FIELD),
+    "asymptotes": (asymptotes, FIELD),
+    "cones": (cones, NAPPE),
 }
 
 
@@ -352,7 +339,7 @@ def small_integers(linear: bool) -> tuple[Array, Array, Array]:
 def test_degenerate_cases_are_exact(solve: Solve, linear: bool, real: Real) -> None:
     """Small integers leave no rounding in A, B, C and D: every class must be right, and nothing is NaN."""
     surfaces, x, y = small_integers(linear)
-    w, label = solve(real, {"LINEAR": int(linear)}, surfaces, x, y)
+    w, label = solve(real, FIELD if linear else {}, surfaces, x, y)
     exact = exactly(surfaces, x, y)
     assert x.size > 5000
     assert (exact.discriminant == 0).sum() > 500  # tangent rays, planes through the lens, nothing at all
@@ -370,7 +357,7 @@ def test_plane_at_the_horizon(solve: Solve, real: Real) -> None:
     surface["l"], surface["offset"] = (-50.0, -1.5, 0.5), (0.0, 0.0, -250.0)
     x = np.float32(np.linspace(0.0095, 0.0105, 4001)).astype(float)
     surfaces, x, y = finished(surface, x, np.zeros(x.size))
-    w, label = solve(real, {"QUADRATIC": 0}, surfaces, x, y)
+    w, label = solve(real, FLAT, surfaces, x, y)
     expected = (1.0 - 100.0 * x) / 250.0  # one rounding of float64 each
     assert 0.4 < (expected > 0).mean() < 0.6
     sure = np.abs(1.0 - 100.0 * x) > 4 * UNIT[real]
@@ -383,7 +370,7 @@ def test_apex_and_wrong_nappe_of_a_cone(solve: Solve) -> None:
     surfaces = empty_surfaces(2)
     surfaces["q"], surfaces["offset"], surfaces["nappe"] = (1.0, 1.0, -1.0), (0.0, 0.0, -250.0), [1, -1]
     surfaces, x, y = finished(surfaces, np.tile([0.0, 0.3, 0.6, 0.8, 1.2], 2), np.tile([0.0, 0.4, 0.8, 0.6, 1.6], 2))
-    w, label = solve("double", {"NAPPE": 1}, surfaces, x, y)
+    w, label = solve("double", NAPPE, surfaces, x, y)
     # w = (1 -+ r) / 250 with r = 0, 1/2, 1, 1, 2 (those of float32): the far nappe ends at r = 1, the near one never.
     r = np.hypot(x, y)
     sign = np.repeat([-1.0, 1.0], 5)

@@ -80,7 +80,7 @@ def test_what_is_not_there_adds_nothing(session: Session) -> None:
     assert not blurred(session, nothing, "tiles").any()
 
 
-@pytest.mark.parametrize("edge", mostly_slow(["sampled", "integrated"], ["integrated"]))
+@pytest.mark.parametrize("edge", mostly_slow(["sampled", "integrated"], ["sampled"]))
 def test_a_wide_blur_leaves_a_uniform_image_as_it_is(session: Session, edge: Any) -> None:
     """Five thousand equal taps: a chunk's 128 round by 2^-19 of their sum at worst, and chunks lose nothing more."""
     given = light(Psf(edge=edge, tilt=False), shape=(9, 17), guard=42, largest=40.3).constant(40.3)
@@ -208,16 +208,13 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     assert not {"gather", "scatter"} & set(on_a_gpu)
 
 
+BLURS: Any = [
+    ({}, "convolve", True), ({"model": "gaussian"}, "convolve", True), ({"occlusion": "layered"}, "scatter", False),
+]  # fmt: skip
+
+
 @pytest.mark.processor
-@pytest.mark.parametrize(
-    ("psf", "method", "constant"),
-    [
-        ({}, "convolve", True),
-        pytest.param({"model": "gaussian"}, "convolve", True, marks=pytest.mark.slow),
-        pytest.param({"occlusion": "layered"}, "scatter", False, marks=pytest.mark.slow),
-    ],
-    ids=["convolve", "gaussian", "layered"],
-)
+@pytest.mark.parametrize(("psf", "method", "constant"), mostly_slow(BLURS, BLURS[:1]))
 def test_plain_opencl_has_the_bits_of_processors(
     session: Session, monkeypatch: pytest.MonkeyPatch, psf: dict[str, Any], method: str, constant: bool
 ) -> None:

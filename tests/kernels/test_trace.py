@@ -112,7 +112,7 @@ SCENES: dict[str, tuple[Scene, int]] = {
     "paraboloid": (scene(BOWL), 1),
     "bounded paraboloid": (scene(BOWL.model_copy(update={"bounds": BOX})), 3),
     "one column": (scene(BALL, size=(1, 40)), 1),
-    "one pixel": (scene(BALL, size=(1, 1)), 1),
+    "one pixel": (scene(Cone(half_angle=40.0), motion=Motion(rotation="axis"), size=(1, 1)), 1),
     "nothing in visibility": (scene(Sphere(center=(900.0, 0.0, 280.0)), psf=Psf(silhouette_samples=2)), 3),
     "three in a row": (scene(ROW, psf=Psf(silhouette_samples=2)), 1),
     "card in a cylinder": (scene((CARD, *ROW[1:]), psf=Psf(silhouette_samples=1)), 3),
@@ -469,7 +469,7 @@ def test_ground_truth(session: Session, name: str, frame: int) -> None:
 
 @pytest.mark.parametrize(("eye", "items"), [("left", ROW), ("right", ROW), ("right", ROW[:2])])
 def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye, items: tuple[Object, ...]) -> None:
-    plan = planned(scene(items, stereo=Stereo(baseline=12.0, toe_in=1.0)), 1, eye=eye)
+    plan = planned(scene(items, stereo=Stereo(baseline=12.0, toe_in=1.0), psf=Psf(silhouette_samples=2)), 1, eye=eye)
     assert_truth(session, plan, tuple(RAY_OUTPUTS), 0)
     if items != ROW:  # there is nothing behind them
         return
@@ -477,14 +477,16 @@ def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye, items: tuple[
     assert 0.02 < occluded.mean() < 0.5
 
 
-def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
-    """The scenes above would not test `hidden` if nothing were."""
-    hidden = [
-        truth_on_device(session, planned(*SCENES[name]), ("hidden",), 1)["hidden"].mean()
-        for name in ("sphere moved, 2 x 2", "plane at rest")
-    ]
-    assert 0.005 < hidden[0] < 0.5
-    assert hidden[1] == 0.0
+def test_points_are_hidden_and_occluded_in_the_next_frame(session: Session) -> None:
+    """The scenes above would not test either if nothing, or everything, were."""
+    for name, moves in (("sphere moved, 2 x 2", True), ("three in a row", True), ("plane at rest", False)):
+        plan = planned(*SCENES[name])
+        found = truth_on_device(session, plan, ("hidden", "flow_occluded", "object_id"), 1)
+        last = found["object_id"] == len(plan.scene.objects) - 1  # a wall at rest, or the object itself
+        shares = found["hidden"].mean(), found["flow_occluded"][last].mean()
+        assert all(
+            least < share < 0.5 if moves else share == 0 for share, least in zip(shares, (0.005, 0.003), strict=True)
+        )
 
 
 @pytest.mark.parametrize("output", mostly_slow(MONO, ["depth", "normal", "hidden", "flow_occluded"]))

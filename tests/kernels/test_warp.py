@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -24,23 +23,19 @@ from clsco.reference.common.geometry import pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import Method, fill_objects
 from clsco.reference.trace.trace import padded_grid
 from clsco.reference.warp import warp as twin
-from clsco.scene.model import DepthMap, Object, ObjectMotion, Plane, Sphere
-from tests.kernels.conftest import gray
+from clsco.scene.model import DepthMap, ObjectMotion, Plane, Sphere
 from tests.kernels.launches import run
+from tests.kernels.warps import SLOW, WARPS, Case, gray, make_case
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
 NONE = np.iinfo(np.int32).max
 
-Maker = Callable[..., Any]
-Warp = tuple[tuple[Object, ...], tuple[int, int]]
-Warps = dict[str, Warp]
-
 
 class Kernels:
     """Runs single kernels of a case on arrays."""
 
-    def __init__(self, session: Session, case: Any, owned: bool) -> None:
+    def __init__(self, session: Session, case: Case, owned: bool) -> None:
         if owned and session.device.kind == "gpu":
             pytest.skip("needs a processor")
         features = forward_features(case.plan, owned)
@@ -122,8 +117,9 @@ def narrow(winner: NDArray[np.int64]) -> Array:
 
 
 @pytest.mark.parametrize("owned", [True, False])
-def test_each_kernel_is_its_twin(session: Session, any_warp: Warp, make_case: Maker, owned: bool) -> None:
-    case = make_case(*any_warp)
+@pytest.mark.parametrize("name", mostly_slow(WARPS, ["cone 50 x 31", "map before map"]))
+def test_each_kernel_is_its_twin(session: Session, name: str, owned: bool) -> None:
+    case = make_case(*WARPS[name])
     kernels, pixels, scene = Kernels(session, case, owned), case.shape[0] * case.shape[1], case.plan.scene
     rest, whose = kernels.rest()
     expected, expected_whose = twin.reproject_rest(scene, case.rest, case.maps)
@@ -157,9 +153,7 @@ def test_each_kernel_is_its_twin(session: Session, any_warp: Warp, make_case: Ma
 
 @pytest.mark.parametrize("owned", mostly_slow([True, False], [True]))
 @pytest.mark.parametrize("depth_mm", [170.0, 110.0, 70.0])
-def test_what_shows_through_a_grown_surface_is_left_out(
-    session: Session, make_case: Maker, owned: bool, depth_mm: float
-) -> None:
+def test_what_shows_through_a_grown_surface_is_left_out(session: Session, owned: bool, depth_mm: float) -> None:
     """A card comes nearer before a plane. Where it grows more than to four times its size, gaps remain."""
     card = Plane(
         name="card", distance=200.0, bounds=((-1.5, 1.5), (-1.5, 1.5), (-1.0, 1.0)),
@@ -181,14 +175,14 @@ def test_what_shows_through_a_grown_surface_is_left_out(
 
 
 @pytest.mark.parametrize("name", ["near and far", "map and ball", "map before map"])
-def test_groups_show_all_their_objects(make_case: Maker, warps: Warps, name: str) -> None:
+def test_groups_show_all_their_objects(name: str) -> None:
     """Otherwise the tests above say little; 0.5 s later, before the maps have turned away."""
-    items, shape = warps[name]
+    items, shape = WARPS[name]
     seen = replace(make_case(items, shape), time=0.5).twin().object
     assert set(range(len(items))) <= set(np.unique(seen).tolist())
 
 
-def test_gather_takes_what_winners_bring(session: Session, make_case: Maker) -> None:
+def test_gather_takes_what_winners_bring(session: Session) -> None:
     case = make_case((Plane(),), (40, 61), guard=2, channels=3)
     kernels, pixels = Kernels(session, case, True), case.shape[0] * case.shape[1]
     rng = np.random.default_rng(7)
@@ -210,9 +204,9 @@ def test_gather_takes_what_winners_bring(session: Session, make_case: Maker) -> 
     assert not download(session, out[2], (pixels,), np.float64)[~known].any()
 
 
-def test_of_equal_sources_the_first_wins(session: Session, make_case: Maker) -> None:
+def test_of_equal_sources_the_first_wins(session: Session) -> None:
     """Depths that differ in double but not in float are a tie; of others the nearest wins, first or last."""
-    case = make_case((Plane(),), (1, 200), guard=0)
+    case = make_case((Plane(),), (1, 200), guard=0, channels=3)
     rng = np.random.default_rng(13)
     moved = rng.integers(1, 4, 200) * (1 / 250.0) * (1 + 1e-10 * rng.random(200))
     target = rng.integers(-1, 40, 200).astype(np.int32)
@@ -227,8 +221,8 @@ def test_of_equal_sources_the_first_wins(session: Session, make_case: Maker) -> 
 
 
 @pytest.mark.parametrize("name", mostly_slow(["sphere 64 x 64", "map before map"], ["map before map"]))
-def test_local_sizes_change_no_bit(session: Session, make_case: Maker, warps: Warps, name: str) -> None:
-    case = make_case(*warps[name])
+def test_local_sizes_change_no_bit(session: Session, name: str) -> None:
+    case = make_case(*WARPS[name])
     owned, atomic = Kernels(session, case, True), Kernels(session, case, False)
     rest, whose = owned.rest()
     again, whose_again = owned.rest((4, 16))
@@ -246,9 +240,9 @@ def test_local_sizes_change_no_bit(session: Session, make_case: Maker, warps: Wa
 
 
 @pytest.mark.parametrize("owned", [True, False])
-def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None:
+def test_range_of_radii(session: Session, owned: bool) -> None:
     """Few or no pixels are known, in the last column and the last row as well."""
-    case = make_case((Plane(),), (9, 70))
+    case = make_case((Plane(),), (9, 70), channels=3)
     kernels, (height, width) = Kernels(session, case, owned), case.shape
     rng = np.random.default_rng(11)
     size = (-(-width // (OWNED_PIXELS if owned else 1)), height)
@@ -265,10 +259,8 @@ def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None
 
 # Whole frames, which tests/pipeline looks at as well
 
-MOTION = ObjectMotion(velocity=(0.11, 0.07, 3.0), angular_velocity=(3.0, -2.0, 5.0))
 
-
-def bordered(case: Any, values: Array, valid: Array) -> tuple[Array, Array]:
+def bordered(case: Case, values: Array, valid: Array) -> tuple[Array, Array]:
     """Values and validity after the last step, which scenes with a depth map have: the mirror image around them."""
     mapped = any(item.shape == "depth_map" for item in case.items)
     return twin.extend_border(values, valid, case.guard) if mapped else (values, valid)
@@ -283,10 +275,8 @@ def bordered(case: Any, values: Array, valid: Array) -> tuple[Array, Array]:
         ("map and ball", "surface", "mean_median"),
     ],
 )  # fmt: skip
-def test_filled_warp_is_its_twin(
-    session: Session, make_case: Maker, warps: Warps, name: str, domain: str, method: Method
-) -> None:
-    items, shape = warps[name]
+def test_filled_warp_is_its_twin(session: Session, name: str, domain: str, method: Method) -> None:
+    items, shape = WARPS[name]
     case = make_case(items, shape, channels=3, method=method, domain=domain)
     new, allowed, placed = case.twin(), None, case.placed(case.poses)
     if domain == "surface" and not any(item.shape == "depth_map" for item in items):
@@ -318,8 +308,8 @@ def test_filled_warp_is_its_twin(
 
 
 @pytest.mark.slow
-def test_objects_may_share_textures(session: Session, make_case: Maker, warps: Warps) -> None:
-    case = make_case(*warps["near and far"])
+def test_objects_may_share_textures(session: Session) -> None:
+    case = make_case(*WARPS["near and far"])
     shared = replace(case, textures=np.stack([case.textures[0], case.textures[0]]))
     texture = Texture(gray(case.textures[0]), 8, "both")
     placed = PlacedScene(session, case.plan.scene, case.plan.psf, [texture, texture], "double")
@@ -330,9 +320,9 @@ def test_objects_may_share_textures(session: Session, make_case: Maker, warps: W
 
 
 @pytest.mark.slow
-def test_any_rigid_motion_is_that_of_its_points(session: Session, make_case: Maker, warps: Warps) -> None:
+def test_any_rigid_motion_is_that_of_its_points(session: Session) -> None:
     """As seen from a moving camera: a turn about any axis and a shift that has nothing to do with the center."""
-    case = make_case(*warps["map before map"], guard=20)
+    case = make_case(*WARPS["map before map"], guard=20)
     rng = np.random.default_rng(47)
     poses = []
     for item in case.items:
@@ -366,10 +356,10 @@ def test_any_rigid_motion_is_that_of_its_points(session: Session, make_case: Mak
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["map alone", "map and ball"])
-def test_truth_of_a_depth_map(session: Session, make_case: Maker, warps: Warps, name: str) -> None:
+def test_truth_of_a_depth_map(session: Session, name: str) -> None:
     """Depth, radius, mask and object are those of the planes; nothing is given that is not asked for."""
     names = ("sharp", "filled", "depth", "blur_radius", "mask", "object_id", "normal")
-    case = make_case(*warps[name], guard=4, channels=3, method="ait")
+    case = make_case(*WARPS[name], guard=4, channels=3, method="ait")
     warp = case.forward(session)
     sample = warp.scene.posed(case.poses)
     truth, found = warp.truth(sample, names, []), case.warp(session)
@@ -390,11 +380,11 @@ def test_truth_of_a_depth_map(session: Session, make_case: Maker, warps: Warps, 
 
 
 @pytest.mark.slow
-def test_a_map_of_a_surface_moves_as_the_surface(session: Session, make_case: Maker) -> None:
-    item = Sphere(center=(0.0, 0.0, 280.0), radius=4.0, motion=MOTION)
+def test_a_map_of_a_surface_moves_as_the_surface(session: Session) -> None:
+    item = Sphere(center=(0.0, 0.0, 280.0), radius=4.0, motion=SLOW)
     case = make_case((item,), (64, 64))
     depth = twin.reproject_rest(case.plan.scene, case.rest, case.maps)[0]
-    mapped = make_case((DepthMap(depth="ball.npy", center=item.center, motion=MOTION),), (64, 64))
+    mapped = make_case((DepthMap(depth="ball.npy", center=item.center, motion=SLOW),), (64, 64))
     placed = PlacedScene(
         session, mapped.plan.scene, mapped.plan.psf, [Texture(gray(case.textures[0]), 8, "ball")], "double"
     )

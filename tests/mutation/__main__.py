@@ -73,7 +73,7 @@ TESTS = {
     "pipeline/test_occlusion kernels/test_rims",
     "common/visibility_test.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion "
     "kernels/test_rims",
-    "common/angles.clh": "kernels/test_angles",
+    "common/angles.clh": "kernels/test_geometry",
     "inpainting/biharmonic.cl": "kernels/test_biharmonic",
     "inpainting/cpu/lanes.clh": "kernels/test_fill kernels/test_mean_median",
     "inpainting/estimate.clh": "kernels/test_fill kernels/test_mean_median",

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from itertools import combinations, islice
+from itertools import combinations, islice, product
 from typing import Any
 from unittest.mock import patch
 
@@ -260,20 +260,15 @@ def drawn_scenes() -> tuple[list[Drawn], int, int]:
 
 def image_cases() -> Iterator[Case]:
     """`defocus` of images: each method with each PSF, 1 to 4 channels."""
-    methods: tuple[str, ...] = ("gather", "scatter", "tiles", "convolve")
-    number = 0
-    for method in methods:
-        for model in ("pillbox", "gaussian"):
-            for edge in ("integrated", "area", "sampled"):
-                for occlusion in ("none", "layered"):
-                    if occlusion == "layered" and (method == "convolve" or edge == "area"):
-                        continue
-                    number += 1
-                    psf = Psf(model=model, edge=edge, occlusion=occlusion, tilt=number % 3 > 0)
-                    yield _image_case(number, method, psf)
-    for method in ("gather", "scatter", "tiles"):
-        number += 1
-        yield _image_case(number, method, Psf(border="renormalize", occlusion="none", tilt=number % 2 > 0))
+    methods, edges = ("gather", "scatter", "tiles", "convolve"), ("integrated", "area", "sampled")
+    keys: list[tuple[str, dict[str, Any]]] = [
+        (method, {"model": model, "edge": edge, "occlusion": occlusion})
+        for method, model, edge, occlusion in product(methods, ("pillbox", "gaussian"), edges, ("none", "layered"))
+        if occlusion == "none" or not (method == "convolve" or edge == "area")
+    ]
+    keys += [(method, {"border": "renormalize", "occlusion": "none"}) for method in methods[:3]]
+    for number, (method, psf) in enumerate(keys, 1):
+        yield _image_case(number, method, Psf(**psf, tilt=number % 3 > 0))
 
 
 def _image_case(number: int, method: str, psf: Psf) -> Case:
@@ -297,12 +292,9 @@ def blurred_image(image: Array, coc: Array, psf: Psf, method: str) -> Array:
 
 
 def inpainting_cases() -> Iterator[Case]:
-    number = 0
-    for method in ("mean-median", "biharmonic", "texture"):
-        for shape in ((1, 2), (2, 9), (5, 4), (3, 5), (17, 1)):
-            for codes in (True, False):
-                number += 1
-                yield _inpainting_case(number, method, shape, codes)
+    methods, shapes = ("mean-median", "biharmonic", "texture"), ((1, 2), (2, 9), (5, 4), (3, 5), (17, 1))
+    for number, case in enumerate(product(methods, shapes, (True, False)), 1):
+        yield _inpainting_case(number, *case)
 
 
 def _inpainting_case(number: int, method: str, shape: tuple[int, int], codes: bool) -> Case:

@@ -26,7 +26,6 @@ CAMERA: dict[str, Any] = {
 }  # fmt: skip
 BALL: dict[str, Any] = {"shape": "sphere", "center": [3.0, 4.0, 265.0], "radius": 9.0, "texture": "bricks"}
 WALL: dict[str, Any] = {"shape": "plane", "distance": 330.0, "texture": "checkerboard"}
-# Where something else than the PSF is looked at: compiled in a third of the time.
 # A slope of depths, 270 to 300 mm.
 SLOPE: dict[str, Any] = {
     "shape": "depth_map", "texture": "bricks", "unit": "mm",
@@ -35,6 +34,7 @@ SLOPE: dict[str, Any] = {
 # A block of depths before a wall.
 STEP = np.full((36, 48), 330.0)
 STEP[10:26, 12:30] = 240.0
+# Where something else than the PSF is looked at: compiled in a third of the time.
 PLAIN = {"edge": "sampled", "tilt": False, "silhouette_samples": 1}
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import imagecodecs
 import numpy as np
-import OpenEXR
 import pytest
 import tifffile
 from numpy.typing import NDArray
@@ -18,12 +17,8 @@ from clsco.files.transfer import encode
 from clsco.optics.lens import blur_radius
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Camera
-from tests.command import clsco_
-
-
-def exr_pixels(path: Path) -> NDArray[Any]:
-    channels = OpenEXR.File(str(path), separate_channels=True).channels()
-    return np.dstack([channels[name].pixels for name in "RGB"])
+from tests.cli.test_defocus import exr_pixels
+from tests.command import clsco_, done
 
 
 @pytest.fixture
@@ -40,8 +35,7 @@ OPTIONS = ("--unit", "m", "--pixel-pitch", 0.05, "--focus-distance", 250)  # R =
 
 def test_a_wall_of_depths_is_a_plane(wall: tuple[Path, Path], tmp_path: Path) -> None:
     image, depth = wall
-    result = clsco_("defocus", image, depth, "-o", tmp_path / "out.tif", *OPTIONS)
-    assert result.exit_code == 0, result.output
+    result = done("defocus", image, depth, "-o", tmp_path / "out.tif", *OPTIONS)
     at = "(depths 400 to 400, focus at 250 mm; a pixel or a share of the depths can be focused on)"
     assert result.stderr == f"{depth}: R 3 to 3 px; in focus: 0 % of the picture {at}\n"
     camera = {"pixel_pitch": 0.05, "focus_distance": 250.0}
@@ -87,8 +81,7 @@ def test_depths_of_phones_networks_and_data_sets(
     imagecodecs.imwrite(tmp_path / "image.png", np.full((32, 40), 99, np.uint8))
     (tmp_path / name).write_bytes(content)
     words = ("-o", tmp_path / "out", "--truth", "coc", *LENS, *options)
-    result = clsco_("defocus", tmp_path / "image.png", tmp_path / name, *words)
-    assert result.exit_code == 0, result.output
+    result = done("defocus", tmp_path / "image.png", tmp_path / name, *words)
     assert ("40 of 1280 pixels have no depth" in result.stderr) == (name[0] in "kd")
     camera = Camera(focal_length=50, f_number=2, pixel_pitch=0.1, focus_distance=1500)
     radii = np.load(tmp_path / "out/frame_0000.npz")["coc"]
@@ -100,8 +93,7 @@ def test_a_folder_gets_frames_and_a_file_the_same_image(wall: tuple[Path, Path],
     depths[0, :3] = 0, np.nan, -1
     np.save(wall[1], depths)
     for out in ("all", "one.png", "one.exr"):
-        result = clsco_("defocus", *wall, "-o", tmp_path / out, *OPTIONS, *(["--truth", "all"] if out == "all" else []))
-        assert result.exit_code == 0, result.output
+        result = done("defocus", *wall, "-o", tmp_path / out, *OPTIONS, *(["--truth", "all"] if out == "all" else []))
         counted, lens = result.stderr.splitlines()
         assert counted == f"{wall[1]}: 3 of 1280 pixels have no depth (1 zero, 1 negative, 1 NaN)"
         assert lens.startswith(f"{wall[1]}: R 3 to 3 px; in focus: 0 % of the picture (")
@@ -123,7 +115,7 @@ def test_where_there_is_no_depth_nothing_is_without_filling(wall: tuple[Path, Pa
     depths[10:14, 20:] = 0
     np.save(wall[1], depths)
     more = ("--format", "npz", "--set", "motion.warp=forward", "--set", "fill.method=none")
-    assert clsco_("defocus", *wall, "-o", tmp_path / "out", *OPTIONS, *more).exit_code == 0
+    done("defocus", *wall, "-o", tmp_path / "out", *OPTIONS, *more)
     with np.load(tmp_path / "out" / "frame_0000.npz") as truth:
         np.testing.assert_array_equal(truth["mask"], depths > 0)
         assert (truth["sharp"][depths == 0] == 0).all()
@@ -131,8 +123,7 @@ def test_where_there_is_no_depth_nothing_is_without_filling(wall: tuple[Path, Pa
 
 def test_a_focal_stack_fills_folders(wall: tuple[Path, Path], tmp_path: Path) -> None:
     swept = ("--set", "camera.focus_distance=[250, 400]")
-    result = clsco_("defocus", *wall, "-o", tmp_path / "out", *OPTIONS[:-2], *swept)
-    assert result.exit_code == 0, result.output
+    result = done("defocus", *wall, "-o", tmp_path / "out", *OPTIONS[:-2], *swept)
     first, second = result.stderr.splitlines()
     assert first.startswith(f"{wall[1]} (with focus_distance_250): R 3 to 3 px; in focus: 0 % of the picture (")
     assert second == (
@@ -157,8 +148,7 @@ def test_a_point_or_a_share_comes_into_focus(wall: tuple[Path, Path], tmp_path: 
     np.save(wall[1], depths)
     sharp = read_image(wall[0]).data
     for words, inside in ((["--focus-at", "30,2"], 30), (["--focus-depth", "0"], 4)):
-        result = clsco_("defocus", *wall, "-o", tmp_path / "out.tif", *OPTIONS[:-2], *words)
-        assert result.exit_code == 0
+        result = done("defocus", *wall, "-o", tmp_path / "out.tif", *OPTIONS[:-2], *words)
         share = 25 if inside == 4 else 75
         assert f"px; in focus: {share} % of the picture\n" in result.stderr
         image = read_image(tmp_path / "out.tif").data

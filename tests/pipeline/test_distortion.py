@@ -57,19 +57,15 @@ SCENES: dict[str, Scene] = {
     "narrow ellipses": scene(BALL | SMALL, WALL | {"distance": 230.0}, lens=WIDER, camera=WIDEST),
     "ellipses, renormalize": scene(BALL | NEARER, WALL, lens=WIDER, camera=WIDEST, psf={"border": "renormalize"}),
     "wide": scene(WALL | {"distance": 330.0}, lens=BARREL, camera=WIDE),
+    "map": scene(SLOPE, lens=D | CURVED, sequence=EXPOSED),
+    "map, moving": scene(SLOPE | MOVING, lens=D | CURVED, sequence=EXPOSED),
+    "map along rays": scene(SLOPE | {"depth_kind": "ray"}, lens=D | CURVED, sequence=EXPOSED),
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ["hidden ellipses"]))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ["hidden ellipses", "map along rays"]))
 def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
-
-
-@pytest.mark.parametrize("how", mostly_slow(["static", "moving", "ray"], ["ray"]))
-def test_depth_maps_against_the_reference(how: str) -> None:
-    given = SLOPE | ({"depth_kind": "ray"} if how == "ray" else {})
-    found = scene(given | (MOVING if how == "moving" else {}), lens=D | CURVED, sequence=EXPOSED)
-    assert_agree(rendered(found), reference_frames(found))
 
 
 @pytest.mark.parametrize("real", mostly_slow(["double", "single"], ["double"]))
@@ -177,7 +173,7 @@ def test_tiles_make_no_ellipses() -> None:
         clsco.render_frame(scene(WALL, lens=D), method="tiles")
 
 
-@pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=["visibility", "layered"])
+@pytest.mark.parametrize("psf", mostly_slow([{}, {"occlusion": "layered"}], [{}]), ids=["visibility", "layered"])
 def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
     tall = scene(BALL, WALL, lens=D, psf=psf, camera=CAMERA | {"resolution": [24, 200], "pixel_pitch": 0.1})
     assert_strips_agree(tall, ("blur_radius",))

@@ -17,13 +17,11 @@ from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import load_sweep
-from tests.scenes import outputs_of
+from tests.scenes import EXAMPLES, outputs_of
 from tests.slow import mostly_slow
 
 Small = Callable[[Path], Scene]
 Exact = Callable[[Path], tuple[Frame, ...]]
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-PATHS = sorted(path for path in EXAMPLES.rglob("*.toml") if path.parent.name != "sets")  # distributions of scenes
 # The whole view on 96 x 64 px: pixels 5 times as wide, and 4 times the aperture, so that blur stays some px.
 SMALL = ("camera.resolution=[96, 64]", "camera.pixel_pitch=0.05", "camera.aperture_diameter=40.0")
 # Depth maps have their size: every fifth pixel of the files, 5 times as wide.
@@ -36,7 +34,9 @@ LENSES = {"lens_fast_prime", "lens_coded_aperture", "lens_heart", "microscope_ob
 BRIEF = dict.fromkeys(("rolling_fan", "rolling_train"), ("sequence.readout=0.004", "sequence.samples=1"))
 # Of each way to make a frame one; the reference takes many seconds for some of the others.
 QUICK = {"depth_map", "siemens_star", "plane_defocused", "quadric", "fig_3_12_right", "thesis_pipeline"}
-SEVERAL = ("cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
+SEVERAL = ("quadric", "cone_turning", "cylinder_turning", "plane_gaussian", "road", "fig_3_12_right")
+METHODS = [("plane_defocused", method) for method in ("gather", "scatter", "convolve")]
+METHODS = mostly_slow([*METHODS, *((stem, "scatter") for stem in SEVERAL)], [*METHODS, ("quadric", "scatter")])
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def worst(frames: list[Any], exacts: tuple[Frame, ...]) -> list[Difference]:
 
 
 def paths(kept: Collection[str]) -> list[Any]:
-    return [pytest.param(path, marks=[pytest.mark.slow] * (path.stem not in kept), id=path.stem) for path in PATHS]
+    return [pytest.param(path, marks=[pytest.mark.slow] * (path.stem not in kept), id=path.stem) for path in EXAMPLES]
 
 
 @pytest.mark.parametrize("path", paths(QUICK))
@@ -93,23 +93,13 @@ def test_every_output_agrees_in_double_precision(path: Path, small: Small, exact
     assert [found for found in differences if found.count] == []
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter", "convolve"])
-def test_methods_agree_where_they_can_do_the_scene(method: str, small: Small, exact: Exact) -> None:
+@pytest.mark.parametrize(("stem", "method"), METHODS)
+def test_methods_agree_where_they_can_do_the_scene(stem: str, method: str, small: Small, exact: Exact) -> None:
     # Each adds the same weights in another order: float32 in a row, fixed point, or one PSF for all pixels.
-    path = EXAMPLES / "plane_defocused.toml"
+    (path,) = (path for path in EXAMPLES if path.stem == stem)
     frames = list(clsco.render(small(path), method=method))
-    assert frames[0].metadata["blur_method"] == method
-    assert [found for found in worst(frames, exact(path)) if not found.agrees] == []
-
-
-@pytest.mark.parametrize("stem", mostly_slow(SEVERAL, ["quadric"]))
-def test_scatter_agrees(stem: str, small: Small, exact: Exact) -> None:
-    (path,) = (path for path in PATHS if path.stem == stem)
-    frames = list(clsco.render(small(path), truth=(), method="scatter"))
-    for frame, wanted in zip(frames, exact(path), strict=True):
-        assert frame.metadata["blur_method"] == "scatter"
-        (color,) = compare(frame, wanted)
-        assert color.count == 0, color
+    assert {frame.metadata["blur_method"] for frame in frames} == {method}
+    assert [found for found in worst(frames, exact(path)) if found.count] == []
 
 
 @pytest.mark.parametrize("path", paths({"quadric"}))

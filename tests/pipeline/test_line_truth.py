@@ -46,17 +46,11 @@ def test_every_output_agrees(scan: str, sections: dict[str, Any]) -> None:
         assert 0.02 < frame.flow_occluded.mean() < 0.7
 
 
-@pytest.mark.parametrize(
-    "sections",
-    [
-        pytest.param(
-            {"lens": {"keyframe": [{"time": 0.0, "focus_distance": 250.0}, {"time": 1.0, "focus_distance": 330.0}]}},
-            marks=pytest.mark.slow,
-        ),
-        {"camera": {"resolution": [40, 30], "pixel_pitch": 0.08, "shake": {"rotation_rms": 0.5, "band": [2.0, 8.0]}}},
-    ],
-    ids=["focus", "shake"],
-)
+PULL = {"lens": {"keyframe": [{"time": 0.0, "focus_distance": 250.0}, {"time": 1.0, "focus_distance": 330.0}]}}
+SHAKE = {"camera": {"resolution": [40, 30], "pixel_pitch": 0.08, "shake": {"rotation_rms": 0.5, "band": [2.0, 8.0]}}}
+
+
+@pytest.mark.parametrize("sections", mostly_slow([PULL, SHAKE], [SHAKE]), ids=["focus", "shake"])
 def test_a_lens_and_a_camera_that_move_within_the_frame(sections: dict[str, Any]) -> None:
     """A shake goes faster than the rows in places, where points are met several times or never."""
     wanted = scene(BALL, CARD, sections={"camera": CAMERA | {"resolution": [40, 30]}} | sections)

@@ -48,6 +48,10 @@ SCENES: dict[str, Scene] = {
     "zoom": scene(BALL, WALL, lens=ALL | DARK | ZOOM, sequence=EXPOSED),
     "forward": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED, motion={"warp": "forward"}),
     "sensor": scene(BALL, WALL, lens=ALL, sensor={"mosaic": "rggb"}),
+    "map": scene(SLOPE, lens=ALL | DARK, sequence=EXPOSED),
+    "map, moving": scene(SLOPE | MOVING, lens=ALL | DARK, sequence=EXPOSED),
+    "map, zoom": scene(SLOPE, lens=ALL | DARK | ZOOM, sequence=EXPOSED),
+    "map, lateral": scene(SLOPE, lens=ALL | DARK | LATERAL, sequence=EXPOSED),
     "rims": scene(BALL, WALL, lens=ALL | DARK, camera=CAMERA | {"aperture_diameter": 30.0}, aperture=RIMS),
 }
 FAST = ("lateral", "in focus")
@@ -61,13 +65,6 @@ def test_device_against_reference(name: str) -> None:
     for checked in compare_frames(SCENES[name], None, None):  # a code changes with the last bit of its light
         assert {difference.output for difference in checked.differences} > {"color", "electrons", "raw"}
         assert [difference for difference in checked.differences if not difference.agrees] == []
-
-
-@pytest.mark.parametrize("how", mostly_slow(["static", "moving", "zoom", "lateral"], []))
-def test_depth_maps_against_the_reference(how: str) -> None:
-    lens = ALL | DARK | (ZOOM if how == "zoom" else {}) | (LATERAL if how == "lateral" else {})
-    found = scene(SLOPE | (MOVING if how == "moving" else {}), lens=lens, sequence=EXPOSED)
-    assert_agree(rendered(found), reference_frames(found))
 
 
 def test_shares_of_a_time_sample_stay_until_they_are_read(monkeypatch: pytest.MonkeyPatch) -> None:

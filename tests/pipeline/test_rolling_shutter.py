@@ -17,6 +17,7 @@ from clsco.scene.model import Scene
 from tests.pipeline.common import PLAIN, assert_strips_agree
 from tests.pipeline.test_scenes import BALL, GOING
 from tests.scenes import scene_from
+from tests.slow import mostly_slow
 
 ROWS, COLUMNS = 100, 56
 CAMERA = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.08, "aperture_diameter": 20.0}
@@ -34,15 +35,11 @@ def scene(*items: dict[str, Any], sections: dict[str, Any] | None = None, **sequ
     return scene_from(given, *(items or (MOVING, CARD)))
 
 
-@pytest.mark.parametrize(
-    ("scan", "sections", "curve"),
-    [
-        pytest.param(scan, *each, marks=[pytest.mark.slow] * (scan != first))
-        for each, first in {0: ((None, "box"), "left_to_right"), 1: ((LAYERED, "triangle"), ""),
-                            2: ((FLAT, [1.0, 0.0, 0.5]), "")}.values()
-        for scan in SCANS
-    ],
-)  # fmt: skip
+SHUTTERS: Any = (None, "box"), (LAYERED, "triangle"), (FLAT, [1.0, 0.0, 0.5])
+OPENED = [(scan, *shutter) for shutter in SHUTTERS for scan in SCANS]
+
+
+@pytest.mark.parametrize(("scan", "sections", "curve"), mostly_slow(OPENED, [("left_to_right", None, "box")]))
 def test_the_device_renders_what_the_reference_does(scan: str, sections: dict[str, Any] | None, curve: Any) -> None:
     wanted = scene(sections=sections, scan=scan, shutter_curve=curve)
     (frame,), (exact,) = clsco.render(wanted, truth=()), reference.render(wanted)
@@ -88,15 +85,10 @@ def test_only_rows_that_are_open_are_rendered(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_allclose(narrow.color, whole.color, atol=1.2e-7)  # of bands that end sooner
 
 
-@pytest.mark.parametrize(
-    ("scan", "sections", "readout"),
-    [
-        ("top_to_bottom", None, 0.6),
-        ("right_to_left", None, 0.6),
-        pytest.param("top_to_bottom", COLORED, 2.0, marks=pytest.mark.slow),
-    ],
-    ids=["rows", "columns", "colors"],
-)
+IN_STRIPS: Any = [("top_to_bottom", None, 0.6), ("right_to_left", None, 0.6), ("top_to_bottom", COLORED, 2.0)]
+
+
+@pytest.mark.parametrize(("scan", "sections", "readout"), mostly_slow(IN_STRIPS, IN_STRIPS[:2]))
 def test_strips_have_the_bits_of_the_frame(scan: str, sections: dict[str, Any] | None, readout: float) -> None:
     """Strips in which a time sample is not open have no part of it."""
     assert_strips_agree(scene(scan=scan, sections=sections, readout=readout))

@@ -168,7 +168,7 @@ def test_one_image_is_not_summed() -> None:
 
 
 def test_an_exr_has_them_as_layers() -> None:
-    frame = rendered(CASES["color"], "subframes", frames=[0])[0]
+    frame = rendered(CASES["color"], "alpha", "subframes", frames=[0])[0]
     channels = exr_channels(frame.arrays())
     assert [name for name in channels if name.startswith("sample_")] == [
         f"sample_0{number}.{color}" for number in range(3) for color in "RGB"

@@ -29,7 +29,7 @@ from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.toml import toml_text
-from tests.command import clsco_
+from tests.command import clsco_, done
 from tests.pipeline.common import PLAIN, assert_strips_agree, printed_with_threads
 from tests.slow import mostly_slow
 
@@ -279,19 +279,21 @@ SCENE = """
 [camera]
 resolution = [20, 14]
 pixel_pitch = 0.2
+[psf]
+edge = "sampled"
+tilt = false
+silhouette_samples = 1
+occlusion = "none"
 [sensor]
 mosaic = "rggb"
 bits = 14
 [[object]]
 shape = "sphere"
 texture = "#e08020"
+[[object]]
+shape = "plane"
+distance = 330.0
 """
-
-
-def run(*args: object) -> str:
-    found = clsco_(*args)
-    assert found.exit_code == 0, found.output
-    return found.output
 
 
 def test_files(tmp_path: Path) -> None:
@@ -299,7 +301,7 @@ def test_files(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     scene = tmp_path / "s.toml"
     scene.write_text(SCENE)
-    run("render", scene, "-o", tmp_path, "--format", "npz,exr,png,tiff", "--quiet")
+    done("render", scene, "-o", tmp_path, "--format", "npz,exr,png,tiff", "--quiet")
     arrays = np.load(tmp_path / "frame_0000.npz")
     frame = clsco.render_frame(str(scene))
     for name in ("color", *SENSOR_NAMES):
@@ -317,9 +319,9 @@ def test_files(tmp_path: Path) -> None:
     assert about["scene"]["sensor"]["mosaic"] == "rggb"
     assert about["units"]["sensor.read_noise"] == "e-"
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    run("render", scene, "-o", tmp_path, "--format", "npz,exr,png,tiff", "--quiet", "--resume")
+    done("render", scene, "-o", tmp_path, "--format", "npz,exr,png,tiff", "--quiet", "--resume")
     assert before == {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    assert "raw" in run("check", scene, "--rays", "0")
+    assert "raw" in done("check", scene, "--rays", "0").output
 
 
 def test_codes_of_a_scene_without_a_sensor_are_refused(tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ def test_black_before_white(size: float, focus: float) -> None:
     check(by_block(whole - cut) / np.array([each["area"] for each in balls]))
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter", "tiles"])
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter", "tiles"], ["gather"]))
 def test_moving_over_pixels_with_alpha(method: Any) -> None:
     """Every time sample has the light of the ball, and coverage is that light."""
     size = 0.45

@@ -15,7 +15,7 @@ from clsco.reference.trace import trace as reference_trace
 from clsco.scene.model import Scene
 from tests.pipeline.common import CAMERA, PLAIN, assert_strips_agree
 from tests.scenes import assert_agree, plan_of, reference_frames, rendered, scene_from
-from tests.slow import mostly_slow
+from tests.slow import combined, mostly_slow
 
 TWO = {"silhouette_samples": 2}
 LAID: dict[str, Any] = {"texture_mapping": "surface"}
@@ -81,12 +81,12 @@ SCENES["an edge of texels"] = scene(
     CARD | {"rotation": [0.0, 0.0, 0.0], "center": [0.02, 0.02, 255.0], "texture": "checkerboard", "texture_size": 1e9},
     psf=PLAIN, motion={"texture_filter": "nearest"}, camera=CAMERA | {"resolution": [47, 35]},
 )  # fmt: skip
-SOME = ("wrap none", "ball behind wires")
+SOME = [("wrap none", "double"), ("ball behind wires", "double")]
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
-def test_device_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name], precision="double"), reference_frames(SCENES[name]))
+@pytest.mark.parametrize(("name", "precision"), combined(SCENES, ("double", "single"), kept=SOME))
+def test_device_against_reference(name: str, precision: str) -> None:
+    assert_agree(rendered(SCENES[name], precision=precision), reference_frames(SCENES[name]))
 
 
 @pytest.mark.slow
@@ -100,12 +100,6 @@ def test_parts_of_a_pixel_see_the_lens_as_its_middle(monkeypatch: pytest.MonkeyP
     assert 1e-4 < change.max() < 2e-3
     # Each looks at cells of the lens as wide as they are: a shift shows more than over whole pixels, which have 2e-4.
     assert np.sqrt(np.mean(np.square(change))) < 3.3e-4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
-def test_single_precision_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name], precision="single"), reference_frames(SCENES[name]))
 
 
 BODIES: dict[str, dict[str, Any]] = {"ball": BALL, "tube": TUBE, "card": CARD, "hat": HAT, "egg": EGG}

@@ -67,12 +67,12 @@ def test_device_and_reference_agree(case: str, method: str) -> None:
     assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
 
 
-@pytest.mark.parametrize(
-    "case", mostly_slow(["through the focus", "hidden, wide, far light", "coma, hidden, wide"], ["through the focus"])
-)
+IN_STRIPS = ["facing", "through the focus", "hidden, wide, far light", "coma, hidden, wide"]
+
+
+@pytest.mark.parametrize("case", mostly_slow(IN_STRIPS, ["facing"]))
 def test_strips_have_the_bits_of_the_whole(case: str) -> None:
-    wanted = scene(**{**CASES[case], "camera": {"resolution": [48, 200]}})
-    assert_strips_agree(wanted)
+    assert_strips_agree(scene(**CASES[case], camera={"resolution": [48, 200]}))
 
 
 def psnr(image: np.ndarray[Any, Any], exact: np.ndarray[Any, Any]) -> float:
