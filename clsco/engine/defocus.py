@@ -23,6 +23,7 @@ from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import GREEN, PointSpread, exposure_factor, spreads_of_colors
+from clsco.optics.resolved_view import guard_band
 from clsco.optics.waves import check_waves
 from clsco.passes.blur import Image, Maps, Sources
 from clsco.passes.job import Job
@@ -34,7 +35,6 @@ from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of
 from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur, has_few_taps
 from clsco.plan.passes import Pass
-from clsco.plan.predict import guard_band
 from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.optics.image_motion import image_paths
 from clsco.optics.motion import Pose, pose_at, poses_at, rest_center
-from clsco.plan.image_motion import image_paths
 from clsco.scene.model import Camera, CameraMotion, Group, Motion, ObjectMotion, Plane, Scene, Sphere
 from tests.scenes import plan_of, scene_of
 
