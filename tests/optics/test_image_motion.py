@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.optics.test_resolved_view import SIDES, STEP
 
 import clsco
 from clsco.errors import SceneError
@@ -31,6 +30,7 @@ from clsco.scene.model import (
     Sequence,
     Sphere,
 )
+from tests.optics.test_resolved_view import SIDES, STEP
 from tests.scenes import plan_of, plan_scene, scene_of
 from tests.slow import mostly_slow
 
