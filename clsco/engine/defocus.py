@@ -33,7 +33,7 @@ from clsco.passes.tables import forget_others
 from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of
-from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur, has_few_taps
+from clsco.plan.methods import BlurSpec, choose_blur
 from clsco.plan.passes import Pass
 from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
@@ -53,25 +53,6 @@ class Options(TypedDict, total=False):
     memory: str | int | None
     outside: Outside
     soft_edges: SoftEdges
-
-
-@dataclass(frozen=True)
-class _Settings:
-    """Checked `Options` with their defaults. Raises SceneError."""
-
-    aperture: ApertureLike = None
-    camera: CameraLike = None
-    device: DeviceLike = None
-    method: str = "auto"
-    memory: str | int | None = None
-    outside: Outside = "mirror"
-    soft_edges: SoftEdges = "assign"
-
-    def __post_init__(self) -> None:
-        for name, value, kinds in (("outside", self.outside, Outside), ("soft_edges", self.soft_edges, SoftEdges)):
-            if value not in get_args(kinds):
-                names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
-                raise SceneError(f"{name}: must be {names}; got {value!r}")
 
 
 @overload
@@ -94,13 +75,19 @@ def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, return_report: Literal[True],
     **options: Unpack[Options],
 ) -> tuple[cl_array.Array, DefocusReport]: ...  # fmt: skip
-def defocus(
+def defocus(  # noqa: PLR0913, a parameter for each option
     image: NDArray[Any] | cl_array.Array,
     blur_radius: NDArray[Any] | cl_array.Array,
     psf: PsfLike = None,
     *,
     return_report: bool = False,
-    **options: Any,
+    aperture: ApertureLike = None,
+    camera: CameraLike = None,
+    device: DeviceLike = None,
+    method: str = "auto",
+    memory: str | int | None = None,
+    outside: Outside = "mirror",
+    soft_edges: SoftEdges = "assign",
 ) -> Any:
     """Blur an image by a map of signed blur radii, each pixel by its own PSF (equation 2.40).
 
@@ -172,31 +159,34 @@ def defocus(
     >>> bool(abs(blurred[12, 16] - 1 / (np.pi * 3.0**2)) < 1e-4), round(float(blurred.sum()), 4)
     (True, 1.0)
     """
-    model, settings = psf_of(psf).of_images(), _Settings(**options)
-    aperture, camera = aperture_of(settings.aperture, model), camera_of(settings.camera)
-    session, (picture, radii), as_given = on_host(settings.device, image=image, blur_radius=blur_radius)
+    for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):
+        if value not in get_args(kinds):
+            names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
+            raise SceneError(f"{name}: must be {names}; got {value!r}")
+    model = psf_of(psf).of_images()
+    opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
+    session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
-    if camera is not None and picture.ndim > 1:
-        camera = camera.model_copy(update={"resolution": picture.shape[1::-1]})
-    spread = load_point_spread(model, aperture, camera=camera)
-    spreads = spreads_of_colors(spread, model, camera)
+    if lens_camera is not None and picture.ndim > 1:
+        lens_camera = lens_camera.model_copy(update={"resolution": picture.shape[1::-1]})
+    spread = load_point_spread(model, opening, camera=lens_camera)
+    spreads = spreads_of_colors(spread, model, lens_camera)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
-    if aperture.exposure == "area":
-        light = np.full(linear.shape[2:], exposure_factor(aperture, spread), np.float32)
+    if opening.exposure == "area":
+        light = np.full(linear.shape[2:], exposure_factor(opening, spread), np.float32)
         if codes and has_alpha(linear):
             light[-1] = 1.0
         linear = linear * light
-    inputs = _check_inputs(linear, radii, settings.outside == "mirror" and model.border == "lose")
-    inputs, soft = _assign_edges(inputs) if settings.soft_edges == "assign" else (inputs, 0)
+    inputs = _check_inputs(linear, radii, outside == "mirror" and model.border == "lose")
+    inputs, soft = _assign_edges(inputs) if soft_edges == "assign" else (inputs, 0)
     with session.reporting():
-        limit = limit_of(settings.memory, session.device)
+        limit = limit_of(memory, session.device)
         if limit.set_by_user:
             forget_others(session)
-        device, method = session.device, settings.method
 
         def blur(part: _Inputs, psf: PointSpread) -> NDArray[np.float32]:
-            return _blur_image(session, part, _spec(part, psf, model, method, device), limit)
+            return _blur_image(session, part, _spec(part, psf, model, method, session.device), limit)
 
         result = _blur_colors(inputs, spreads, blur)
         blurred = as_given(encode_channels(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
@@ -264,11 +254,9 @@ def _assign_edges(inputs: _Inputs) -> tuple[_Inputs, int]:
 
 
 def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: DeviceFacts) -> BlurSpec:
-    check_shape(psf, method)
     check_waves(psf, inputs.largest)
-    one_stencil = inputs.smallest == inputs.largest and can_convolve(psf, model.border)
-    few_taps = has_few_taps(device, inputs.largest, inputs.channels)
-    blur = choose_blur(method, psf.is_sharp(inputs.largest), one_stencil, device.kind == "gpu", few_taps=few_taps).value
+    one_radius = inputs.smallest == inputs.largest and model.border == "lose"
+    blur = choose_blur(method, psf, device, inputs.largest, inputs.channels, one_radius).value
     layered = model.occlusion == "layered" and blur != "convolve"
     return BlurSpec(
         psf, blur, inputs.smallest, inputs.largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,

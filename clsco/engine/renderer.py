@@ -59,11 +59,15 @@ class Renderer:
             from clsco.frame.development import check_development
 
             check_development(plan.sensor_model, plan.rows, plan.columns)
-        self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
+        self.session, self.limit, self.prepared, self.hits = session, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
-        self.pixels, self.grids = self._pixels(plan, self.scene), dict[Strip, Struct]()
-        self.channels = self._channels()
-        self.space = SceneWorkspace(plan, self.channels, hits, self._grid(plan.strips[0]))
+        self._use(plan)
+
+    def _use(self, plan: Plan) -> None:
+        """Allocate what a plan for the view of the scene needs."""
+        self.plan, self.grids = plan, dict[Strip, Struct]()
+        self.pixels = self._pixels(plan, self.scene)
+        self.space = SceneWorkspace(plan, self._channels(), self.hits, self._grid(plan.strips[0]))
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
     def _pixels(self, plan: Plan, scene: PlacedScene) -> Pixels:
@@ -170,24 +174,14 @@ class Renderer:
         if self.plan.static_map or not self.plan.color:
             return False
         statistics = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
-        plan = larger_plan(self.plan, SourceStatistics.parse(statistics), self.limit)
-        if plan is not None:
-            self._change(plan)
-        return plan is not None
-
-    def _change(self, plan: Plan) -> None:
-        """Replace the plan by another one for the same view of the scene."""
-        del self.space  # releases its memory for the new one
-        before, self.plan = self.plan, plan
+        before, plan = self.plan, larger_plan(self.plan, SourceStatistics.parse(statistics), self.limit)
+        if plan is None:
+            return False
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
             self.hits = None  # the guard band may differ from those of the other lenses
-        if plan.guard_px != before.guard_px:
-            self.pixels, self.channels = None, ()
-            self.pixels = self._pixels(plan, self.scene)
-            self.channels = self._channels()
-        self.grids = {}
-        self.space = SceneWorkspace(plan, self.channels, self.hits, self._grid(plan.strips[0]))
-        self.truth = GroundTruth(plan, self.scene, self.pixels)
+        del self.space, self.truth, self.pixels  # releases memory for the larger plan
+        self._use(plan)
+        return True
 
     def _metadata(self, film: Film) -> dict[str, Any]:
         report, plan, spec, scene = self.prepared.approximation, self.plan, self.plan.spec, self.plan.scene

@@ -22,6 +22,7 @@ Validated against frames with all samples: tests/plan/test_approximation.py.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -153,11 +154,8 @@ def _cheapest(
 
 def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
     """Smallest of increasing `counts` with a squared error of at most `square`, by bisection; 0 if there is none."""
-    few, many = 0, len(counts)
-    while few < many:
-        middle = (few + many) // 2
-        few, many = (few, middle) if error(counts[middle]) <= square else (middle + 1, many)
-    return counts[few] if few < len(counts) else 0
+    place = bisect_left(counts, True, key=lambda count: error(count) <= square)
+    return counts[place] if place < len(counts) else 0
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from clsco.optics.resolved_view import ResolvedView
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
-from clsco.plan.methods import Blur, Occlusion, can_convolve, check_shape, choose_blur, has_few_taps
+from clsco.plan.methods import Blur, Occlusion, choose_blur
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
@@ -79,15 +79,11 @@ def choose(
     """Make all decisions for a view of a scene; also returns its occlusion groups, and the extents of objects within
     which the groups are valid. Raises SceneError if the requested method of blur cannot be used.
     """
-    scene, psf = view.scene, view.psf
-    check_shape(psf, request.method)
-    silhouettes = choose_silhouettes(view)
-    sharp = psf.is_sharp(view.largest) and silhouettes.left_out
+    scene, silhouettes = view.scene, choose_silhouettes(view)
     occlusion, groups, extents = choose_occlusion(view)
-    one_stencil = view.one_radius and silhouettes.left_out and can_convolve(psf, scene.psf.border)
-    occluded = occlusion.value == "visibility" or bool(psf.rims) or psf.stretched > 0.0
-    few_taps = has_few_taps(device, view.largest, channels)
-    blur = choose_blur(request.method, sharp, one_stencil, device.kind == "gpu", occluded, few_taps)
+    one_stencil, occluded = view.one_radius and scene.psf.border == "lose", occlusion.value == "visibility"
+    properties = view.largest, channels, one_stencil, silhouettes.left_out, occluded
+    blur = choose_blur(request.method, view.psf, device, *properties)
     if blur.left_out:
         aperture = OPENING_KEYS if view.largest <= 0.5 else ()  # any aperture keeps all light in its pixel
         why = f"in focus: R up to {view.largest:.3g} px stays within its pixel"
