@@ -89,7 +89,7 @@ def choose(
         why = f"in focus: R up to {view.largest:.3g} px stays within its pixel"
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(view)
-    truth, other_outputs = choose_truth(scene, request.truth, request.color)
+    truth, other_outputs = choose_truth(view, request)
     choices = Choices(
         image=Choice(True) if request.color else Choice(False, NO_COLOR),
         motion=choose_samples(view),
@@ -227,15 +227,11 @@ def choose_border(view: ResolvedView) -> tuple[Choice[bool], Choice[bool]]:
     return Choice(False, 'border = "lose"'), Choice(True, f"{beyond} outside the frame lights it")
 
 
-def choose_truth(
-    scene: Scene, names: tuple[str, ...], color: bool = True
-) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
-    """Choose the values of `Choices.ground_truth` and `Choices.other_outputs`; names: requested outputs; color: True if
-    an image is made.
-    """
-    reasons = {group: why for group, can, why in POSSIBLE if not can(scene)}
+def choose_truth(view: ResolvedView, request: Request) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
+    """Choose the values of `Choices.ground_truth` and `Choices.other_outputs`."""
+    names, reasons = request.truth, {group: why for group, can, why in POSSIBLE if not can(view.scene)}
     impossible = {name: reasons[row.group] for name, row in OUTPUTS.items() if row.group in reasons}
-    impossible |= {} if color else dict.fromkeys(SENSOR_NAMES, "no image is made")
+    impossible |= {} if request.color else dict.fromkeys(SENSOR_NAMES, "no image is made")
     chosen = tuple(name for name in names if name != "alpha" and name not in impossible)
     omitted = [name for name in ALL_TRUTH if name not in chosen and name not in impossible]
     why = "; ".join(dict.fromkeys(impossible[name] for name in names if name in impossible))
