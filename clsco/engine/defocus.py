@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
@@ -184,11 +184,16 @@ def defocus(  # noqa: PLR0913, a parameter for each option
         limit = limit_of(memory, session.device)
         if limit.set_by_user:
             forget_others(session)
-
-        def blur(part: _Inputs, psf: PointSpread) -> NDArray[np.float32]:
-            return _blur_image(session, part, _spec(part, psf, model, method, session.device), limit)
-
-        result = _blur_colors(inputs, spreads, blur)
+        parts: Iterable[tuple[_Inputs, PointSpread]] = [(inputs, spreads[GREEN])]
+        separate = inputs.channels == len(spreads) and len(set(spreads)) > 1
+        if separate:  # each color is blurred by itself
+            colors = (replace(inputs, image=np.ascontiguousarray(color)) for color in np.moveaxis(inputs.image, -1, 0))
+            parts = zip(colors, spreads, strict=True)
+        results = [
+            _blur_image(session, part, _spec(part, color_psf, model, method, session.device), limit)
+            for part, color_psf in parts
+        ]
+        result = np.stack(results, axis=-1) if separate else results[0]
         blurred = as_given(encode_channels(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 
@@ -264,29 +269,17 @@ def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: De
     )  # fmt: skip
 
 
-def _blur_colors(
-    inputs: _Inputs, spreads: Sequence[PointSpread], blur: Callable[[_Inputs, PointSpread], NDArray[np.float32]]
-) -> NDArray[np.float32]:
-    """The blurred image; each color is blurred by itself if its point spread function differs."""
-    if inputs.channels != len(spreads) or len(set(spreads)) == 1:
-        return blur(inputs, spreads[GREEN])
-    parts = (replace(inputs, image=np.ascontiguousarray(inputs.image[..., color])) for color in range(len(spreads)))
-    return np.stack([blur(part, psf) for part, psf in zip(parts, spreads, strict=True)], axis=-1)
-
-
-def _guard_px(inputs: _Inputs, spec: BlurSpec) -> int:
-    lanes = 2 * TAP_LANES if spec.method == "convolve" else 0
-    if inputs.mirrored:
-        return guard_band(spec.psf, spec.border, inputs.largest) + lanes
-    return spec.psf.reach(inputs.largest) + lanes if lanes else 0
-
-
 def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
     """Blur the image in as few strips as the memory limit allows."""
     if spec.method == "none":
         return inputs.image.astype(np.float32)
+    lanes, guard = 2 * TAP_LANES if spec.method == "convolve" else 0, 0
+    if inputs.mirrored:
+        guard = guard_band(spec.psf, spec.border, inputs.largest)
+    elif lanes:
+        guard = spec.psf.reach(inputs.largest)
     rows, columns = inputs.coc.shape
-    plan = ImagePlan(spec, session.device, rows, columns, inputs.channels, _guard_px(inputs, spec))
+    plan = ImagePlan(spec, session.device, rows, columns, inputs.channels, guard + lanes)
     memory = Shrinking(session, limit, lambda smaller: fit_strips(plan, smaller), device_bytes)
     return memory.run(lambda fitting: _blur_strips(session, inputs, fitting))
 

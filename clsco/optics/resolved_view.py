@@ -372,8 +372,8 @@ def resolve(scene: Scene, psf: PointSpread, channels: int, eye: Eye, maps: Maps)
     is wide enough for every |R| in it. Raises SceneError if |R| exceeds LARGEST_BLUR, keyframes do not cover the
     exposures, or the lens distorts or curves the image too much.
     """
-    static, forward, plain = is_static_map(scene), is_forward(scene, eye), hides_nothing(scene)
-    layered = scene.psf.occlusion == "layered" and not plain
+    static, forward, unhidden = is_static_map(scene), is_forward(scene, eye), hides_nothing(scene)
+    layered = scene.psf.occlusion == "layered" and not unhidden
     psf = elliptic_spread(scene, psf, scene.is_analytic and not layered and not forward)
     splits = scene.separates_colors or (channels > 1 and scene.psf.is_colored)  # by the lens, or by waves
     spreads = spreads_of_colors(psf, scene.psf, scene.camera) if splits else ()
@@ -412,7 +412,7 @@ def resolve(scene: Scene, psf: PointSpread, channels: int, eye: Eye, maps: Maps)
             lowest, highest = lowest - 0.1 * abs(lowest) - 1.0, highest + 0.1 * abs(highest) + 1.0
         band = guard_band(psf, scene.psf.border, largest)
         return largest_hit, ResolvedView(
-            scene, eye, maps, psf, spreads, static, forward, shifts_view(scene, eye), plain, one_radius, times,
+            scene, eye, maps, psf, spreads, static, forward, shifts_view(scene, eye), unhidden, one_radius, times,
              poses, w, rays[len(times) // 2], smallest, largest, band, lowest, highest,
         )  # fmt: skip
 

@@ -11,9 +11,8 @@ from clsco.optics.exposure import subframes_of
 from clsco.optics.quadrics import Extent
 from clsco.optics.resolved_view import ResolvedView
 from clsco.optics.visibility import OcclusionGroup
-from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
-from clsco.plan.methods import Blur, Occlusion, choose_blur
+from clsco.plan.methods import Blur, Choice, Occlusion, choose_blur
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 

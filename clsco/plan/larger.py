@@ -15,9 +15,8 @@ from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.lens_path import widest_camera
 from clsco.optics.resolved_view import guard_band
 from clsco.optics.visibility import separate_groups
-from clsco.plan.choice import Choice
 from clsco.plan.memory import Limit, fit_strips
-from clsco.plan.methods import TESTED_SCATTER
+from clsco.plan.methods import TESTED_SCATTER, Choice
 from clsco.plan.plan import Plan
 
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently

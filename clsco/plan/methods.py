@@ -1,20 +1,16 @@
-"""Chooses the blur method, and specifies a blur."""
+"""Choices with their reasons; the choice of the blur method, and the specification of a blur."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Generic, Literal, TypeVar
 
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
-from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
 
-Array = NDArray[np.float64]
+T = TypeVar("T")
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
 Occlusion = Literal["visibility", "layered", "none"]
 
@@ -30,6 +26,26 @@ HOW: dict[Blur, str] = {
     "convolve": "one PSF for the whole frame",
     "none": "in focus",
 }
+
+
+@dataclass(frozen=True)
+class Choice(Generic[T]):
+    """A value that a plan decided on, the reason in reports, and the keys of the scene that have no effect because of
+    it.
+
+    value: False, 0, empty or "none" if a part of the pipeline is left out.
+    """
+
+    value: T
+    reason: str = ""
+    unused: tuple[str, ...] = ()
+
+    @property
+    def left_out(self) -> bool:
+        """True if the scene does not need this part of the pipeline."""
+        return not self.value or self.value == "none"
+
+
 TESTED_SCATTER: Choice[Blur] = Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
 
 

@@ -26,7 +26,7 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import camera_grid, group_struct, lens_struct, pose_structs, psf_struct, surface_structs
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import source_bytes
-from clsco.plan.choice import Choice
+from clsco.plan.methods import Choice
 from clsco.plan.plan import Plan
 from clsco.records import Real, flat, structs
 from clsco.reference.common.geometry import pixel_tilt, table_coordinate, tilt_slope

@@ -11,12 +11,11 @@ import pytest
 from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_SMALLEST
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import STATISTICS
-from clsco.plan.choice import Choice
 from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.larger import SourceStatistics, larger_plan
 from clsco.plan.memory import limit_of
-from clsco.plan.methods import BlurSpec
+from clsco.plan.methods import BlurSpec, Choice
 from clsco.plan.passes import Pass, run_passes
 from clsco.plan.plan import Plan
 from clsco.scene.model import DepthMap, Motion, ObjectMotion, Plane, Psf, Sequence, Sphere

@@ -19,7 +19,7 @@ from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.optics.quadrics import Extent
 from clsco.optics.visibility import OcclusionGroup
-from clsco.plan.choice import Choice
+from clsco.plan.methods import Choice
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
 
