@@ -59,16 +59,14 @@ class Renderer:
             from clsco.frame.development import check_development
 
             check_development(plan.sensor_model, plan.rows, plan.columns)
-        self.session, self.limit, self.prepared, self.hits = session, limit, prepared, hits
+        self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
-        self._use(plan)
+        self.pixels, self.grids = self._pixels(plan, self.scene), dict[Strip, Struct]()
+        self.space, self.truth = self._spaces()
 
-    def _use(self, plan: Plan) -> None:
-        """Allocate what a plan for the view of the scene needs."""
-        self.plan, self.grids = plan, dict[Strip, Struct]()
-        self.pixels = self._pixels(plan, self.scene)
-        self.space = SceneWorkspace(plan, self._channels(), self.hits, self._grid(plan.strips[0]))
-        self.truth = GroundTruth(plan, self.scene, self.pixels)
+    def _spaces(self) -> tuple[SceneWorkspace, GroundTruth]:
+        space = SceneWorkspace(self.plan, self._channels(), self.hits, self._grid(self.plan.strips[0]))
+        return space, GroundTruth(self.plan, self.scene, self.pixels)
 
     def _pixels(self, plan: Plan, scene: PlacedScene) -> Pixels:
         maps = self.prepared.maps
@@ -180,7 +178,9 @@ class Renderer:
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
             self.hits = None  # the guard band may differ from those of the other lenses
         del self.space, self.truth, self.pixels  # releases memory for the larger plan
-        self._use(plan)
+        self.plan, self.grids = plan, {}
+        self.pixels = self._pixels(plan, self.scene)
+        self.space, self.truth = self._spaces()
         return True
 
     def _metadata(self, film: Film) -> dict[str, Any]:

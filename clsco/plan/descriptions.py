@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from clsco.optics.lens_path import reference_camera
 from clsco.optics.resolved_view import ellipticity_of
+from clsco.plan.decisions import Choices
+from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Parameters
 from clsco.scene.model import Scene
-
-if TYPE_CHECKING:
-    from clsco.plan.plan import Plan
 
 
 def shapes_of(scene: Scene) -> str:
@@ -18,20 +15,20 @@ def shapes_of(scene: Scene) -> str:
     return ", ".join(dict.fromkeys(item.shape for item in scene.objects))
 
 
-def describe_rays(plan: Plan) -> Parameters:
-    """Description of rays and the surfaces that they hit."""
-    scene, sampled = plan.scene, plan.choices.texture_sampling.value
+def describe_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
+    """Description of rays and the surfaces that they hit; colors: number of color channels."""
+    sampled = choices.texture_sampling.value
     moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
     if scene.has_mapped_textures:
         moved += (("surface textures", "means over the pixel's footprint, from mipmaps"),)
     first = ("rays", f"against the {shapes_of(scene)}, one per pixel")
-    return (first, *describe_distortion(scene), *moved, *describe_frame(plan))
+    return (first, *describe_distortion(scene), *moved, *describe_frame(choices, colors, alpha))
 
 
-def describe_pixels(plan: Plan) -> Parameters:
-    """Description of the pixels of a static depth map and its image."""
+def describe_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
+    """Description of the pixels of a static depth map and its image; arguments as for `describe_rays`."""
     first = ("pixels", "as the depth map and its image have them")
-    return (first, *describe_distortion(plan.scene), *describe_frame(plan))
+    return (first, *describe_distortion(scene), *describe_frame(choices, colors, alpha))
 
 
 def describe_distortion(scene: Scene) -> Parameters:
@@ -41,18 +38,17 @@ def describe_distortion(scene: Scene) -> Parameters:
     return (("distortion", words),) if scene.lens is not None and scene.lens.distorts else ()
 
 
-def describe_frame(plan: Plan) -> Parameters:
+def describe_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
     """Description of the grid and the channels of an image."""
-    band = plan.choices.guard_band
+    band = choices.guard_band
     guard = (("guard band", band.reason),) if band.value else ()
-    color = (("color", f"{plan.colors} channels"),) if plan.colors > 1 else ()
-    covers = (("alpha", "a channel of what surfaces cover"),) if plan.alpha else ()
+    color = (("color", f"{colors} channels"),) if colors > 1 else ()
+    covers = (("alpha", "a channel of what surfaces cover"),) if alpha else ()
     return (*guard, *color, *covers)
 
 
-def describe_blur(plan: Plan) -> Parameters:
-    """Description of the blur."""
-    spec, choices, groups = plan.spec, plan.choices, len(plan.groups)
+def describe_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
+    """Description of the blur; groups: number of occlusion groups."""
     parameters = [
         ("PSF", f"{spec.psf.name}, R up to {spec.largest:.3g} px"),
         ("method", f"{spec.method}: {choices.blur.reason}"),

@@ -340,12 +340,12 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
 
 def _moving_passes(plan: Plan) -> Iterator[Pass]:
     """The passes of a forward warp, if there is one: "reproject", and "fill" or "count missing"."""
-    scene, grid = plan.scene, plan.grid
+    scene, grid, frame_parameters = plan.scene, plan.grid, describe_frame(plan.choices, plan.colors, plan.alpha)
     if not plan.forward:
         return
     moved = f"every pixel of the {shapes_of(scene)} to its nearest pixel, with a depth test"
     sizes = prefix_names("warp", warp_buffers(scene, grid, plan.device))
-    yield Pass("reproject", (("pixels", moved), *describe_frame(plan)), sizes | _scene_buffers(plan), gives=("moved",))
+    yield Pass("reproject", (("pixels", moved), *frame_parameters), sizes | _scene_buffers(plan), gives=("moved",))
     kind: Kind = "fill" if plan.choices.fill.value else "count missing"
     rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
     gives = (light_of(plan.spec), "counts", *(("missing",) if "missing" in plan.truth else ()))
@@ -354,14 +354,15 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
 
 def _image_passes(plan: Plan) -> Iterator[Pass]:
     """The passes up to the blurred plane of a time sample; those of a forward warp run before."""
-    spec, grid, light = plan.spec, plan.grid, light_of(plan.spec)
+    spec, grid, light, choices = plan.spec, plan.grid, light_of(plan.spec), plan.choices
+    context = plan.scene, choices, plan.colors, plan.alpha
     if plan.static_map:
-        yield Pass("static image", describe_pixels(plan), map_buffers(grid), gives=(light, "counts"))
+        yield Pass("static image", describe_pixels(*context), map_buffers(grid), gives=(light, "counts"))
     elif not plan.forward and spec.layered:
         sizes = map_buffers(grid, plan.scene) | _scene_buffers(plan)
-        yield Pass("pinhole", describe_rays(plan), sizes, gives=(light,))
+        yield Pass("pinhole", describe_rays(*context), sizes, gives=(light,))
     if plan.forward or plan.static_map or spec.layered:
-        yield from blur_passes(spec, grid, plan.device, describe_blur(plan))
+        yield from blur_passes(spec, grid, plan.device, describe_blur(spec, choices, len(plan.groups)))
     else:
         for number, group in enumerate(plan.groups):
             yield from _group_passes(plan, group, number == 0)
@@ -380,10 +381,10 @@ def _truth_pass(plan: Plan) -> Pass:
 
 def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pass]:
     """The passes of one occlusion group; first: True for the group that begins the plane, to which the others add."""
-    spec, grid = plan.spec, plan.grid
+    spec, grid, rays = plan.spec, plan.grid, describe_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
     light = ("plane",) if plan.blur == "none" else ("sources",)
     sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | _scene_buffers(plan)
-    yield Pass("trace", describe_rays(plan), sizes, gives=light, group=group)
+    yield Pass("trace", rays, sizes, gives=light, group=group)
     if plan.silhouettes:
         text = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
         text += ", and where textures are finer than the blur" if plan.mapped else ""
@@ -391,8 +392,8 @@ def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pa
         yield Pass("silhouettes", (("sub-pixel sources", text),), sizes, light, light, group)
     if plan.blur != "none":
         sizes = prefix_names("blur", blur_buffers(spec, grid, plan.device))
-        inputs = light if first else (*light, "plane")
-        yield Pass("blur", describe_blur(plan), sizes, inputs, ("plane",), group)
+        inputs, blur = light if first else (*light, "plane"), describe_blur(spec, plan.choices, len(plan.groups))
+        yield Pass("blur", blur, sizes, inputs, ("plane",), group)
 
 
 def _scene_buffers(plan: Plan) -> Sizes:
