@@ -32,7 +32,7 @@ class Cache:
         self.limit = limit
         self._lock = threading.Lock()
         self._values: OrderedDict[_Key, tuple[Any, int]] = OrderedDict()
-        self._bytes = 0
+        self.bytes = 0  # size of all cached values
 
     def get(self, key: Hashable, make: Callable[[], V], size: Callable[[V], int]) -> V:
         """Return the value of a key, which callers must not change; if it is not cached, `make` computes it.
@@ -52,23 +52,18 @@ class Cache:
                 return self._values[place][0]
             if needed <= self.limit:
                 self._values[place] = value, needed
-                self._bytes += needed
-                while self._bytes > self.limit:
-                    self._bytes -= self._values.popitem(last=False)[1][1]
+                self.bytes += needed
+                while self.bytes > self.limit:
+                    self.bytes -= self._values.popitem(last=False)[1][1]
         return value
-
-    @property
-    def bytes(self) -> int:
-        """Size of all cached values, bytes."""
-        return self._bytes
 
     def forget(self, key: Hashable) -> None:
         """Remove the value of a key, if it is cached."""
         with self._lock:
-            self._bytes -= self._values.pop(_Key(key), (None, 0))[1]
+            self.bytes -= self._values.pop(_Key(key), (None, 0))[1]
 
     def clear(self) -> None:
         """Remove all values."""
         with self._lock:
             self._values.clear()
-            self._bytes = 0
+            self.bytes = 0

@@ -24,6 +24,7 @@ from clsco.frame.outputs import (
     STEREO_NAMES,
     TRUTH_NAMES,
 )
+from clsco.inputs.pupils import scene_point_spread
 from clsco.plan.device import DeviceFacts
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
@@ -46,7 +47,12 @@ def plan_of(
     color: bool = True, device: DeviceFacts | None = None, **scene: Any,
 ) -> Plan:  # fmt: skip
     """The plan of such a scene, without ground truth unless `truth` names some; scene: what `scene_of` takes."""
-    return make_plan(scene_of(*items, **scene), channels, Request(truth, method, color=color), device=device)
+    return plan_scene(scene_of(*items, **scene), channels, Request(truth, method, color=color), device=device)
+
+
+def plan_scene(scene: Scene, channels: int, *arguments: Any, **options: Any) -> Plan:
+    """`make_plan` with the PSF of the scene."""
+    return make_plan(scene, scene_point_spread(scene), channels, *arguments, **options)
 
 
 def scene_from(tables: Table, *items: Table, **sections: Any) -> Scene:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.inputs.pupils import scene_point_spread
 from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Session
@@ -23,7 +24,7 @@ class MeasuredStages:
     """The stages of the forward warp of one scene on the device; real: by default double where that has it."""
 
     def __init__(self, session: Session, scene: Scene, texture: Array, real: Real | None = None) -> None:
-        plan = make_plan(scene, 1)
+        plan = make_plan(scene, scene_point_spread(scene), 1)
         real = real or ("double" if session.device.has_fp64 else "float")
         self.session, self.scene = session, scene
         placed = PlacedScene(

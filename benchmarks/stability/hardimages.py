@@ -17,6 +17,7 @@ from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.sequence import render
 from clsco.errors import SceneError
+from clsco.inputs.pupils import scene_point_spread
 from clsco.inputs.textures import load_texture
 from clsco.opencl.session import Session
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
@@ -393,7 +394,8 @@ def near_objects(session: Session) -> HardCase:
     for distance in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0):
         radius = abs(float(blur_radius(camera, 1.0 / distance)))
         try:
-            make_plan(Scene(camera=camera, objects=(Plane(distance=distance),)), 1)
+            scene = Scene(camera=camera, objects=(Plane(distance=distance),))
+            make_plan(scene, scene_point_spread(scene), 1)
             own = pi * radius**2
         except SceneError:
             own = 0.0

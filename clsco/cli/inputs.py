@@ -64,8 +64,8 @@ def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared
     close: True to report a close focus, too, because image sizes then differ from the usual formulas.
     """
     from clsco.inputs.textures import find_stretched
+    from clsco.optics.resolved_view import without_lens
     from clsco.plan.notes import close_focus_note, sight_notes
-    from clsco.plan.predict import without_lens
 
     for line in find_stretched(each.scene for each in prepared):
         _report(click.format_filename(path), "", line)

@@ -18,7 +18,7 @@ from clsco.optics.lens_path import camera_at, lenses_at
 from clsco.optics.motion import moved_points, poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import places_of, slopes_at
-from clsco.plan.predict import without_lens
+from clsco.optics.resolved_view import without_lens
 from clsco.scene.model import Rectangle, Scene
 from clsco.scene.text import shown
 

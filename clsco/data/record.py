@@ -23,7 +23,7 @@ from clsco.frame.frame import Frame
 from clsco.frame.notebook import codes_to_show, html_to_show
 from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES, OF_THE_IMAGE, OUTPUTS
 from clsco.frame.truth_files import FLOATS, parse_types, to_float16
-from clsco.plan.predict import without_lens
+from clsco.optics.resolved_view import without_lens
 
 if TYPE_CHECKING:
     from clsco.data.distribution import Sample

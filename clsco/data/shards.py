@@ -31,7 +31,7 @@ from clsco.frame.outputs import ATTRIBUTES
 from clsco.inputs.files import InputFiles
 from clsco.opencl.device import Device
 from clsco.opencl.session import session_on
-from clsco.plan.predict import without_lens
+from clsco.optics.resolved_view import without_lens
 from clsco.plan.prepare import prepare_sweep
 from clsco.plan.request import Request
 from clsco.scene.model import Scene

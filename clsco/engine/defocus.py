@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
@@ -23,6 +23,7 @@ from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import GREEN, PointSpread, exposure_factor, spreads_of_colors
+from clsco.optics.resolved_view import guard_band
 from clsco.optics.waves import check_waves
 from clsco.passes.blur import Image, Maps, Sources
 from clsco.passes.job import Job
@@ -32,9 +33,8 @@ from clsco.passes.tables import forget_others
 from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of
-from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur, has_few_taps
+from clsco.plan.methods import BlurSpec, choose_blur
 from clsco.plan.passes import Pass
-from clsco.plan.predict import guard_band
 from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf
@@ -53,25 +53,6 @@ class Options(TypedDict, total=False):
     memory: str | int | None
     outside: Outside
     soft_edges: SoftEdges
-
-
-@dataclass(frozen=True)
-class _Settings:
-    """Checked `Options` with their defaults. Raises SceneError."""
-
-    aperture: ApertureLike = None
-    camera: CameraLike = None
-    device: DeviceLike = None
-    method: str = "auto"
-    memory: str | int | None = None
-    outside: Outside = "mirror"
-    soft_edges: SoftEdges = "assign"
-
-    def __post_init__(self) -> None:
-        for name, value, kinds in (("outside", self.outside, Outside), ("soft_edges", self.soft_edges, SoftEdges)):
-            if value not in get_args(kinds):
-                names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
-                raise SceneError(f"{name}: must be {names}; got {value!r}")
 
 
 @overload
@@ -94,13 +75,19 @@ def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, return_report: Literal[True],
     **options: Unpack[Options],
 ) -> tuple[cl_array.Array, DefocusReport]: ...  # fmt: skip
-def defocus(
+def defocus(  # noqa: PLR0913, a parameter for each option
     image: NDArray[Any] | cl_array.Array,
     blur_radius: NDArray[Any] | cl_array.Array,
     psf: PsfLike = None,
     *,
     return_report: bool = False,
-    **options: Any,
+    aperture: ApertureLike = None,
+    camera: CameraLike = None,
+    device: DeviceLike = None,
+    method: str = "auto",
+    memory: str | int | None = None,
+    outside: Outside = "mirror",
+    soft_edges: SoftEdges = "assign",
 ) -> Any:
     """Blur an image by a map of signed blur radii, each pixel by its own PSF (equation 2.40).
 
@@ -172,33 +159,41 @@ def defocus(
     >>> bool(abs(blurred[12, 16] - 1 / (np.pi * 3.0**2)) < 1e-4), round(float(blurred.sum()), 4)
     (True, 1.0)
     """
-    model, settings = psf_of(psf).of_images(), _Settings(**options)
-    aperture, camera = aperture_of(settings.aperture, model), camera_of(settings.camera)
-    session, (picture, radii), as_given = on_host(settings.device, image=image, blur_radius=blur_radius)
+    for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):
+        if value not in get_args(kinds):
+            names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
+            raise SceneError(f"{name}: must be {names}; got {value!r}")
+    model = psf_of(psf).of_images()
+    opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
+    session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
-    if camera is not None and picture.ndim > 1:
-        camera = camera.model_copy(update={"resolution": picture.shape[1::-1]})
-    spread = load_point_spread(model, aperture, camera=camera)
-    spreads = spreads_of_colors(spread, model, camera)
+    if lens_camera is not None and picture.ndim > 1:
+        lens_camera = lens_camera.model_copy(update={"resolution": picture.shape[1::-1]})
+    spread = load_point_spread(model, opening, camera=lens_camera)
+    spreads = spreads_of_colors(spread, model, lens_camera)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
-    if aperture.exposure == "area":
-        light = np.full(linear.shape[2:], exposure_factor(aperture, spread), np.float32)
+    if opening.exposure == "area":
+        light = np.full(linear.shape[2:], exposure_factor(opening, spread), np.float32)
         if codes and has_alpha(linear):
             light[-1] = 1.0
         linear = linear * light
-    inputs = _check_inputs(linear, radii, settings.outside == "mirror" and model.border == "lose")
-    inputs, soft = _assign_edges(inputs) if settings.soft_edges == "assign" else (inputs, 0)
+    inputs = _check_inputs(linear, radii, outside == "mirror" and model.border == "lose")
+    inputs, soft = _assign_edges(inputs) if soft_edges == "assign" else (inputs, 0)
     with session.reporting():
-        limit = limit_of(settings.memory, session.device)
+        limit = limit_of(memory, session.device)
         if limit.set_by_user:
             forget_others(session)
-        device, method = session.device, settings.method
-
-        def blur(part: _Inputs, psf: PointSpread) -> NDArray[np.float32]:
-            return _blur_image(session, part, _spec(part, psf, model, method, device), limit)
-
-        result = _blur_colors(inputs, spreads, blur)
+        parts: Iterable[tuple[_Inputs, PointSpread]] = [(inputs, spreads[GREEN])]
+        separate = inputs.channels == len(spreads) and len(set(spreads)) > 1
+        if separate:  # each color is blurred by itself
+            colors = (replace(inputs, image=np.ascontiguousarray(color)) for color in np.moveaxis(inputs.image, -1, 0))
+            parts = zip(colors, spreads, strict=True)
+        results = [
+            _blur_image(session, part, _spec(part, color_psf, model, method, session.device), limit)
+            for part, color_psf in parts
+        ]
+        result = np.stack(results, axis=-1) if separate else results[0]
         blurred = as_given(encode_channels(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 
@@ -264,11 +259,9 @@ def _assign_edges(inputs: _Inputs) -> tuple[_Inputs, int]:
 
 
 def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: DeviceFacts) -> BlurSpec:
-    check_shape(psf, method)
     check_waves(psf, inputs.largest)
-    one_stencil = inputs.smallest == inputs.largest and can_convolve(psf, model.border)
-    few_taps = has_few_taps(device, inputs.largest, inputs.channels)
-    blur = choose_blur(method, psf.is_sharp(inputs.largest), one_stencil, device.kind == "gpu", few_taps=few_taps).value
+    one_radius = inputs.smallest == inputs.largest and model.border == "lose"
+    blur = choose_blur(method, psf, device, inputs.largest, inputs.channels, one_radius).value
     layered = model.occlusion == "layered" and blur != "convolve"
     return BlurSpec(
         psf, blur, inputs.smallest, inputs.largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
@@ -276,29 +269,17 @@ def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: De
     )  # fmt: skip
 
 
-def _blur_colors(
-    inputs: _Inputs, spreads: Sequence[PointSpread], blur: Callable[[_Inputs, PointSpread], NDArray[np.float32]]
-) -> NDArray[np.float32]:
-    """The blurred image; each color is blurred by itself if its point spread function differs."""
-    if inputs.channels != len(spreads) or len(set(spreads)) == 1:
-        return blur(inputs, spreads[GREEN])
-    parts = (replace(inputs, image=np.ascontiguousarray(inputs.image[..., color])) for color in range(len(spreads)))
-    return np.stack([blur(part, psf) for part, psf in zip(parts, spreads, strict=True)], axis=-1)
-
-
-def _guard_px(inputs: _Inputs, spec: BlurSpec) -> int:
-    lanes = 2 * TAP_LANES if spec.method == "convolve" else 0
-    if inputs.mirrored:
-        return guard_band(spec.psf, spec.border, inputs.largest) + lanes
-    return spec.psf.reach(inputs.largest) + lanes if lanes else 0
-
-
 def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
     """Blur the image in as few strips as the memory limit allows."""
     if spec.method == "none":
         return inputs.image.astype(np.float32)
+    lanes, guard = 2 * TAP_LANES if spec.method == "convolve" else 0, 0
+    if inputs.mirrored:
+        guard = guard_band(spec.psf, spec.border, inputs.largest)
+    elif lanes:
+        guard = spec.psf.reach(inputs.largest)
     rows, columns = inputs.coc.shape
-    plan = ImagePlan(spec, session.device, rows, columns, inputs.channels, _guard_px(inputs, spec))
+    plan = ImagePlan(spec, session.device, rows, columns, inputs.channels, guard + lanes)
     memory = Shrinking(session, limit, lambda smaller: fit_strips(plan, smaller), device_bytes)
     return memory.run(lambda fitting: _blur_strips(session, inputs, fitting))
 

@@ -61,10 +61,12 @@ class Film:
         """Add the outputs of a time sample's passes for a strip. number: number of the time sample; outputs: named as
         in `Pass`.
         """
-        report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING
-        self.reports[number] = (
-            report | outputs.get("counts", {}) | {name: outputs[name] for name in ("depth_layers",) if name in outputs}
+        report = (
+            {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING | outputs.get("counts", {})
         )
+        self.reports[number] = report
+        if "depth_layers" in outputs:
+            report["depth_layers"] = outputs["depth_layers"]
         if "missing" in outputs:
             self.missing |= outputs["missing"]
         if "plane" not in outputs:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil
+from operator import itemgetter
 from time import perf_counter, process_time
 
 from clsco.constants import BAND
@@ -119,14 +120,12 @@ def _steps(film: Film) -> list[_FramePart]:
     strip. However few strips of a round are measured, they are spread evenly over the frame.
     """
     strips = sorted(film.strip_parts.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
-    rounds = list[list[_FramePart]]()
+    rounds = list[tuple[int, _FramePart]]()
     for strip, parts in strips:
         *earlier, last = parts
-        for turn, number in enumerate((last, *sorted(earlier, key=_spread))):
-            if turn == len(rounds):
-                rounds.append([])
-            rounds[turn].append(_FramePart(strip, number, parts[number], number == last))
-    return [step for steps in rounds for step in steps]
+        numbers = enumerate((last, *sorted(earlier, key=_spread)))
+        rounds += ((turn, _FramePart(strip, number, parts[number], number == last)) for turn, number in numbers)
+    return [step for _, step in sorted(rounds, key=itemgetter(0))]
 
 
 def _spread(number: int) -> float:

@@ -62,9 +62,11 @@ class Renderer:
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
         self.pixels, self.grids = self._pixels(plan, self.scene), dict[Strip, Struct]()
-        self.channels = self._channels()
-        self.space = SceneWorkspace(plan, self.channels, hits, self._grid(plan.strips[0]))
-        self.truth = GroundTruth(plan, self.scene, self.pixels)
+        self.space, self.truth = self._spaces()
+
+    def _spaces(self) -> tuple[SceneWorkspace, GroundTruth]:
+        space = SceneWorkspace(self.plan, self._channels(), self.hits, self._grid(self.plan.strips[0]))
+        return space, GroundTruth(self.plan, self.scene, self.pixels)
 
     def _pixels(self, plan: Plan, scene: PlacedScene) -> Pixels:
         maps = self.prepared.maps
@@ -170,24 +172,16 @@ class Renderer:
         if self.plan.static_map or not self.plan.color:
             return False
         statistics = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
-        plan = larger_plan(self.plan, SourceStatistics.parse(statistics), self.limit)
-        if plan is not None:
-            self._change(plan)
-        return plan is not None
-
-    def _change(self, plan: Plan) -> None:
-        """Replace the plan by another one for the same view of the scene."""
-        del self.space  # releases its memory for the new one
-        before, self.plan = self.plan, plan
+        before, plan = self.plan, larger_plan(self.plan, SourceStatistics.parse(statistics), self.limit)
+        if plan is None:
+            return False
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
             self.hits = None  # the guard band may differ from those of the other lenses
-        if plan.guard_px != before.guard_px:
-            self.pixels, self.channels = None, ()
-            self.pixels = self._pixels(plan, self.scene)
-            self.channels = self._channels()
-        self.grids = {}
-        self.space = SceneWorkspace(plan, self.channels, self.hits, self._grid(plan.strips[0]))
-        self.truth = GroundTruth(plan, self.scene, self.pixels)
+        del self.space, self.truth, self.pixels  # releases memory for the larger plan
+        self.plan, self.grids = plan, {}
+        self.pixels = self._pixels(plan, self.scene)
+        self.space, self.truth = self._spaces()
+        return True
 
     def _metadata(self, film: Film) -> dict[str, Any]:
         report, plan, spec, scene = self.prepared.approximation, self.plan, self.plan.spec, self.plan.scene

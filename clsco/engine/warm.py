@@ -14,9 +14,8 @@ from clsco.inputs.files import InputFiles
 from clsco.opencl.session import Session
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.trace import CachedHits
-from clsco.plan.choice import Choice
 from clsco.plan.memory import limit_of
-from clsco.plan.methods import Occlusion
+from clsco.plan.methods import Choice, Occlusion
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared, prepare
 from clsco.plan.request import Request

@@ -11,7 +11,7 @@ import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
 from clsco.errors import ArgumentError, DeviceError
-from clsco.opencl.session import DeviceLike, Session, session_for, session_of
+from clsco.opencl.session import DeviceLike, Session, session_for
 
 MOST_CHANNELS = 16
 
@@ -34,7 +34,7 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
         if not array.flags.forc:
             raise ArgumentError(f"{name}: a pyopencl array must be contiguous; got strides {array.strides}")
     host = [array.get(queue) if name in there else np.asanyarray(array) for name, array in arrays.items()]
-    return session_of(queue), host, partial(cl_array.to_device, queue)
+    return session_for(queue), host, partial(cl_array.to_device, queue)
 
 
 def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:

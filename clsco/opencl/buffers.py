@@ -17,30 +17,21 @@ from clsco.opencl.pages import LARGE, SMALLEST, shared_pages
 from clsco.opencl.session import Session
 
 
-def upload(session: Session, array: NDArray[Any]) -> cl.Buffer:
+def upload(session: Session, array: NDArray[Any], lent: bool = False) -> cl.Buffer:
     """A read-only buffer with the contents of `array`, in C order.
 
-    If the device uses host memory and the array is aligned and C-ordered, the buffer uses the array's memory and keeps
-    it alive: until the last kernel that reads it has ended, the caller must neither write to the array nor drop the
-    buffer. Raises DeviceError if the array is larger than the device allows for one buffer, or memory is short.
+    If the device uses host memory and the array is C-ordered, and aligned or `lent` for a short time, the buffer uses
+    the array's memory and keeps it alive: until the last kernel that reads it has ended, the caller must neither write
+    to the array nor drop the buffer. Raises DeviceError if the array is larger than the device allows for one buffer,
+    or memory is short.
     """
     packed = np.ascontiguousarray(array)
     if packed.nbytes == 0:
         return empty(session, 0)
-    in_place = session.device.unified_memory and packed.ctypes.data % session.device.alignment == 0
+    in_place = session.device.unified_memory and (lent or packed.ctypes.data % session.device.alignment == 0)
     flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
     with _allocating(session, packed.nbytes):
         return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | flags, hostbuf=packed)
-
-
-def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
-    """`upload` of a C-ordered array for a short time: the array must not change while kernels run. On devices that use
-    host memory, kernels read it in place even if it is not aligned.
-    """
-    if not session.device.unified_memory or array.nbytes == 0:
-        return upload(session, array)
-    with _allocating(session, array.nbytes):
-        return cl.Buffer(session.context, cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
 
 
 def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:

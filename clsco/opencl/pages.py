@@ -34,7 +34,7 @@ class Pages:
         self._lock = threading.Lock()
         self._back: deque[mmap.mmap] = deque()  # blocks returned by finalizers, which may run while the lock is held
         self._free: OrderedDict[int, mmap.mmap] = OrderedDict()
-        self._bytes = 0
+        self.bytes = 0  # size of the unused blocks
 
     def take(self, size: int) -> NDArray[np.uint8]:
         """Uninitialized array of `size` bytes; its memory returns to the pool when it is freed. Raises OSError."""
@@ -44,7 +44,7 @@ class Pages:
             free = ((len(block), key) for key, block in self._free.items())
             free_bytes, key = min((e for e in free if bytes_ <= e[0] <= bytes_ + bytes_ // SLACK), default=(0, 0))
             block = self._free.pop(key, None)
-            self._bytes -= free_bytes
+            self.bytes -= free_bytes
         if block is None:
             block = _cleared(bytes_)
         array = np.frombuffer(block, np.uint8)
@@ -63,21 +63,16 @@ class Pages:
         while self._back:
             block = self._back.popleft()
             self._free[id(block)] = block
-            self._bytes += len(block)
-            while self._bytes > self.limit:
-                self._bytes -= len(self._free.popitem(last=False)[1])
-
-    @property
-    def bytes(self) -> int:
-        """Size of the unused blocks, bytes."""
-        return self._bytes
+            self.bytes += len(block)
+            while self.bytes > self.limit:
+                self.bytes -= len(self._free.popitem(last=False)[1])
 
     def clear(self) -> None:
         """Return all unused blocks to the system."""
         with self._lock:
             self._take_back()
             self._free.clear()
-            self._bytes = 0
+            self.bytes = 0
 
 
 def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -19,7 +19,6 @@ from clsco.errors import DeviceError, KernelError
 from clsco.opencl import pace, source_text
 from clsco.opencl.device import failure
 from clsco.opencl.features import FEATURES
-from clsco.opencl.pieces import in_pieces
 from clsco.opencl.self_test import require_right_arguments
 from clsco.opencl.session import Program, Session
 from clsco.opencl.source_text import Structs, without_output
@@ -27,6 +26,7 @@ from clsco.records import Real
 from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
+FIRST = 8  # the first piece is at most 1 / FIRST of a launch, because its parts may take different times
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
 # Files that precede all others: common functions, of which processors have a form of their own, and declarations that
 # replace the header of PoCL's compiler. WITHOUT_HEADER is the option that omits this header.
@@ -97,12 +97,12 @@ def launch(
 ) -> list[cl.Event]:  # fmt: skip
     """Enqueue a kernel over at least `global_size` work-items; returns the events of its pieces, in order.
 
-    Long launches are cut into pieces of whole groups (`clsco.opencl.pieces`), so a kernel must not depend on the number
-    of groups. global_size is rounded up to whole groups of local_size, so the kernel must ignore work-items beyond it.
-    Use the same local_size for all launches of a kernel, as the driver compiles the kernel again for each new one.
-    args: arguments in the kernel's order. work: units of work per work-item, 1 for about the usual work of a pixel.
-    origin: number of the first work-item along each axis, by default 0. Raises DeviceError if the device cannot run the
-    kernel, and CanceledError before a piece.
+    Long launches are cut into pieces of whole groups that take a fraction of a second, so that Ctrl-C and cancellation
+    act quickly; a kernel must not depend on the number of groups. global_size is rounded up to whole groups of
+    local_size, so the kernel must ignore work-items beyond it. Use the same local_size for all launches of a kernel, as
+    the driver compiles the kernel again for each new one. args: arguments in the kernel's order. work: units of work
+    per work-item, 1 for about the usual work of a pixel. origin: number of the first work-item along each axis, by
+    default 0. Raises DeviceError if the device cannot run the kernel, and CanceledError before a piece.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
@@ -112,15 +112,22 @@ def launch(
         event = launch_whole(session, kernel, padded, local_size, *args, offset=origin if any(origin) else None)
         session.pace.record_launch(kernel, work, [event], expected)
         return [event]
-    axis = groups.index(most)
-
-    def enqueue(begin: int, end: int) -> cl.Event:
+    axis, events, begin, end = groups.index(most), list[cl.Event](), 0, 0
+    piece = max(1, min(most // FIRST, int(most * pace.PIECE / expected)))
+    while end < most:
+        session.go_on()
+        before, begin, end = end - begin, end, min(end + piece, most)
         size, offset = list(padded), list(origin or (0,) * len(padded))
         size[axis], offset[axis] = (end - begin) * local_size[axis], offset[axis] + begin * local_size[axis]
         begins = tuple(offset) if any(offset) else None
-        return launch_whole(session, kernel, tuple(size), local_size, *args, offset=begins)
-
-    return in_pieces(session, kernel, most, work, expected, enqueue)
+        events.append(launch_whole(session, kernel, tuple(size), local_size, *args, offset=begins))
+        if len(events) > 1:  # one piece is enqueued while the previous one runs
+            events[-2].wait()
+            piece = pace.next_size(before, pace.event_seconds(events[-2]))
+        if session.progress is not None:
+            session.progress.share = end / most
+    session.pace.record_launch(kernel, work, events, pace.PIECE)
+    return events
 
 
 def launch_whole(

@@ -179,32 +179,22 @@ class Session:
 
 # Contexts and built programs are cached, because creating them takes longer than a small image, and because PoCL leaks
 # the memory of released programs (2 MiB each).
-@lru_cache(maxsize=4)
-def session_on(device: Device) -> Session:
-    """A session on a device; the last four sessions are cached."""
-    return Session(device)
-
-
-@lru_cache(maxsize=4)
-def session_of(queue: cl.CommandQueue) -> Session:
-    """A session that works in a queue; the last four sessions are cached."""
-    return Session(describe_device(queue.device), queue=queue)
-
-
-@lru_cache(maxsize=4)
-def session_in(context: cl.Context) -> Session:
-    """A session in a context, on its first device; the last four sessions are cached."""
-    return Session(describe_device(context.devices[0]), context=context)
+@lru_cache(maxsize=8)
+def session_on(place: Device | cl.CommandQueue | cl.Context) -> Session:
+    """A session on a device, in a queue, or in a context, on its first device; the last eight sessions are cached."""
+    if isinstance(place, cl.CommandQueue):
+        return Session(describe_device(place.device), queue=place)
+    if isinstance(place, cl.Context):
+        return Session(describe_device(place.devices[0]), context=place)
+    return Session(place)
 
 
 def session_for(device: DeviceLike) -> Session:
     """The session for a user's argument `device`. Raises DeviceError."""
     if device is None or isinstance(device, str):
         return session_on(choose(device))
-    if isinstance(device, cl.CommandQueue):
-        return session_of(device)
-    if isinstance(device, cl.Context):
-        return session_in(device)
+    if isinstance(device, cl.CommandQueue | cl.Context):
+        return session_on(device)
     if isinstance(device, cl.Device):
         return session_on(describe_device(device))
     rule = "must be a part of a name, or a Device, Context or CommandQueue of pyopencl"

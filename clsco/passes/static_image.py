@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.frame.strips import Strip, with_apron
-from clsco.opencl.buffers import lent
+from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.rays import slopes_at
@@ -57,7 +57,7 @@ class HostImage(ABC):
 
     def _send(self, buffer: cl.Buffer | None, array: NDArray[Any]) -> cl.Buffer:
         if buffer is None:
-            return lent(self.session, np.ascontiguousarray(array))
+            return upload(self.session, array, lent=True)
         cl.enqueue_copy(self.session.queue, buffer, array)
         return buffer
 

@@ -22,6 +22,7 @@ Validated against frames with all samples: tests/plan/test_approximation.py.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -33,14 +34,14 @@ from numpy.typing import NDArray
 
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
+from clsco.optics.image_motion import ImagePath, image_paths, sampled_frames
 from clsco.optics.lens_path import camera_at, lenses_at, reference_camera
 from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.rays import slopes_at
+from clsco.optics.resolved_view import Maps, cast_grid, middle_of
 from clsco.optics.texture_mapping import needs_detail, texture_map
-from clsco.plan.image_motion import ImagePath, image_paths, sampled_frames
 from clsco.plan.plan import Plan
-from clsco.plan.predict import Maps, grid_slopes, middle_of, predict_depths
 from clsco.plan.request import check_tolerance
 from clsco.plan.texture_sources import STEEP, footprints, power_in_frame, spectrum_of, squared_errors
 from clsco.scene.model import Scene
@@ -153,11 +154,8 @@ def _cheapest(
 
 def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
     """Smallest of increasing `counts` with a squared error of at most `square`, by bisection; 0 if there is none."""
-    few, many = 0, len(counts)
-    while few < many:
-        middle = (few + many) // 2
-        few, many = (few, middle) if error(counts[middle]) <= square else (middle + 1, many)
-    return counts[few] if few < len(counts) else 0
+    place = bisect_left(counts, True, key=lambda count: error(count) <= square)
+    return counts[place] if place < len(counts) else 0
 
 
 @dataclass(frozen=True)
@@ -268,7 +266,7 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
     """Statistics of each object that is visible in the middle of the sequence; `travel` is its longest path over the
     whole sequence.
     """
-    w, (x, y) = predict_depths(scene, maps), grid_slopes(scene)
+    w, (x, y) = cast_grid(scene, maps)
     front = w.max(axis=0)
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
     contrasts = _contrasts(textures, scene.light is not None)

@@ -8,26 +8,14 @@ from dataclasses import dataclass, fields, replace
 from clsco.errors import SceneError
 from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES, Group
 from clsco.optics.exposure import subframes_of
-from clsco.optics.lens_path import widest_camera
 from clsco.optics.quadrics import Extent
-from clsco.optics.texture_mapping import needs_detail
-from clsco.optics.visibility import OcclusionGroup, extent, occlusion_groups
-from clsco.plan.choice import Choice
+from clsco.optics.resolved_view import ResolvedView
+from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.device import DeviceFacts
-from clsco.plan.methods import Blur, Occlusion, can_convolve, choose_blur, has_few_taps
-from clsco.plan.predict import (
-    ResolvedScene,
-    constant_blur,
-    fills_view,
-    hides_nothing,
-    is_forward,
-    is_static_map,
-    shifts_view,
-)
+from clsco.plan.methods import Blur, Choice, Occlusion, choose_blur
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
-UNEVEN = 0.25  # fraction of the range of sampled poses by which an object may leave this range
 MOST_NAMED = 3  # largest number of objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 NO_COLOR = "nobody asked for the color: neither its rays nor its blur"
@@ -85,36 +73,31 @@ class Choices:
 
 
 def choose(
-    view: ResolvedScene, request: Request, channels: int, device: DeviceFacts
+    view: ResolvedView, request: Request, channels: int, device: DeviceFacts
 ) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
     """Make all decisions for a view of a scene; also returns its occlusion groups, and the extents of objects within
     which the groups are valid. Raises SceneError if the requested method of blur cannot be used.
     """
-    scene, psf = view.scene, view.psf
-    warp = choose_warp(view)
-    rays = choose_rays(scene, warp.value)
-    silhouettes = choose_silhouettes(view, rays.value)
-    sharp, one_radius = psf.is_sharp(view.largest) and silhouettes.left_out, constant_blur(scene)
-    occlusion, groups, extents = choose_occlusion(view, rays.value)
-    one_stencil = one_radius and silhouettes.left_out and can_convolve(psf, scene.psf.border)
-    occluded = occlusion.value == "visibility" or bool(psf.rims) or psf.stretched > 0.0
-    few_taps = has_few_taps(device, view.largest, channels)
-    blur = choose_blur(request.method, sharp, one_stencil, device.kind == "gpu", occluded, few_taps)
+    scene, silhouettes = view.scene, choose_silhouettes(view)
+    occlusion, groups, extents = choose_occlusion(view)
+    one_stencil, occluded = view.one_radius and scene.psf.border == "lose", occlusion.value == "visibility"
+    properties = view.largest, channels, one_stencil, silhouettes.left_out, occluded
+    blur = choose_blur(request.method, view.psf, device, *properties)
     if blur.left_out:
         aperture = OPENING_KEYS if view.largest <= 0.5 else ()  # any aperture keeps all light in its pixel
         why = f"in focus: R up to {view.largest:.3g} px stays within its pixel"
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
-    renormalize, guard_band = choose_border(scene)
-    truth, other_outputs = choose_truth(scene, request.truth, request.color)
+    renormalize, guard_band = choose_border(view)
+    truth, other_outputs = choose_truth(view, request)
     choices = Choices(
         image=Choice(True) if request.color else Choice(False, NO_COLOR),
-        motion=choose_samples(view, rays.value),
-        trace=rays,
-        texture_sampling=choose_texture_sampling(view, warp.value),
-        reproject=warp,
-        fill=choose_fill(scene, warp.value),
+        motion=choose_samples(view),
+        trace=choose_rays(view),
+        texture_sampling=choose_texture_sampling(view),
+        reproject=choose_warp(view),
+        fill=choose_fill(view),
         silhouettes=silhouettes,
-        tilt=choose_tilt(scene, one_radius, blur.value),
+        tilt=choose_tilt(view, blur.value),
         blur=blur,
         renormalize=renormalize,
         guard_band=guard_band,
@@ -126,20 +109,19 @@ def choose(
     return choices, groups, extents
 
 
-def choose_samples(view: ResolvedScene, rays: bool) -> Choice[int]:
-    """Choose the number of time samples while a line of the frame is exposed; 0 if nothing moves.
-
-    rays: True if rays are cast. Raises SceneError for too many time samples.
+def choose_samples(view: ResolvedView) -> Choice[int]:
+    """Choose the number of time samples while a line of the frame is exposed; 0 if nothing moves. Raises SceneError for
+    too many time samples.
     """
     scene = view.scene
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
-    from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
+    from clsco.optics.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
 
     if scene.sequence.samples == "auto":
-        # Without visibility tests, an outline is as sharp as the surface behind. Radii are known only for a fixed lens.
+        # Without visibility tests, an outline is as sharp as the surface behind.
         soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
-        gradual = rays and soft and not scene.lens_moves
+        gradual = view.casts_rays and soft
         needs = motion_needs(scene, view.psf, view.maps, view.guard, gradual)
         object_words = [f"{scene.objects[need.number].name} {need}" for need in needs[:MOST_NAMED]]
         omitted = [f"{len(needs) - MOST_NAMED} more"] if len(needs) > MOST_NAMED else []
@@ -155,109 +137,100 @@ def choose_samples(view: ResolvedScene, rays: bool) -> Choice[int]:
     return choice if scene.rolls else replace(choice, unused=("sequence.scan",))
 
 
-def choose_warp(view: ResolvedScene) -> Choice[bool]:
+def choose_warp(view: ResolvedView) -> Choice[bool]:
     """Decide whether a forward warp moves pixels of the reference pose."""
     scene = view.scene
-    if is_forward(scene, view.eye):
+    if view.is_forward:
         return Choice(True)
     if scene.motion.warp == "forward" and scene.is_analytic:
         return Choice(False, "no forward warp, as nothing moves", ("motion.warp",))
     return Choice(False, "no forward warp")
 
 
-def choose_rays(scene: Scene, forward: bool) -> Choice[bool]:
-    """Decide whether to cast rays; forward: True for a forward warp."""
-    if is_static_map(scene):
+def choose_rays(view: ResolvedView) -> Choice[bool]:
+    """Decide whether to cast rays."""
+    if view.is_static_map:
         return Choice(False, "a static depth map: its own pixels")
-    return Choice(False, "replaced by the forward warp") if forward else Choice(True)
+    return Choice(True) if view.casts_rays else Choice(False, "replaced by the forward warp")
 
 
-def choose_texture_sampling(view: ResolvedScene, forward: bool) -> Choice[bool]:
-    """Decide whether to interpolate textures between their texels; forward: True for a forward warp."""
+def choose_texture_sampling(view: ResolvedView) -> Choice[bool]:
+    """Decide whether to interpolate textures between their texels."""
     scene, key = view.scene, ("motion.texture_filter",)
-    if forward:
+    if view.is_forward:
         return Choice(False, WHOLE_PIXELS, key)
-    if scene.is_displaced or shifts_view(scene, view.eye) or scene.has_mapped_textures or scene.shifts_colors:
+    if scene.is_displaced or view.is_shifted or scene.has_mapped_textures or scene.shifts_colors:
         return Choice(True)
     return Choice(False, "nothing moves: every pixel shows its own texel", key if scene.stereo is None else ())
 
 
-def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
-    """Decide whether to fill missing pixels; forward: True for a forward warp."""
-    static = is_static_map(scene)
-    if not (forward or static):
+def choose_fill(view: ResolvedView) -> Choice[bool]:
+    """Decide whether to fill missing pixels."""
+    if view.casts_rays:
         return Choice(False, "only a forward warp leaves pixels missing", FILL_KEYS)
-    if scene.fill.method == "none":
+    if view.scene.fill.method == "none":
         return Choice(False, "fill.method is none", ("fill.domain",))
-    if static:
+    if view.is_static_map:
         return Choice(False, "a depth map is filled as it is read", ("fill.domain",))
     return Choice(True)
 
 
-def choose_silhouettes(view: ResolvedScene, rays: bool) -> Choice[int]:
-    """Choose the number of sub-pixel sources per axis; 0 if every source is a pixel. rays: True if rays are cast."""
-    scene, key = view.scene, ("psf.silhouette_samples",)
-    samples = scene.psf.silhouette_samples
+def choose_silhouettes(view: ResolvedView) -> Choice[int]:
+    """Choose the number of sub-pixel sources per axis; 0 if every source is a pixel."""
+    settings, key = view.scene.psf, ("psf.silhouette_samples",)
+    samples = settings.silhouette_samples
     if samples == 1:
         return Choice(0, "silhouette_samples = 1")
-    if not rays:
-        return Choice(0, "a depth map has whole pixels" if is_static_map(scene) else WHOLE_PIXELS, key)
-    if scene.psf.occlusion == "layered" and not hides_nothing(scene):
+    if not view.casts_rays:
+        return Choice(0, "a depth map has whole pixels" if view.is_static_map else WHOLE_PIXELS, key)
+    if settings.occlusion == "layered" and not view.hides_nothing:
         return Choice(0, "depth layers have whole pixels", key)
-    if fills_view(scene, view.nearest) and not needs_detail(scene, view.psf, view.largest):
+    if view.is_uniform:
         return Choice(0, "no silhouette in sight", key)
     return Choice(samples)
 
 
 def choose_occlusion(
-    view: ResolvedScene, rays: bool
+    view: ResolvedView,
 ) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
     """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which the
-    groups are valid, which are empty if the groups are always valid. rays: True if rays are cast.
+    groups are valid, which are empty if the groups are always valid.
     """
-    scene, key = view.scene, ("psf.occlusion",)
-    one_group, method = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), scene.psf.occlusion
+    method, key = view.scene.psf.occlusion, ("psf.occlusion",)
+    one_group = (OcclusionGroup((1 << len(view.scene.objects)) - 1, 0),)
     if method == "none":
         return Choice("none", 'occlusion = "none"'), one_group, ()
-    if hides_nothing(scene):
+    if view.hides_nothing:
         return Choice("none", "one object", key), one_group, ()
-    if method == "layered" or not rays:
+    if method == "layered" or not view.casts_rays:
         return Choice("layered"), one_group, ()
-    hits = zip(scene.objects, zip(*view.poses, strict=True), view.w, strict=True)
-    slack = 0.0 if scene.moves_evenly else UNEVEN
-    extents = tuple(extent(item, poses, w, slack) for item, poses, w in hits)
-    groups = occlusion_groups(scene.objects, extents, widest_camera(scene), view.psf)
-    if any(group.occluders for group in groups):
-        return Choice("visibility"), groups, extents
-    return Choice("none", "no object hides another within its blur", key), groups, extents
+    hides = any(group.occluders for group in view.occlusion_groups)
+    choice: Choice[Occlusion] = Choice("none", "no object hides another within its blur", key)
+    return Choice("visibility") if hides else choice, view.occlusion_groups, view.extents
 
 
-def choose_tilt(scene: Scene, one_radius: bool, blur: Blur) -> Choice[bool]:
-    """Decide whether weights depend on the gradient of R; one_radius: True if all pixels have one radius."""
-    if not scene.psf.tilt:
+def choose_tilt(view: ResolvedView, blur: Blur) -> Choice[bool]:
+    """Decide whether weights depend on the gradient of R."""
+    if not view.scene.psf.tilt:
         return Choice(False, "tilt = false")
     if blur == "none":
         return Choice(False, "everything is in focus", ("psf.tilt",))
-    return Choice(False, "one radius for all pixels", ("psf.tilt",)) if one_radius else Choice(True)
+    return Choice(False, "one radius for all pixels", ("psf.tilt",)) if view.one_radius else Choice(True)
 
 
-def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
+def choose_border(view: ResolvedView) -> tuple[Choice[bool], Choice[bool]]:
     """Choose the values of `Choices.renormalize` and `Choices.guard_band`."""
-    if scene.psf.border == "renormalize":
+    if view.scene.psf.border == "renormalize":
         return Choice(True), Choice(False, "light stays inside the frame")
-    beyond = "the mirrored map" if is_static_map(scene) else "surface"
+    beyond = "the mirrored map" if view.is_static_map else "surface"
     return Choice(False, 'border = "lose"'), Choice(True, f"{beyond} outside the frame lights it")
 
 
-def choose_truth(
-    scene: Scene, names: tuple[str, ...], color: bool = True
-) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
-    """Choose the values of `Choices.ground_truth` and `Choices.other_outputs`; names: requested outputs; color: True if
-    an image is made.
-    """
-    reasons = {group: why for group, can, why in POSSIBLE if not can(scene)}
+def choose_truth(view: ResolvedView, request: Request) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
+    """Choose the values of `Choices.ground_truth` and `Choices.other_outputs`."""
+    names, reasons = request.truth, {group: why for group, can, why in POSSIBLE if not can(view.scene)}
     impossible = {name: reasons[row.group] for name, row in OUTPUTS.items() if row.group in reasons}
-    impossible |= {} if color else dict.fromkeys(SENSOR_NAMES, "no image is made")
+    impossible |= {} if request.color else dict.fromkeys(SENSOR_NAMES, "no image is made")
     chosen = tuple(name for name in names if name != "alpha" and name not in impossible)
     omitted = [name for name in ALL_TRUTH if name not in chosen and name not in impossible]
     why = "; ".join(dict.fromkeys(impossible[name] for name in names if name in impossible))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from clsco.optics.lens_path import reference_camera
+from clsco.optics.resolved_view import ellipticity_of
 from clsco.plan.decisions import Choices
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Parameters
-from clsco.plan.predict import ellipticity_of
 from clsco.scene.model import Scene
 
 
@@ -32,7 +33,7 @@ def describe_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) ->
 
 def describe_distortion(scene: Scene) -> Parameters:
     """Description of the blur in a distorted image, where discs become ellipses; empty if the lens does not distort."""
-    off = 100.0 * ellipticity_of(scene)
+    off = 100.0 * ellipticity_of(reference_camera(scene))
     words = f"blur of ellipses, whose rims are up to {off:.2g} % of R off those of discs of the same area"
     return (("distortion", words),) if scene.lens is not None and scene.lens.distorts else ()
 

@@ -13,12 +13,11 @@ from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_SMALL
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.lens_path import widest_camera
+from clsco.optics.resolved_view import guard_band
 from clsco.optics.visibility import separate_groups
-from clsco.plan.choice import Choice
 from clsco.plan.memory import Limit, fit_strips
-from clsco.plan.methods import choose_blur
+from clsco.plan.methods import TESTED_SCATTER, Choice
 from clsco.plan.plan import Plan
-from clsco.plan.predict import guard_band
 
 SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
 
@@ -59,7 +58,7 @@ def _for_any_place(plan: Plan) -> Plan:
     """The plan with occlusion groups that are valid wherever objects are, and a blur that supports visibility tests."""
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
     if plan.blur == "tiles":
-        choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))
+        choices = replace(choices, blur=TESTED_SCATTER)
     groups = separate_groups(scene.objects, widest_camera(scene), plan.psf)
     return replace(plan, groups=groups, extents=(), choices=choices)
 

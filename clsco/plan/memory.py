@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -108,11 +109,8 @@ def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, i
         return rows
     least = rows if one_strip else min(BAND, rows)
     if not one_strip and fits(sizes(least), limit):
-        few, many = 1, (rows - 1) // BAND
-        while few < many:
-            middle = (few + many + 1) // 2
-            few, many = (middle, many) if fits(sizes(middle * BAND), limit) else (few, middle - 1)
-        return few * BAND
+        more = range(2 * BAND, rows, BAND)
+        return BAND * (1 + bisect_left(more, True, key=lambda tall: not fits(sizes(tall), limit)))
     needed = _sum(sizes(least), limit.views)
     if limit.set_by_user and needed > limit.total:
         why = "as the forward warp needs the whole frame" if one_strip else f"in strips of {least} rows"

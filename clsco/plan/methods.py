@@ -1,24 +1,21 @@
-"""Chooses the blur method, and specifies a blur."""
+"""Choices with their reasons; the choice of the blur method, and the specification of a blur."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Generic, Literal, TypeVar
 
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
-from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
 
-Array = NDArray[np.float64]
+T = TypeVar("T")
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
 Occlusion = Literal["visibility", "layered", "none"]
 
-# px: |R| times number of channels up to which "scatter" is faster than "tiles" (`python -m benchmarks.speed.gpu`).
+# px: |R| times number of channels up to which "scatter", by atomics, is faster than "tiles", which tests the sources
+# around a pixel (`python -m benchmarks.speed.gpu`).
 FEW_TAPS = 6.0
 
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources with different radii
@@ -29,6 +26,27 @@ HOW: dict[Blur, str] = {
     "convolve": "one PSF for the whole frame",
     "none": "in focus",
 }
+
+
+@dataclass(frozen=True)
+class Choice(Generic[T]):
+    """A value that a plan decided on, the reason in reports, and the keys of the scene that have no effect because of
+    it.
+
+    value: False, 0, empty or "none" if a part of the pipeline is left out.
+    """
+
+    value: T
+    reason: str = ""
+    unused: tuple[str, ...] = ()
+
+    @property
+    def left_out(self) -> bool:
+        """True if the scene does not need this part of the pipeline."""
+        return not self.value or self.value == "none"
+
+
+TESTED_SCATTER: Choice[Blur] = Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
 
 
 @dataclass(frozen=True)
@@ -65,21 +83,6 @@ class BlurSpec:
         return max(table_reach(self.psf, self.largest, fine) for fine in {False, self.subpixels > 0})
 
 
-def can_convolve(psf: PointSpread, border: str) -> bool:
-    """True if `convolve` supports a PSF and a border. Light beyond the border must be lost, no rim may cut the PSF, and
-    the PSF must be the same for R and -R.
-    """
-    return border == "lose" and not psf.signed and not psf.rims
-
-
-def check_shape(psf: PointSpread, method: str) -> None:
-    """Raise SceneError if a method does not support the shape of the lens."""
-    if method == "convolve" and psf.signed:
-        raise SceneError(f"method: convolve needs an aperture that blurs alike for R and -R; got {psf.pupil.name}")
-    if method == "convolve" and psf.rims:
-        raise SceneError(f"method: convolve needs an aperture without rims; got {len(psf.rims)}")
-
-
 def occluder_room(occluders: int) -> int:
     """Number of occluders that a program is compiled for: 0, 4, 16 or 64, so that few programs serve all scenes. A
     program for 4 takes no more time than one for 1.
@@ -97,38 +100,38 @@ def check_method(method: str) -> None:
         raise SceneError(f"method: must be one of {', '.join(names)}; got {method}")
 
 
-def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
-    """True on a GPU if blurs with |R| up to `largest` px have so few taps that "scatter" is faster than "tiles". The
-    former adds taps by atomics, the latter tests which sources reach a pixel.
-    """
-    return device.kind == "gpu" and device.has_int64_atomics and largest * channels <= FEW_TAPS
-
-
 def choose_blur(
-    method: str, sharp: bool, one_stencil: bool, gpu: bool, occluded: bool = False, few_taps: bool = False
-) -> Choice[Blur]:
+    method: str, psf: PointSpread, device: DeviceFacts, largest: float, channels: int, one_radius: bool,
+    whole_pixels: bool = True, occluded: bool = False,
+) -> Choice[Blur]:  # fmt: skip
     """Choose the method of a blur: `method` unless it is "auto". Raises SceneError for a method that does not exist or
     does not support this blur.
 
-    sharp: all light stays in its pixel (`PointSpread.is_sharp`); one_stencil: all pixels have one radius and
-    `can_convolve` is True; occluded: sources may be occluded, rims cut their light, or their blur is an ellipse;
-    few_taps: value of `has_few_taps`.
+    largest: largest |R|, px; one_radius: True if all pixels have one radius, and light beyond the border is lost;
+    whole_pixels: True if no pixel has sub-pixel sources; occluded: True if objects may hide sources.
     """
     check_method(method)
+    gpu = device.kind == "gpu"
+    if method == "convolve" and psf.signed:
+        raise SceneError(f"method: convolve needs an aperture that blurs alike for R and -R; got {psf.pupil.name}")
+    if method == "convolve" and psf.rims:
+        raise SceneError(f"method: convolve needs an aperture without rims; got {len(psf.rims)}")
     if method == "gather" and gpu:
         raise SceneError("method: gather needs a processor, as its kernels are made for one; got a graphics card")
+    one_stencil = one_radius and whole_pixels and not psf.signed and not psf.rims
     if method == "convolve" and not one_stencil:
         raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
-    if method == "tiles" and occluded:
+    tested = occluded or bool(psf.rims) or psf.stretched > 0.0
+    if method == "tiles" and tested:
         rule = "needs sources with nothing in their way"
         raise SceneError(f"method: tiles {rule}; got objects that hide each other, rims of the lens, or ellipses")
     blur: Blur = "convolve" if one_stencil else "tiles" if gpu else "gather"
     if method in MANY_RADII:
         blur = method
-    elif sharp:
+    elif whole_pixels and psf.is_sharp(largest):
         blur = "none"
-    elif blur == "tiles" and occluded:
-        return Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
-    elif blur == "tiles" and few_taps:
+    elif blur == "tiles" and tested:
+        return TESTED_SCATTER
+    elif blur == "tiles" and device.has_int64_atomics and largest * channels <= FEW_TAPS:
         return Choice("scatter", f"{HOW['scatter']}, as taps are few")
     return Choice(blur, HOW[blur])

@@ -17,12 +17,12 @@ from clsco.constants import BAND, TAP_LANES
 from clsco.frame.outputs import SENSOR_NAMES
 from clsco.frame.strips import Grid, Strip, make_strip
 from clsco.optics.exposure import frame_exposure, subframes_of
-from clsco.optics.lens_path import lens_at
 from clsco.optics.motion import Eye
-from clsco.optics.point_spread import PointSpread, spreads_of_colors
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.quadrics import Extent
+from clsco.optics.resolved_view import Maps, ResolvedView, is_static_map, resolve, shifts_view
 from clsco.optics.sensor import SensorModel, sensor_model
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import (
@@ -44,18 +44,8 @@ from clsco.plan.descriptions import describe_blur, describe_frame, describe_pixe
 from clsco.plan.device import DeviceFacts, ThisMachine
 from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, color_passes, light_of, prefix_names, sensor_pass, strips_of, vignetting_pass
-from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, check_shape, occluder_room
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, occluder_room
 from clsco.plan.passes import Kind, Pass
-from clsco.plan.predict import (
-    Maps,
-    ResolvedScene,
-    elliptic_spread,
-    has_small_images,
-    is_static_map,
-    resolve,
-    shifts_view,
-    slopes_where,
-)
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
 
@@ -289,59 +279,44 @@ class Plan:
 
 def make_plan(
     scene: Scene,
+    psf: PointSpread,
     channels: int,
     request: Request | None = None,
     eye: Eye = "left",
     maps: Maps | None = None,
     device: DeviceFacts | None = None,
-    psf: PointSpread | None = None,
 ) -> Plan:
     """Plan the rendering of a scene with a resolution (`clsco.inputs.textures.load_scene_textures`).
 
-    channels: color channels of its textures, 1 or 3; request: by default only color; maps: for each object that is a
-    depth map, its inverse depth (rows, columns) in 1/mm, 0 without a surface, None for other objects
-    (`clsco.inputs.depth_maps.load_scene_depths`); device: by default this machine's processor; psf: by default computed
-    from the scene. Raises SceneError if the scene has no resolution, the blur radius exceeds LARGEST_BLUR, or the
-    method does not support the scene.
+    psf: the scene's (`clsco.inputs.pupils.scene_point_spread`); channels: color channels of its textures, 1 or 3;
+    request: by default only color; maps: for each object that is a depth map, its inverse depth (rows, columns) in
+    1/mm, 0 without a surface, None for other objects (`clsco.inputs.depth_maps.load_scene_depths`); device: by default
+    this machine's processor. Raises SceneError if the scene has no resolution, the blur radius exceeds LARGEST_BLUR, or
+    the method does not support the scene.
     """
     columns, rows = scene.camera.frame_size
-    request, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
-    maps = maps or (None,) * len(scene.objects)
-    splits = scene.separates_colors or (channels > 1 and scene.psf.is_colored)  # by the lens, or by waves
-    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if splits else ()
-    psf = max(spreads, key=lambda spread: spread.pupil.margin, default=psf)
-    check_shape(psf, request.method)
-    view = resolve(scene, psf, eye, maps)
-    if psf.diffracted:
-        from clsco.optics.waves import check_waves
-
-        check_waves(psf, view.largest)
-        ends = view.lowest, view.highest
-        psf, spreads = psf.between(*ends), tuple(spread.between(*ends) for spread in spreads)
-        view = replace(view, psf=psf)
+    request, device = request or Request(), device or ThisMachine()
+    view = resolve(scene, psf, channels, eye, maps or (None,) * len(scene.objects))
     choices, groups, extents = choose(view, request, channels, device)
     blur, alpha = choices.blur.value, "alpha" in request.truth
     guard = view.guard + (2 * TAP_LANES if blur == "convolve" else 0)
     if blur in MANY_RADII:
         occluded = any(group.occluders for group in groups)
-        check_tables(psf, view.smallest, view.largest, choices.silhouettes.value, occluded)
+        check_tables(view.psf, view.smallest, view.largest, choices.silhouettes.value, occluded)
     plan = Plan(
-        scene, psf, device, eye, channels + alpha, rows, columns, guard, view.smallest, view.largest,
-        choices, groups, taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
-        small=choices.silhouettes.value > 0 and has_small_images(view),
+        scene, view.psf, device, eye, channels + alpha, rows, columns, guard, view.smallest, view.largest,
+        choices, groups, taps=0.0, spreads=view.spreads, alpha=alpha, extents=extents,
+        small=choices.silhouettes.value > 0 and view.has_small_images,
     )  # fmt: skip
     return replace(plan, taps=_predicted_taps(plan, view)) if blur != "none" and plan.color else plan
 
 
-def _predicted_taps(plan: Plan, view: ResolvedScene) -> float:
-    """Value of `Plan.taps`, from the predicted depths."""
-    w, middle = view.nearest, view.times[len(view.times) // 2]
-    hit = w > 0
-    radii = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, view.slopes)))
-    if not radii.size:
+def _predicted_taps(plan: Plan, view: ResolvedView) -> float:
+    """Value of `Plan.taps`, from the predicted radii."""
+    if not view.radii.size:
         return 0.0
-    lit = plan.psf.blended * np.pi * (radii * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
-    return float(hit.mean() * plan.width * plan.height * plan.repeats * lit.mean())
+    lit = plan.psf.blended * np.pi * (view.radii * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
+    return float(view.radii.size / view.nearest.size * plan.width * plan.height * plan.repeats * lit.mean())
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:

@@ -18,10 +18,10 @@ from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
 from clsco.inputs.textures import Texture, add_coverage, image_files, is_gray, mapped_size, texture_size, to_color
+from clsco.optics.resolved_view import without_lens
 from clsco.plan.device import DeviceFacts
 from clsco.plan.memory import fit_strips, limit_of
 from clsco.plan.plan import Plan, make_plan
-from clsco.plan.predict import without_lens
 from clsco.plan.request import Request
 from clsco.scene.arrays import LayerInput
 from clsco.scene.faults import at_most
@@ -178,7 +178,7 @@ def _prepare_scene(
 
     def plans_of(scene: Scene) -> list[Plan]:
         psf = files.point_spread(scene)
-        return [make_plan(scene, channels, request, eye, maps, device, psf) for eye in views(scene)]
+        return [make_plan(scene, psf, channels, request, eye, maps, device) for eye in views(scene)]
 
     plans, report = plans_of(sized), None
     if request.tolerance is not None and request.color:

@@ -36,8 +36,8 @@ from clsco.optics.motion import Pose, poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import places_of, slopes_at
+from clsco.optics.resolved_view import GRID, Maps, cast_grid
 from clsco.optics.texture_mapping import TextureMap, cut_parts, detail_least, texture_map, texture_spread
-from clsco.plan.predict import GRID, Maps, grid_slopes, predict_depths
 from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def squared_errors(
     cells = [(size - 1) / (GRID - 1) for size in scene.camera.frame_size[::-1]]  # px
     largest, times = dict.fromkeys(counts, 0.0), sequence_times(scene)
     for time in times[:: max(len(times) // 2, 1)]:
-        w, slopes, errors = predict_depths(scene, maps, time), grid_slopes(scene, time), dict.fromkeys(counts, 0.0)
+        (w, slopes), errors = cast_grid(scene, maps, time), dict.fromkeys(counts, 0.0)
         camera, poses, lenses = camera_at(scene, time), poses_at(scene, time), lenses_at(scene, time)
         nearest = np.where(w.max(axis=0) > 0.0, w.argmax(axis=0), -1)
         for k, item in enumerate(scene.objects):

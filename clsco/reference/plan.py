@@ -58,7 +58,7 @@ class ReferencePlan:
     @classmethod
     def of(cls, scene: Scene, channels: int, eye: Eye, maps: Maps, psf: PointSpread) -> ReferencePlan:
         """Plan of a view. Raises SceneError as the device's plan does."""
-        device = make_plan(scene, channels, Request(), eye, maps, psf=psf)
+        device = make_plan(scene, psf, channels, Request(), eye, maps)
         plan = cls(scene, psf, (), eye, channels, maps, (device.samples, device.guard_px, device.largest_blur))
         distortion = lens_at(scene, 0.0).distortion
         round_discs = type(psf.pupil) is Circle and psf.edge == "integrated" and not psf.rims

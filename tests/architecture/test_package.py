@@ -105,7 +105,7 @@ def test_a_scene_imports_what_it_has(tmp_path: Path) -> None:
     said = imported(["validate", str(ROOT / "examples/sphere.toml")], tmp_path)
     assert "clsco.optics.pupils.circle" in said
     spreads = {f"clsco.optics.{name}" for name in ("field", "pupils.diffracted", "pupils.gaussian", "pupils.outline")}
-    others = {"clsco.files.images", "clsco.plan.image_motion"}
+    others = {"clsco.files.images", "clsco.optics.image_motion"}
     unneeded = {"clsco.cli.dataset", "numpy.polynomial", "rich", "statistics"}
     assert said & (spreads | others | unneeded) == set()
 

@@ -29,9 +29,9 @@ from clsco.optics.pupils.outline import CurvedPolygon, Ellipse, Outline
 from clsco.optics.pupils.polygon import Polygon
 from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring
+from clsco.optics.resolved_view import LENS_KEYS, _inverse_depths, without_lens
 from clsco.passes.placed import PlacedScene
 from clsco.passes.tables import _key
-from clsco.plan.predict import LENS_KEYS, _inverse_depths, without_lens
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.resources import code_digest

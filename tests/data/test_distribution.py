@@ -201,7 +201,7 @@ def test_a_pair_of_focus_settings_is_one_sample(load: Load) -> None:
     ]  # fmt: skip
     values = '{ from = { uniform = [300, 310] }, to = 400, steps = 5, spacing = "diopters" }'
     stack = load(f"[vary.camera]\nfocus_distance = {values}").draw(1, 7)
-    focus = [scene.camera.focus_distance for scene in stack.scenes]
+    focus = [scene.camera.focused_distance for scene in stack.scenes]
     assert focus[-1] == 400
     assert np.diff([1 / each for each in focus]) == pytest.approx([(1 / 400 - 1 / focus[0]) / 4] * 4)
 

@@ -15,7 +15,6 @@ from clsco.errors import SceneError
 from clsco.inputs.pupils import load_point_spread, scene_point_spread
 from clsco.opencl.session import Session
 from clsco.plan.methods import Blur, BlurSpec
-from clsco.plan.plan import make_plan
 from clsco.plan.request import Request
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import layered
@@ -23,7 +22,7 @@ from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Aperture, Psf
 from tests.engine.test_defocus import picture
 from tests.kernels.sources import ROUNDING, assert_close, blurred, light
-from tests.scenes import scene_from
+from tests.scenes import plan_scene, scene_from
 from tests.slow import combined, mostly_slow
 from tests.spreads import spec_of
 
@@ -133,8 +132,8 @@ def test_convolution_takes_a_ring_and_refuses_what_turns_over() -> None:
         with pytest.raises(SceneError, match=rule):
             defocus(image, np.full(image.shape, 5.0), aperture=APERTURES[name], method="convolve")
     with pytest.raises(SceneError, match=r"got 5 blades$"):
-        make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1, Request(method="convolve"))
-    assert make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1).blur in METHODS
+        plan_scene(scene_from(PENTAGON, *OBJECTS[2:]), 1, Request(method="convolve"))
+    assert plan_scene(scene_from(PENTAGON, *OBJECTS[2:]), 1).blur in METHODS
     image, spec = picture(40, 50)[0], spec_of(Psf(), 14.3, aperture=APERTURES["ring"])
     radii = np.full(image.shape, 14.3)
     found = defocus(image, radii, aperture=APERTURES["ring"], method="convolve", outside="black")

@@ -26,8 +26,8 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import camera_grid, group_struct, lens_struct, pose_structs, psf_struct, surface_structs
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import source_bytes
-from clsco.plan.choice import Choice
-from clsco.plan.plan import Plan, make_plan
+from clsco.plan.methods import Choice
+from clsco.plan.plan import Plan
 from clsco.records import Real, flat, structs
 from clsco.reference.common.geometry import pixel_tilt, tilt_slope
 from clsco.reference.trace import trace as twin
@@ -50,7 +50,7 @@ from clsco.scene.model import (
 )
 from tests.kernels.conftest import download_sources
 from tests.kernels.launches import run
-from tests.scenes import scene_of
+from tests.scenes import plan_scene, scene_of
 from tests.slow import mostly_slow
 from tests.spreads import table_coordinate
 
@@ -160,7 +160,7 @@ def view(plan: Plan, time: float) -> View:
 
 def planned(wanted: Scene, channels: int, samples: int | None = None, eye: Eye = "left") -> Plan:
     """Plan of a scene, with `samples` sub-pixel sources or as many as the scene has silhouettes for."""
-    plan = make_plan(wanted, channels, eye=eye)
+    plan = plan_scene(wanted, channels, eye=eye)
     chosen = plan.choices if samples is None else replace(plan.choices, silhouettes=Choice(samples))
     return replace(plan, guard_px=GUARD, choices=chosen)
 

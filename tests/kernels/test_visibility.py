@@ -20,7 +20,6 @@ from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import OcclusionGroup, lens_floats
 from clsco.passes.pack import camera_grid, group_struct, lens_struct, psf_struct, surface_structs
-from clsco.plan.plan import make_plan
 from clsco.records import Real
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray, surface_normal
@@ -28,6 +27,7 @@ from clsco.reference.common.visibility import CLEAR, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Scene, Sphere
 from tests.kernels.lines import crossings, lens_points
+from tests.scenes import plan_scene
 from tests.slow import combined, mostly_slow
 
 Array = NDArray[Any]
@@ -155,7 +155,7 @@ def features_of(
     items: tuple[Object, ...], psf: Psf = PILLBOX, gather: int = 1, occluded: int = 1, camera: Camera = CAMERA
 ) -> dict[str, int]:
     """Features of the kernels: one program for bodies, and one for cards."""
-    features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1).features()
+    features = plan_scene(Scene(camera=camera, objects=items, psf=psf), 1).features()
     features |= {"OCCLUDED": occluded, "LIMITED": features["NAPPE"], "GATHER": gather}
     return features | {"SOURCES": COUNT, "BOUNDED": 1}
 

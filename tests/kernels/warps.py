@@ -17,7 +17,7 @@ from clsco.optics.quadrics import PlacedSurface, place
 from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.plan import Plan, make_plan
+from clsco.plan.plan import Plan
 from clsco.records import Real
 from clsco.reference.warp.warp import Reprojected, reproject
 from clsco.scene.model import (
@@ -34,7 +34,7 @@ from clsco.scene.model import (
     Sphere,
 )
 from tests.kernels.launches import whole
-from tests.scenes import scene_of
+from tests.scenes import plan_scene, scene_of
 
 Array = NDArray[Any]
 MOTION = ObjectMotion(velocity=(0.9, -0.4, -7.0), angular_velocity=(20.0, 35.0, -50.0))
@@ -157,5 +157,5 @@ def make_case(
     scene = scene_of(*items, size=shape[::-1], motion=Motion(warp="forward"), fill=filled)
     textures = np.random.default_rng(41).random((len(items), *shape, channels)).astype(np.float32)
     # One band for every guard that a test asks for, whatever the blur of the scene needs.
-    plan = make_plan(scene.model_copy(update={"objects": (FAR,)}), channels)
+    plan = plan_scene(scene.model_copy(update={"objects": (FAR,)}), channels)
     return Case(replace(plan, scene=scene, guard_px=guard), textures, guard)

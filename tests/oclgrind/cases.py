@@ -36,7 +36,7 @@ from clsco.passes.sensor import FrameSensor
 from clsco.passes.warp import forward_features
 from clsco.plan.buffers import padded_columns
 from clsco.plan.device import ThisMachine
-from clsco.plan.plan import Plan, make_plan
+from clsco.plan.plan import Plan
 from clsco.plan.request import Request
 from clsco.records import flat
 from clsco.reference.sensor.sensor import sense
@@ -64,6 +64,7 @@ from clsco.scene.model import (
 )
 from clsco.scene.model import Sequence as Frames
 from clsco.scene.spread import Rim
+from tests.scenes import plan_scene
 
 Array = NDArray[Any]
 # Rows and columns: single pixels and lines, odd and even, less than a vector of 8 or 16, whole ones, and one more.
@@ -180,7 +181,7 @@ def plans_of(drawn: Drawn) -> list[Plan]:
     scene, device = scenes_of(drawn)[0], ThisMachine(kind=drawn["device"].get("kind", "cpu"))
     eyes: tuple[Eye, ...] = ("left", "right") if scene.stereo else ("left",)
     request = Request(truth_of(drawn), drawn["method"])
-    return [make_plan(scene, drawn["channels"], request, eye, depths_of(scene), device) for eye in eyes]
+    return [plan_scene(scene, drawn["channels"], request, eye, depths_of(scene), device) for eye in eyes]
 
 
 def features_of(drawn: Drawn) -> dict[str, Any]:
@@ -433,7 +434,7 @@ def shared_cases() -> Iterator[Case]:
     roof = Plane(distance=250.0, slope_x=0.2, texture=image, texture_mapping="surface", texture_size=(12.0,))
     wire = Cylinder(center=(-1.0, 0.0, 90.0), radius=0.35, axis=(0.3, 1.0, 0.0))
     scene = Scene(camera=camera, objects=(roof, wire), psf=Psf(silhouette_samples=2))
-    assert make_plan(scene, 1).features()["SHARED"]
+    assert plan_scene(scene, 1).features()["SHARED"]
     yield Case("shared", {}, partial(through_a_lens, scene))
 
 

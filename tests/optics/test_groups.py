@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from clsco.optics.image_motion import image_paths
 from clsco.optics.motion import Pose, pose_at, poses_at, rest_center
-from clsco.plan.image_motion import image_paths
 from clsco.scene.model import Camera, CameraMotion, Group, Motion, ObjectMotion, Plane, Scene, Sphere
 from tests.optics.grids import Array
 from tests.scenes import plan_of, scene_of

@@ -10,9 +10,9 @@ import pytest
 import clsco
 from clsco.errors import SceneError
 from clsco.optics.exposure import sequence_times
+from clsco.optics.image_motion import lens_samples
 from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.lens_path import camera_at, widest_camera
-from clsco.plan.image_motion import lens_samples
 from clsco.scene.model import Scene
 
 

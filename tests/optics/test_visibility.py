@@ -17,7 +17,7 @@ from clsco.optics.motion import Pose, poses_at, rotation_matrix
 from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import Extent, place
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, may_hide, occlusion_groups
-from clsco.plan.plan import Plan, make_plan
+from clsco.plan.plan import Plan
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import nearest_surface, pixel_ray
 from clsco.reference.common.visibility import CLEAR, HIDDEN, check_visibility
@@ -39,6 +39,7 @@ from clsco.scene.model import (
     Sphere,
     Stereo,
 )
+from tests.scenes import plan_scene
 from tests.slow import mostly_slow
 
 CAMERA = Camera(resolution=(40, 30), pixel_pitch=0.15, aperture_diameter=20.0, focus_distance=250.0)
@@ -47,7 +48,7 @@ WALL = Plane(name="wall", distance=380.0)
 
 
 def plan_of(*items: Object, **sections: Any) -> Plan:
-    return make_plan(Scene(camera=CAMERA, objects=items, **sections), 1)
+    return plan_scene(Scene(camera=CAMERA, objects=items, **sections), 1)
 
 
 def test_lens_of_a_psf() -> None:
@@ -262,7 +263,7 @@ def test_no_pair_is_missed(seed: int) -> None:
         items = tuple(random_item(rng, f"item {k}") for k in range(4))
         scene = Scene(camera=camera, objects=items, psf=psf, sequence=Sequence(frames=2), stereo=stereo)
         with suppress(SceneError):  # a surface that comes so near to the lens that its blur is too wide
-            plan = make_plan(scene, 1, eye="right" if stereo else "left")
+            plan = plan_scene(scene, 1, eye="right" if stereo else "left")
     for k in range(4):
         holding = [group for group in plan.groups if group.members >> k & 1]
         hollow = is_hollow(items[k]) and plan.occlusion == "visibility"

@@ -11,11 +11,10 @@ import pytest
 
 import clsco
 from clsco.errors import SceneError
-from clsco.plan.plan import make_plan
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
 from tests.pipeline.common import BALL, CAMERA, PLAIN, WALL
-from tests.scenes import assert_agree, assert_same, reference_frames, rendered, scene_from
+from tests.scenes import assert_agree, assert_same, plan_scene, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 WAY = [
@@ -125,7 +124,7 @@ def test_an_orbit_between_the_times_that_are_predicted(way: str) -> None:
         keys = [{"time": 0.0}, {"time": 0.3, "position": [10.0, 0.0, -180.0]}, {"time": 0.7}]
     # A plan of many frames looks at whole seconds; the orbit is over before the first of them.
     long, short = (orbiting(frames, keyframe=keys, interpolation=way) for frames in (32, 1))
-    known, missed = make_plan(short, 1), make_plan(long, 1)
+    known, missed = plan_scene(short, 1), plan_scene(long, 1)
     assert known.largest_blur > missed.largest_blur + 1.0
     assert known.groups != missed.groups
     (frame,) = clsco.render(long, frames=[0], truth=())

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.cli.check import compare
-from clsco.plan.plan import make_plan
 from clsco.scene.model import Scene
 from tests.pipeline.common import PLAIN
-from tests.scenes import reference_frames, rendered, scene_from
+from tests.scenes import plan_scene, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [60, 44], "pixel_pitch": 0.08, "aperture_diameter": 24.0, "focus_distance": 250.0}
@@ -94,7 +93,7 @@ SPANS: dict[str, dict[str, Any]] = {
 def test_runs_of_taps_give_the_sum_of_taps(name: str) -> None:
     """Wide blur behind several occluders, in two bands of rows: by runs between edges, and tap by tap (scatter)."""
     wanted = scene({"camera": WIDE} | SPANS[name])
-    assert make_plan(wanted, 1).largest_blur > (32 if name == "widest" else 24)
+    assert plan_scene(wanted, 1).largest_blur > (32 if name == "widest" else 24)
     gathered, scattered = (image(wanted, method=method).color for method in ("gather", "scatter"))
     assert np.ptp(gathered) > (0.002 if name == "widest" else 0.03)
     np.testing.assert_allclose(gathered, scattered, rtol=0, atol=3e-6)
@@ -127,7 +126,7 @@ def test_nothing_more_is_done_where_nothing_overlaps(method: str) -> None:
     """Two balls side by side: one layer, nothing is tested, and the bits are those of occlusion = "none"."""
     left, right = BALL | {"center": [-20.0, 0.0, 230.0]}, BALL | {"center": [20.0, 0.0, 260.0]}
     wanted = scene({"object": [left, right]}, **PLAIN)
-    plan = make_plan(wanted, 1)
+    plan = plan_scene(wanted, 1)
     assert (plan.occlusion, len(plan.groups), plan.spec.occluders) == ("none", 1, 0)
     none = image(scene({"object": [left, right]}, **PLAIN, occlusion="none"), method=method)
     frame = image(wanted, method=method)

@@ -9,9 +9,9 @@ import clsco
 from clsco import reference
 from clsco.optics.quadrics import Extent
 from clsco.optics.visibility import extent
-from clsco.plan.plan import make_plan
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Object, Scene
+from tests.scenes import plan_scene
 
 BOUNDS = [[-100.0, 100.0], [-50.0, 50.0], [-1.0, 1.0]]
 
@@ -37,7 +37,7 @@ def test_a_card_that_turns_between_the_moments_looked_at(warp: str) -> None:
     np.testing.assert_allclose(frame.color, twin.color, rtol=0, atol=1e-6)
     # A short sequence is looked at more closely, and its one frame has the bits of the first of the long one.
     short = turning({"shape": "plane", "distance": 280.0, "bounds": BOUNDS}, warp, 1)
-    known, missed = make_plan(short, 1), make_plan(scene, 1)
+    known, missed = plan_scene(short, 1), plan_scene(scene, 1)
     assert known.largest_blur > 1.5 * missed.largest_blur
     np.testing.assert_allclose(frame.color, next(iter(clsco.render(short))).color, rtol=0, atol=1e-6)
 
@@ -55,14 +55,14 @@ CROSSING: dict[str, Any] = {
 def test_objects_that_are_not_where_they_were_predicted(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     """A plan that takes the ball for far, or the wall for near, has no occluders of the wall: it is made again."""
     scene = parse_scene(CROSSING)
-    (exact,), planned = clsco.render(scene, truth=()), make_plan(scene, 1)
+    (exact,), planned = clsco.render(scene, truth=()), plan_scene(scene, 1)
     elsewhere = Extent((3.0, 3.1), (3.0, 3.1), ((1e-3, 1.1e-3), (0.1, 0.11))[number])
 
     def wrong(item: Object, *others: Any) -> Extent:
         return elsewhere if item == scene.objects[number] else extent(item, *others)
 
-    monkeypatch.setattr("clsco.plan.decisions.extent", wrong)
-    assert make_plan(scene, 1).groups != planned.groups
+    monkeypatch.setattr("clsco.optics.resolved_view.extent", wrong)
+    assert plan_scene(scene, 1).groups != planned.groups
     (frame,) = clsco.render(scene, truth=())
     np.testing.assert_allclose(frame.color, exact.color, rtol=0, atol=2e-6)
     monkeypatch.setattr("clsco.engine.renderer.larger_plan", lambda *_: None)

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.optics.lens import ray_step
-from clsco.plan.plan import make_plan
 from clsco.scene.model import Camera
-from tests.scenes import scene_from
+from tests.scenes import plan_scene, scene_from
 from tests.slow import mostly_slow
 
 SIDE, DEPTH = 32, 250.0  # px, mm
@@ -190,7 +189,7 @@ def test_a_ball_in_a_wide_lens_keeps_its_light() -> None:
 def test_the_plan_knows_of_what_rays_miss() -> None:
     """A ball between the rays of the plan's coarse grid has a radius of blur, and silhouettes."""
     made = scene_from({"camera": camera(WIDE)}, {"shape": "sphere", "center": [3.0, 2.0, DEPTH], "radius": 0.001})
-    plan = make_plan(made, 1)
+    plan = plan_scene(made, 1)
     assert plan.small
     assert plan.largest_blur > 5.0
     assert plan.blur != "none"

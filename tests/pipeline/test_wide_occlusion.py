@@ -10,10 +10,9 @@ import pytest
 import clsco
 from clsco.cli.check import compare
 from clsco.constants import BAND
-from clsco.plan.plan import make_plan
 from clsco.scene.model import Scene
 from tests.pipeline.test_strips import memory_for
-from tests.scenes import reference_frames, scene_from
+from tests.scenes import plan_scene, reference_frames, scene_from
 from tests.slow import combined, mostly_slow
 
 COUNT, SOME = 40, 8  # of the scenes; the one that `make test` looks at
@@ -81,7 +80,7 @@ def drawn(number: int) -> Scene:
 def test_device_against_reference(number: int, precision: Any) -> None:
     """Every pixel."""
     wanted = drawn(number)
-    assert make_plan(wanted, 1).largest_blur > WIDEST
+    assert plan_scene(wanted, 1).largest_blur > WIDEST
     (exact,) = reference_frames(wanted)
     assert np.ptp(exact.color) > 0.02
     (frame,) = clsco.render(wanted, truth=(), method="gather", precision=precision)

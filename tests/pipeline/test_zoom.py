@@ -11,8 +11,8 @@ import pytest
 import clsco
 from clsco.frame.cameras import pinhole
 from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.image_motion import motion_needs
 from clsco.optics.lens_path import camera_at
-from clsco.plan.image_motion import motion_needs
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
 from clsco.studio.inspector import source_of

@@ -11,16 +11,15 @@ import pytest
 from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_SMALLEST
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import STATISTICS
-from clsco.plan.choice import Choice
 from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.larger import SourceStatistics, larger_plan
 from clsco.plan.memory import limit_of
-from clsco.plan.methods import BlurSpec
+from clsco.plan.methods import BlurSpec, Choice
 from clsco.plan.passes import Pass, run_passes
-from clsco.plan.plan import Plan, make_plan
+from clsco.plan.plan import Plan
 from clsco.scene.model import DepthMap, Motion, ObjectMotion, Plane, Psf, Sequence, Sphere
-from tests.scenes import plan_of, scene_of
+from tests.scenes import plan_of, plan_scene, scene_of
 
 BALL, WALL = Sphere(name="ball", center=(0.0, 0.0, 200.0), radius=20.0), Plane(name="wall", distance=300.0)
 MOVING = Sphere(center=(0.0, 0.0, 200.0), radius=20.0, motion=ObjectMotion(velocity=(9.0, 0.0, 0.0)))
@@ -37,7 +36,7 @@ PLANS: dict[str, Plan | ImagePlan] = {
         MOVING, truth=("missing",), sequence=Sequence(samples=3), motion=Motion(warp="forward"), psf=Psf(tilt=False)
     ),
     "missing pixels alone": plan_of(MOVING, truth=("missing",), color=False, motion=Motion(warp="forward")),
-    "static map": make_plan(scene_of(MAP, size=(12, 8)), 1, maps=(np.full((8, 12), 1 / 300.0),)),
+    "static map": plan_scene(scene_of(MAP, size=(12, 8)), 1, maps=(np.full((8, 12), 1 / 300.0),)),
     "image": ImagePlan(SPEC, ThisMachine(), 40, 30, 3, 5),
     "image with layers": ImagePlan(replace(SPEC, layered=True), ThisMachine(), 40, 30, 3, 5),
     "image of one radius": ImagePlan(replace(SPEC, method="convolve"), ThisMachine(), 40, 30, 3, 5),

@@ -13,15 +13,15 @@ import pytest
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.frame.outputs import TRUTH_NAMES
+from clsco.optics.image_motion import MOST_SAMPLES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.point_spread import point_spread
+from clsco.optics.resolved_view import guard_band
 from clsco.plan.device import ThisMachine
-from clsco.plan.image_motion import MOST_SAMPLES
 from clsco.plan.larger import widen_plan
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII
-from clsco.plan.plan import Plan, make_plan
-from clsco.plan.predict import guard_band
+from clsco.plan.plan import Plan
 from clsco.scene.model import (
     Camera,
     Cone,
@@ -37,7 +37,7 @@ from clsco.scene.model import (
     Sequence,
     Sphere,
 )
-from tests.scenes import plan_of, scene_of
+from tests.scenes import plan_of, plan_scene, scene_of
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
@@ -180,7 +180,7 @@ def test_no_depth_of_a_map_is_missed(depth: float) -> None:
     inverse_depth[200:] = 0.0
     inverse_depth[13, 27] = 1.0 / depth
     item = DepthMap(depth="map.npy", center=(0.0, 0.0, 280.0))
-    given = make_plan(scene_of(item, size=(300, 300)), 1, maps=(inverse_depth,))
+    given = plan_scene(scene_of(item, size=(300, 300)), 1, maps=(inverse_depth,))
     radius = abs(float(blur_radius(given.scene.camera, 1.0 / depth)))
     assert radius < given.largest_blur <= 1.1 * radius + 1.0
 
@@ -259,7 +259,7 @@ def test_waves_have_tables_for_one_side_of_the_focus_where_there_is_one(
 
 def test_a_plan_needs_a_resolution() -> None:
     with pytest.raises(SceneError, match=r"^camera\.resolution: must be known"):
-        make_plan(Scene(objects=(STILL,)), 1)
+        plan_scene(Scene(objects=(STILL,)), 1)
 
 
 # Methods

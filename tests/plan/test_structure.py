@@ -14,12 +14,11 @@ from clsco.constants import BAND
 from clsco.frame.outputs import TRUTH_NAMES
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import point_spread
+from clsco.optics.resolved_view import guard_band, is_forward, shifts_view
 from clsco.plan.device import ThisMachine
-from clsco.plan.plan import make_plan
-from clsco.plan.predict import guard_band, is_forward, shifts_view
 from clsco.scene.model import Camera, CameraMotion, DepthMap, ObjectMotion, Plane, Psf, Sphere, Stereo
 from tests.plan.test_plan import method_of
-from tests.scenes import plan_of, scene_of
+from tests.scenes import plan_of, plan_scene, scene_of
 
 STILL = Plane(distance=280.0)
 TILTED = Plane(distance=280.0, slope_x=0.5)
@@ -126,7 +125,7 @@ def test_reasons_are_those_that_were_decided_by() -> None:
     """Words that were told of other scenes are not told of these."""
     flat = dict(plan_of(CARD, TILTED, BALL, psf=Psf(occlusion="layered")).choices.left_out)
     assert flat["silhouettes"] == "depth layers have whole pixels"
-    still = make_plan(scene_of(DepthMap(depth="map.npy")), 1, maps=(np.full((48, 64), 1.0 / 280.0),))
+    still = plan_scene(scene_of(DepthMap(depth="map.npy")), 1, maps=(np.full((48, 64), 1.0 / 280.0),))
     assert dict(still.choices.left_out)["fill"] == "a depth map is filled as it is read"
     assert dict(plan_of(STILL, truth=("flow_backward",)).choices.left_out)["ground truth"] == "nothing moves"
     assert dict(plan_of(STILL, color=False).choices.left_out).keys() == {"image"}

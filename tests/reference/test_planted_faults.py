@@ -19,7 +19,7 @@ from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.optics.quadrics import Extent
 from clsco.optics.visibility import OcclusionGroup
-from clsco.plan.choice import Choice
+from clsco.plan.methods import Choice
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
 
@@ -117,7 +117,7 @@ IN_STRIPS: dict[str, Fault] = {"clsco.engine.sequence.fit_strips": changed(strip
 FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "no occlusion": ("still", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),
     "no occluders": ("still", {f"{PLAN}.choose_occlusion": regrouped(without_occluders)}),
-    "no guard band": ("still", {"clsco.plan.predict.guard_band": always(0)}),
+    "no guard band": ("still", {"clsco.optics.resolved_view.guard_band": always(0)}),
     "no silhouettes": ("still", {f"{PLAN}.choose_silhouettes": always(Choice(0))}),
     "one time sample": ("auto", {f"{PLAN}.choose_samples": always(Choice(1))}),
     "half the time samples": ("auto", {f"{PLAN}.choose_samples": changed(value=lambda count: count // 2)}),
@@ -132,7 +132,7 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "lines in the other order": ("rolling", {"clsco.optics.exposure.line_openings": altered(np.flip)}),
     "half an exposure": ("moving", {"clsco.engine.film.frame_exposure": changed(times=lambda times: 0.5 * times)}),
     "the left eye twice": ("stereo", {f"{PLACED}.poses_at": lambda right, scene, time, eye: right(scene, time)}),
-    "no rims": ("rims", {f"{SEEN}.elliptic_spread": changed(rims=lambda _: ())}),
+    "no rims": ("rims", {"clsco.optics.resolved_view.elliptic_spread": changed(rims=lambda _: ())}),
     "mipmaps that are coarser": ("laid", {"clsco.inputs.textures.mipmap": coarser} | NOT_KEPT),
     "red and blue exchanged": ("still", {f"{PLACED}.texture_planes": altered(mirrored)} | NOT_KEPT),
     "depth layers taken for one": ("layered", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),

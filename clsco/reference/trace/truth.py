@@ -13,7 +13,7 @@ from clsco.optics.exposure import middle_time
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
-from clsco.plan.predict import shifts_view
+from clsco.optics.resolved_view import shifts_view
 from clsco.reference.common.geometry import (
     Array,
     blur_radius,

@@ -29,7 +29,7 @@ from clsco.optics.motion import Pose, poses_at, rest_center
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import image_slopes, slopes_at
-from clsco.plan.predict import Maps, grid_slopes, predict_depths
+from clsco.optics.resolved_view import Maps, cast_grid
 from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
@@ -170,8 +170,8 @@ def lens_samples(scene: Scene, maps: Maps) -> int:
     """Time samples per exposure of a line that a changing lens needs: one per px of change of the blur radius."""
     if not scene.lens_moves:
         return 1
-    w, change = predict_depths(scene, maps), 0.0
-    x, y = (np.broadcast_to(slope, w.shape)[w > 0] for slope in grid_slopes(scene))
+    (w, slopes), change = cast_grid(scene, maps), 0.0
+    x, y = (np.broadcast_to(slope, w.shape)[w > 0] for slope in slopes)
     for frame in sampled_frames(scene):
         times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
         radii = np.array([lens_at(scene, time).image_radius(w[w > 0], x, y) for time in times.tolist()])

@@ -10,14 +10,13 @@ import pytest
 
 import clsco
 from clsco.errors import SceneError
+from clsco.optics import image_motion
 from clsco.optics.exposure import subframes_of
+from clsco.optics.image_motion import EDGE_ERROR, MOST_SUBFRAMES, ImagePath, image_paths, motion_needs, motion_samples
 from clsco.optics.lens import blur_radius
 from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.circle import Circle
-from clsco.plan import image_motion
-from clsco.plan.image_motion import EDGE_ERROR, MOST_SUBFRAMES, ImagePath, image_paths, motion_needs, motion_samples
-from clsco.plan.plan import make_plan
 from clsco.scene.model import (
     Camera,
     Cylinder,
@@ -31,8 +30,8 @@ from clsco.scene.model import (
     Sequence,
     Sphere,
 )
-from tests.plan.test_predict import SIDES, STEP
-from tests.scenes import plan_of, scene_of
+from tests.optics.test_resolved_view import SIDES, STEP
+from tests.scenes import plan_of, plan_scene, scene_of
 from tests.slow import mostly_slow
 
 RIGHT = ObjectMotion(velocity=(10.0, 0.0, 0.0))
@@ -288,4 +287,4 @@ def test_subframes_are_bounded() -> None:
     assert subframes_of(scene, chosen(scene)) <= MOST_SUBFRAMES
     rule = r"sequence.readout: must give at most 8192 sub-frames; got 9600 \(fewer samples, a shorter readout or a"
     with pytest.raises(SceneError, match=rule):
-        make_plan(rolling_scene(24.0, 1e-3, 1.0, 200), 1)
+        plan_scene(rolling_scene(24.0, 1e-3, 1.0, 200), 1)

@@ -1,10 +1,10 @@
-"""Predictions for a scene from a coarse grid of rays: range of blur radii, width of the guard band, and ellipses."""
+"""A view of a scene, resolved once for its plan by a coarse grid of rays: poses, hits, range of R (float64, pure)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from clsco.cache import Cache
 from clsco.constants import NARROW_IMAGE, TAP_LANES
 from clsco.errors import SceneError
-from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.distortion import DistortedCamera, distortion_of
 from clsco.optics.exposure import middle_time, sequence_times, shutter_span
 from clsco.optics.lens import LARGEST_BLUR, ray_step
 from clsco.optics.lens import Lens as LensOptics
-from clsco.optics.lens_path import camera_at, colored, lenses_at, reference_camera
+from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at, reference_camera, widest_camera
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
-from clsco.optics.point_spread import PointSpread
+from clsco.optics.point_spread import PointSpread, spreads_of_colors
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.quadrics import PlacedSurface, cutting_bounds, outline_lines, place, predict_inverse_depth
+from clsco.optics.quadrics import Extent, PlacedSurface, cutting_bounds, outline_lines, place, predict_inverse_depth
 from clsco.optics.rays import ray_slopes, slopes_at
-from clsco.optics.visibility import is_hollow
+from clsco.optics.texture_mapping import needs_detail
+from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.scene.model import Camera, Disc, Lens, Object, ObjectMotion, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
@@ -32,6 +32,7 @@ Maps = Sequence[Array | None]
 Slopes = tuple[Array, Array]
 Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
+UNEVEN = 0.25  # fraction of the range of sampled poses by which an object may leave this range
 LEAST_DISTANCE = 0.1  # least distance of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
 PLACES = 33  # positions along each axis of the frame at which ellipses are examined
@@ -118,30 +119,22 @@ def hides_nothing(scene: Scene) -> bool:
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 
 
-def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
-    """The PSF of a view of a scene: `psf`, or by default the PSF that the scene specifies.
-
-    If distortion makes the discs of the PSF ellipses, and the method supports ellipses, `stretched` is set to their
-    margin.
+def elliptic_spread(scene: Scene, psf: PointSpread, by_rays: bool) -> PointSpread:
+    """The PSF with `stretched`, the margin of its ellipses, if distortion makes its discs ellipses and the method
+    supports them; by_rays: True if sources are traced by rays.
     """
-    psf = psf or scene_point_spread(scene)
-    off = ellipticity_of(scene)
+    off = ellipticity_of(reference_camera(scene))
     plain = type(psf.pupil) is Circle and psf.edge == "integrated" and not psf.rims
-    layered = scene.psf.occlusion == "layered" and not hides_nothing(scene)
-    by_rays = scene.is_analytic and not layered and not is_forward(scene, eye)
     return replace(psf, stretched=BEYOND * off) if plain and by_rays and off > ROUND else psf
 
 
-def ellipticity_of(scene: Scene) -> float:
+@lru_cache(maxsize=16)
+def ellipticity_of(camera: Camera) -> float:
     """Largest distance in the frame between the edges of an ellipse and of a disc of the same area, as a fraction of R.
     0 without distortion.
     """
-    camera = reference_camera(scene)
-    return _ellipticity(camera) if isinstance(camera, DistortedCamera) else 0.0
-
-
-@lru_cache(maxsize=16)
-def _ellipticity(camera: DistortedCamera) -> float:
+    if not isinstance(camera, DistortedCamera):
+        return 0.0
     columns, rows = camera.frame_size
     x, y = ray_slopes(camera, np.linspace(0.0, rows - 1.0, PLACES)[:, None], np.linspace(0.0, columns - 1.0, PLACES))
     return float(camera.distortion.ellipticity(x, y).max())
@@ -178,20 +171,6 @@ def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
     return inverse
 
 
-def _cached_depths(scene: Scene, eye: Eye, guard: int) -> Array:
-    """Cached result of `_inverse_depths` for a scene from `without_lens`. All its objects are analytic, and its rays
-    are the same at all times.
-    """
-
-    def cast() -> Array:
-        samples = [(reference_camera(scene), poses_at(scene, t, eye)) for t in sequence_times(scene)]
-        depths = _inverse_depths(scene, samples, (None,) * len(scene.objects), guard)
-        depths.flags.writeable = False
-        return depths
-
-    return _DEPTHS.get((scene, eye, guard), cast, lambda depths: depths.nbytes)
-
-
 def without_lens(scene: Scene) -> Scene:
     """The scene without the keys of its lens and sensor that do not affect rays."""
     camera = scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))
@@ -220,61 +199,46 @@ def middle_of(scene: Scene) -> float:
     return middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
 
 
-def predict_depths(scene: Scene, maps: Maps, time: float | None = None) -> Array:
-    """Predicted inverse depths (objects, GRID, GRID) in 1/mm at a time, 0 for rays that miss.
+def cast_grid(scene: Scene, maps: Maps, time: float | None = None) -> tuple[Array, Slopes]:
+    """Predicted inverse depths (objects, GRID, GRID) in 1/mm, 0 for rays that miss, and slopes of the rays.
 
     time: s, by default the middle of the sequence.
     """
     time = middle_of(scene) if time is None else time
-    return np.asarray(_inverse_depths(scene, [(camera_at(scene, time), poses_at(scene, time))], maps, 0)[:, 0])
+    camera = camera_at(scene, time)
+    return _inverse_depths(scene, [(camera, poses_at(scene, time))], maps, 0)[:, 0], _grid(camera, 0)
 
 
-def grid_slopes(scene: Scene, time: float | None = None) -> Slopes:
-    """Slopes (GRID, GRID) of the rays of `predict_depths`."""
-    return _grid(camera_at(scene, middle_of(scene) if time is None else time), 0)
-
-
-def fills_view(scene: Scene, w: Array) -> bool:
-    """True if the scene has one surface, which fills the view: all rays hit it, and it can have no hole.
-
-    w: inverse depths of the nearest surface at rays, 0 for a miss.
-    """
-    item = scene.objects[0]
-    simple = len(scene.objects) == 1 and cutting_bounds(item) is None and item.shape != "quadric"
-    return simple and bool((w > 0).all())
-
-
-def _faces_camera(item: Plane | Rectangle | Disc) -> bool:
-    """True if a flat surface is parallel to the detector in its reference pose."""
-    slopes = (item.slope_x, item.slope_y) if isinstance(item, Plane) else (0.0, 0.0)
-    normal = static_rotation(item) @ (-slopes[0], -slopes[1], 1.0)
-    return not normal[:2].any()
-
-
-def constant_blur(scene: Scene) -> bool:
+def has_one_radius(scene: Scene) -> bool:
     """True if all pixels have the same radius at any time. The only object must be a background, or flat and always
     parallel to the detector.
     """
-    item, camera = scene.objects[0], scene.camera.motion
-    turns = any(any(motion.turns[:2]) for motion in (*scene.motions(item), camera))
-    turns |= scene.camera.shake is not None and scene.camera.shake.rotation_rms > 0.0
-    turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
-    if scene.blurs_unevenly:
+    item, camera = scene.objects[0], scene.camera
+    if len(scene.objects) > 1 or scene.blurs_unevenly:
         return False
-    flat = isinstance(item, Plane | Rectangle | Disc) and _faces_camera(item) and not turns and not turned
-    return len(scene.objects) == 1 and (flat or item.is_background)
+    if not isinstance(item, Plane | Rectangle | Disc):
+        return item.is_background
+    turns = any(any(motion.turns[:2]) for motion in (*scene.motions(item), camera.motion))
+    shakes = camera.shake is not None and camera.shake.rotation_rms > 0.0
+    slopes = (item.slope_x, item.slope_y) if isinstance(item, Plane) else (0.0, 0.0)
+    normal = static_rotation(item) @ (-slopes[0], -slopes[1], 1.0)
+    return not (turns or shakes or normal[:2].any() or (scene.stereo is not None and scene.stereo.toe_in > 0.0))
 
 
 @dataclass(frozen=True, eq=False)
-class ResolvedScene:
-    """A view of a scene, resolved once for all decisions of a plan. It has the poses at sampled times, and the hits of
-    the rays of a coarse grid.
-    """
+class ResolvedView:
+    """A view of a scene, resolved once for all decisions of a plan."""
 
     scene: Scene
-    psf: PointSpread
     eye: Eye
     maps: Maps
+    psf: PointSpread  # the widest of `spreads`, if colors are blurred separately
+    spreads: tuple[PointSpread, ...]  # PSFs of red, green and blue if the lens or waves separate them, else empty
+    is_static_map: bool  # see `is_static_map`
+    is_forward: bool  # see `is_forward`
+    is_shifted: bool  # see `shifts_view`
+    hides_nothing: bool  # see `hides_nothing`
+    one_radius: bool  # see `has_one_radius`
     times: list[float]  # s
     poses: list[tuple[Pose, ...]]  # of the objects at each time
     w: Array  # inverse depths (objects, times, GRID, GRID) in 1/mm over frame and guard band, 0 for a miss
@@ -286,27 +250,57 @@ class ResolvedScene:
     highest: float
 
     @property
+    def casts_rays(self) -> bool:
+        """True if rays make the focused image."""
+        return not (self.is_static_map or self.is_forward)
+
+    @cached_property
     def nearest(self) -> Array:
         """Inverse depth of the nearest object at each ray, (times, GRID, GRID)."""
         return np.asarray(self.w.max(axis=0))
 
+    @cached_property
+    def radii(self) -> Array:
+        """|R| (n,) in px where rays hit the nearest object, by the lens of the middle time."""
+        hit, lens = self.nearest > 0, lens_at(self.scene, self.times[len(self.times) // 2])
+        return np.abs(lens.image_radius(self.nearest[hit], *_slopes_where(hit, self.scene, self.slopes)))
 
-def has_small_images(view: ResolvedScene) -> bool:
-    """True if an object may at some time be so narrow in the image that rays through pixels can miss it."""
-    for time, poses in zip(view.times, view.poses, strict=True):
-        most = NARROW_IMAGE * ray_step(camera_at(view.scene, time))
-        for item, pose in zip(view.scene.objects, poses, strict=True):
-            surface = place(item, pose)
-            width = surface.width
-            if width < 0.0:
-                half = outline_lines(surface, *view.slopes)[1]
-                if not np.isfinite(half).all():
-                    continue
-                change = max(float(np.abs(np.diff(half, axis=axis)).max()) for axis in (0, 1))
-                width = 2.0 * (float(half.min()) - change)
-            if width < most:
-                return True
-    return False
+    @property
+    def is_uniform(self) -> bool:
+        """True if one surface without a hole fills the view, and its texture needs no sub-pixel sources."""
+        item = self.scene.objects[0]
+        simple = len(self.scene.objects) == 1 and cutting_bounds(item) is None and item.shape != "quadric"
+        return simple and bool((self.nearest > 0).all()) and not needs_detail(self.scene, self.psf, self.largest)
+
+    @cached_property
+    def extents(self) -> tuple[Extent, ...]:
+        """Extents of the objects over the whole sequence."""
+        hits = zip(self.scene.objects, zip(*self.poses, strict=True), self.w, strict=True)
+        slack = 0.0 if self.scene.moves_evenly else UNEVEN
+        return tuple(extent(item, poses, w, slack) for item, poses, w in hits)
+
+    @cached_property
+    def occlusion_groups(self) -> tuple[OcclusionGroup, ...]:
+        """Occlusion groups, which are valid while objects stay within `extents`."""
+        return occlusion_groups(self.scene.objects, self.extents, widest_camera(self.scene), self.psf)
+
+    @property
+    def has_small_images(self) -> bool:
+        """True if an object may at some time be so narrow in the image that rays through pixels can miss it."""
+        for time, poses in zip(self.times, self.poses, strict=True):
+            most = NARROW_IMAGE * ray_step(camera_at(self.scene, time))
+            for item, pose in zip(self.scene.objects, poses, strict=True):
+                surface = place(item, pose)
+                width = surface.width
+                if width < 0.0:
+                    half = outline_lines(surface, *self.slopes)[1]
+                    if not np.isfinite(half).all():
+                        continue
+                    change = max(float(np.abs(np.diff(half, axis=axis)).max()) for axis in (0, 1))
+                    width = 2.0 * (float(half.min()) - change)
+                if width < most:
+                    return True
+        return False
 
 
 def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:
@@ -340,7 +334,7 @@ def _widest(scene: Scene, time: float) -> Camera:
     return colored(camera, scene.lens, int(np.argmin(scene.lens.lateral)))
 
 
-def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[Array | float, Array | float]:
+def _slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[Array | float, Array | float]:
     """Slopes (n,) along x and y of the rays that hit a surface, or 0 if the blur does not depend on slopes.
 
     hit: mask (..., GRID, GRID) of rays.
@@ -365,31 +359,43 @@ def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays:
     for time, color_lenses, slopes in zip(times, lenses, rays, strict=False):
         _check_curvature(scene, color_lenses[0], slopes)
         hit = w[:, time] > 0
-        hit_slopes = slopes_where(hit, scene, slopes)
+        hit_slopes = _slopes_where(hit, scene, slopes)
         radii += [lens.image_radius(w[:, time][hit], *hit_slopes) for lens in color_lenses]
     return np.concatenate(radii)
 
 
-def resolve(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> ResolvedScene:
+def resolve(scene: Scene, psf: PointSpread, channels: int, eye: Eye, maps: Maps) -> ResolvedView:
     """Pose the objects of a view at sampled times, and cast rays of a coarse grid at them.
 
-    Surfaces in the guard band may be blurred more than those in the frame, and so need a wider band: rays are cast
-    again until the band is wide enough for every |R| in it. Raises SceneError if |R| exceeds LARGEST_BLUR, keyframes do
-    not cover the exposures, or the lens distorts or curves the image too much.
+    psf: the scene's, from `clsco.inputs.pupils`; channels: color channels of its textures, 1 or 3. Surfaces in the
+    guard band may be blurred more than those in the frame, and so need a wider band: rays are cast again until the band
+    is wide enough for every |R| in it. Raises SceneError if |R| exceeds LARGEST_BLUR, keyframes do not cover the
+    exposures, or the lens distorts or curves the image too much.
     """
+    static, forward, unhidden = is_static_map(scene), is_forward(scene, eye), hides_nothing(scene)
+    layered = scene.psf.occlusion == "layered" and not unhidden
+    psf = elliptic_spread(scene, psf, scene.is_analytic and not layered and not forward)
+    splits = scene.separates_colors or (channels > 1 and scene.psf.is_colored)  # by the lens, or by waves
+    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if splits else ()
+    psf = max(spreads, key=lambda spread: spread.pupil.margin, default=psf)
     check_keyframes(scene)
-    times = sequence_times(scene)
+    times, one_radius = sequence_times(scene), has_one_radius(scene)
     poses, cameras = [poses_at(scene, t, eye) for t in times], [_widest(scene, t) for t in times]
-    samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
-    constant = constant_blur(scene)
+    lenses = [lenses_at(scene, t) for t in times]
     cacheable = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
     ray_scene = without_lens(scene) if cacheable else None
 
-    def cast(guard: int) -> tuple[float, ResolvedScene]:
+    def inverse_depths(guard: int) -> Array:
+        if ray_scene is None:
+            return _inverse_depths(scene, [*zip(cameras, poses, strict=True)], maps, guard)
+        samples = [(reference_camera(ray_scene), each) for each in poses]
+        key = ray_scene, eye, guard
+        return _DEPTHS.get(key, lambda: _inverse_depths(ray_scene, samples, maps, guard), lambda depths: depths.nbytes)
+
+    def cast(guard: int) -> tuple[float, ResolvedView]:
         """Largest |R| in frame and guard band, and the prediction for that band."""
         _check_fold(scene, cameras, guard)
-        w = _inverse_depths(scene, samples, maps, guard) if ray_scene is None else _cached_depths(ray_scene, eye, guard)
-        rays = _slopes(cameras, guard)
+        w, rays = inverse_depths(guard), _slopes(cameras, guard)
         signed = _radii(scene, lenses, w, rays)
         signed = signed if signed.size else np.zeros(1)
         lowest, highest = float(signed.min()), float(signed.max())
@@ -401,23 +407,32 @@ def resolve(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> ResolvedSce
                 why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
         largest_hit = largest
-        if not constant:  # margin for rays between those of the grid
+        if not one_radius:  # margin for rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
             lowest, highest = lowest - 0.1 * abs(lowest) - 1.0, highest + 0.1 * abs(highest) + 1.0
         band = guard_band(psf, scene.psf.border, largest)
-        middle = rays[len(times) // 2]
-        return largest_hit, ResolvedScene(
-            scene, psf, eye, maps, times, poses, w, middle, smallest, largest, band, lowest, highest
-        )
+        return largest_hit, ResolvedView(
+            scene, eye, maps, psf, spreads, static, forward, shifts_view(scene, eye), unhidden, one_radius, times,
+             poses, w, rays[len(times) // 2], smallest, largest, band, lowest, highest,
+        )  # fmt: skip
 
     guard = cast(0)[1].guard
-    prediction = cast(guard)[1]
-    while prediction.guard > guard:
-        guard = prediction.guard
+    view = cast(guard)[1]
+    while view.guard > guard:
+        guard = view.guard
         largest_hit, wider = cast(guard)
-        if largest_hit <= prediction.largest:
+        if largest_hit <= view.largest:
             break
         # Without the margin of |R|: if |R| grows about as fast as the band, the band would otherwise grow forever.
-        prediction = replace(wider, guard=max(guard, guard_band(psf, scene.psf.border, largest_hit)))
-    _check_fold(scene, cameras, prediction.guard)
-    return prediction
+        view = replace(wider, guard=max(guard, guard_band(psf, scene.psf.border, largest_hit)))
+    _check_fold(scene, cameras, view.guard)
+    return _with_waves(view) if psf.diffracted else view
+
+
+def _with_waves(view: ResolvedView) -> ResolvedView:
+    """The view with PSFs for its range of R. Raises SceneError as `clsco.optics.waves.check_waves`."""
+    from clsco.optics.waves import check_waves
+
+    check_waves(view.psf, view.largest)
+    ends = view.lowest, view.highest
+    return replace(view, psf=view.psf.between(*ends), spreads=tuple(spread.between(*ends) for spread in view.spreads))

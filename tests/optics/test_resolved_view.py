@@ -13,10 +13,9 @@ from clsco.optics.lens import Lens as LensOptics
 from clsco.optics.lens import blur_radius
 from clsco.optics.motion import poses_at
 from clsco.optics.rays import slopes_at
-from clsco.plan.plan import make_plan
-from clsco.plan.predict import _moved_map, guard_band
+from clsco.optics.resolved_view import _moved_map, guard_band
 from clsco.scene.model import DepthMap, Lens, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
-from tests.scenes import plan_of, scene_of
+from tests.scenes import plan_of, plan_scene, scene_of
 
 STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
 SIDES = [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)]
@@ -47,7 +46,7 @@ def test_radii_are_predicted_out_to_the_surface_that_lights_the_frame_from_outsi
     edge = at(31.5)
     outside = at(31.5 + edge)
     assert outside > 1.3 * edge + 1.0
-    assert make_plan(blurred, 1).largest_blur >= outside
+    assert plan_scene(blurred, 1).largest_blur >= outside
 
 
 def test_a_guard_band_holds_what_it_shows_where_the_field_is_curved() -> None:
