@@ -22,8 +22,8 @@ from clsco.constants import (
 )
 from clsco.inpainting.rules import MeanMedian, bits_of, score_of_sums, score_scale
 from clsco.opencl.buffers import allocate, download
+from clsco.opencl.program import Events, Target
 from clsco.opencl.session import Session
-from clsco.passes.blur import Events, Target
 from clsco.plan.buffers import COUNTERS, Sizes
 from clsco.records import Struct
 
