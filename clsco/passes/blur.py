@@ -198,7 +198,7 @@ class BlurredPlane(ABC):
         return np.int32(self.pitch), np.int32(self.pad), self.total
 
     @property
-    def sink(self) -> tuple[object, ...]:
+    def sink(self) -> tuple[Any, ...]:
         """Kernel arguments of the buffer to which `add` adds radiance."""
         return self.layout
 
@@ -214,7 +214,8 @@ class BlurredPlane(ABC):
 
     def clear(self) -> None:
         """Set all radiance to 0."""
-        cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
+        *_, buffer = self.sink
+        cl.enqueue_fill_buffer(self.target.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
     @abstractmethod
     def add(self, sources: Sources, events: Events) -> None:
@@ -287,9 +288,6 @@ class Scatter(TableBlur):
     @property
     def sink(self) -> tuple[object, ...]:
         return np.float32(self.scale), self.sums
-
-    def clear(self) -> None:
-        cl.enqueue_fill_buffer(self.target.session.queue, self.sums, np.zeros(1, np.uint32), 0, self.sums.size)
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
         padded = (int(self.grid["width"]), int(self.grid["height"]))

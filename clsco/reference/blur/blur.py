@@ -67,32 +67,6 @@ def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike
     return np.asarray(part * dx), np.asarray(part * dy)
 
 
-def place_weights(
-    psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64], subpixel: bool = False
-) -> Array:
-    """Weights (n,) of taps for sources at positions `place` (2, n), row and column in the frame, px.
-
-    dx, dy: offset from the source to the tap, px, scalar or (n,); radius: (n,) signed, px; subpixel: True to use
-    `PointSpread.subpixel_weights`, False to use `PointSpread.weights`. If the PSF varies over the frame, the weights of
-    four grid positions are blended.
-    """
-
-    def weights(spread: PointSpread, which: NDArray[np.int64] | slice) -> Array:
-        x, y = (offset if offset.ndim == 0 else offset[which] for offset in (np.asarray(dx), np.asarray(dy)))
-        return (spread.subpixel_weights if subpixel else spread.weights)(x, y, radius[which])
-
-    if psf.varying is None:
-        return weights(psf, slice(None))
-    numbers, shares = psf.varying.blend(place[1], place[0])
-    blended = np.zeros(radius.shape)
-    for number in np.unique(numbers):
-        share = (shares * (numbers == number)).sum(axis=0)
-        which = np.flatnonzero(share)
-        if which.size:
-            blended[which] += share[which] * weights(psf.places[number], which)
-    return blended
-
-
 @dataclass(frozen=True, eq=False)
 class _LitSources:
     """N sources that emit light: pixels, or points in pixels.
@@ -113,6 +87,13 @@ class _LitSources:
     visibility: Visibility | None
     points: bool = False
     part: float = 1.0
+
+    def select(self, chosen: NDArray[np.int64]) -> _LitSources:
+        """The sources with these indices."""
+        arrays = {name: array[chosen] for name, array in vars(self).items() if isinstance(array, np.ndarray)}
+        visibility = None if self.visibility is None else self.visibility.select(chosen)
+        fields: dict[str, Any] = vars(self) | arrays | {"visibility": visibility}
+        return _LitSources(**fields)
 
 
 def _pixels(spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], guard: int) -> _LitSources:
@@ -151,12 +132,8 @@ def _blocks(lit: _LitSources) -> Iterator[_LitSources]:
     for chosen, size in ((~hidden, BLOCK), (hidden, OCCLUDED_BLOCK)):
         order = np.flatnonzero(chosen)
         order = order[np.argsort(np.abs(lit.radius[order]), kind="stable")]
-        for block in (order[start : start + size] for start in range(0, order.size, size)):
-            arrays: dict[str, Any] = {
-                name: array[block] for name, array in vars(lit).items() if isinstance(array, np.ndarray)
-            }
-            visibility = lit.visibility.select(block) if lit.visibility and hidden[block[0]] else None
-            yield replace(lit, **arrays, visibility=visibility)
+        blocks = [lit.select(order[start : start + size]) for start in range(0, order.size, size)]
+        yield from blocks if chosen is hidden else (replace(block, visibility=None) for block in blocks)
 
 
 def _tap_shares(
@@ -189,11 +166,23 @@ def _tap_shares(
 
 
 def _weights(psf: PointSpread, block: _LitSources, dx: int, dy: int) -> Array:
-    """Weights (N,) of the tap (dx, dy) px from the middle of each source's pixel."""
+    """Weights (N,) of the tap (dx, dy) px from the middle of each source's pixel. If the PSF varies over the frame, the
+    weights of four grid positions are blended.
+    """
     right, down = np.asarray(dx - block.x), np.asarray(dy - block.y)
-    if block.shape is None:
-        return place_weights(psf, right, down, block.radius, block.place.T, subpixel=block.points)
-    return chord_weights(right, down, np.maximum(np.abs(block.radius), LEAST_OPENING), block.shape, point=block.points)
+    if block.shape is not None:
+        size = np.maximum(np.abs(block.radius), LEAST_OPENING)
+        return chord_weights(right, down, size, block.shape, point=block.points)
+    if psf.varying is None:
+        return (psf.subpixel_weights if block.points else psf.weights)(right, down, block.radius)
+    row, column = block.place.T
+    numbers, shares = psf.varying.blend(column, row)
+    blended = np.zeros(block.radius.shape)
+    for number in np.unique(numbers):
+        share = (shares * (numbers == number)).sum(axis=0)
+        if (which := np.flatnonzero(share)).size:
+            blended[which] += share[which] * _weights(psf.places[number], block.select(which), dx, dy)
+    return blended
 
 
 def _whole_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
