@@ -209,9 +209,9 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
     const int end = MIN(grid.rows, first + BAND), before = cut ? position[own] : 0;
     if (before == DONE)
         return;
+    const int steps = BY_COLUMNS ? (grid.columns + COLUMN_STEP - 1) / COLUMN_STEP : 0;
     int at_first = before & (OTHERS - 1);
 #if BY_COLUMNS
-    const int steps = (grid.columns + COLUMN_STEP - 1) / COLUMN_STEP;
     if (at_first < steps) {
         const int until = cut ? MIN(at_first + budget.x, steps) : steps;
         const bool others = add_columns(grid, psf, source, value, intervals, taps, outlines, first, end,
@@ -223,8 +223,6 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
             return;
         at_first = steps;
     }
-#else
-    const int steps = 0;
 #endif
     const int apart = (part_rows ? (int)get_global_size(0) * BAND : grid.rows) * pitch;
     const int shift = part_rows ? -start * BAND * pitch : 0;
