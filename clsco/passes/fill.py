@@ -41,7 +41,7 @@ class FillPlanes:
     value: float (CHANNELS, height, width), radiance. w, coc: real, inverse depth in 1/mm and signed R in px. valid:
     uchar, 1 for known or filled pixels, 0 for others, whose value, w and coc are 0. status: uchar, 0 known or not
     missing, 1 filled, 2 missing and not filled. object: uchar, number of the visible object, 255 for none and in the
-    mirror image around a depth map; empty if the scene has a single object.
+    mirror image around a depth map; None if the scene has a single object.
 
     indices: lists of missing pixels before and after a sweep, an int per pixel; used only during the filling. spans,
     grown: first and last valid pixel of each line, before and after a sweep. counters: numbers of pixels, see
@@ -54,7 +54,7 @@ class FillPlanes:
     coc: cl.Buffer
     valid: cl.Buffer
     status: cl.Buffer
-    object: tuple[cl.Buffer, ...]
+    object: cl.Buffer | None = None
     indices: tuple[cl.Buffer, cl.Buffer]
     spans: cl.Buffer
     grown: cl.Buffer
@@ -73,9 +73,9 @@ class FillPlanes:
             tail = bytes_of_lane * FILL_LANES
             cl.enqueue_copy(session.queue, buffers[name], np.zeros(tail, np.uint8), dst_offset=sizes[name] - tail)
         indices = buffers.pop("list"), buffers.pop("next list")
-        far, objects = ((buffers.pop(name),) if name in buffers else () for name in ("far", "object"))
+        far = (buffers.pop("far"),) if "far" in buffers else ()
         fields = {name.replace(" ", "_"): buffer for name, buffer in buffers.items()}
-        return cls(indices=indices, far=far, object=objects, **fields)
+        return cls(indices=indices, far=far, **fields)
 
 
 class Filler:
@@ -145,7 +145,8 @@ class Filler:
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
         """Fill those of `count` missing pixels, listed in `source`, that have at least `minimum` known neighbors."""
         p = self.planes
-        planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *p.object)
+        objects = () if p.object is None else (p.object,)
+        planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *objects)
         head = (self.grid, self.lens, source, np.int32(count))
         if self.interpolates:
             rule = (minimum,) if self.is_far else ()

@@ -107,8 +107,9 @@ class ForwardWarp:
         counters = self.filler.fill(sample.surfaces, len(sample.placed), events, self.scene.brightest)
         if self.maps:
             out = (self.lens, planes.value, planes.w, planes.coc, planes.valid)
+            objects = () if planes.object is None else (planes.object,)
             if self.filler.fills:
-                self._per_line("fill_entered", events, *out, planes.status, *planes.object)
+                self._per_line("fill_entered", events, *out, planes.status, *objects)
             self.kernels.run("extend_border", (plan.width, plan.height), PIXELS, events, self.grid, *out)
         return counters
 
@@ -129,7 +130,8 @@ class ForwardWarp:
             self._per_chunk("reproject_gaps", events, self.depth, self.winner, planes.valid)
         head = (self.grid, self.lens, self.scene.texture, self.moved, self.winner)
         several = (self.rest_surfaces, *self.object) if self.object else ()
-        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *planes.object)
+        objects = () if planes.object is None else (planes.object,)
+        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *objects)
         self.kernels.run("reproject_gather", (plan.width, plan.height), PIXELS, events, *head, *several, *out)
         if self.maps:
             self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
@@ -167,8 +169,8 @@ class ForwardWarp:
             w = self._frame(warped.w, real).astype(np.float64)
             arrays["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
             arrays["blur_radius"] = self._frame(warped.coc, real).astype(np.float32)
-            number = self._frame(warped.object[0], np.uint8).astype(np.int32) if warped.object else 0
-            arrays["object_id"] = np.where(valid, number, -1).astype(np.int32)
+            numbers = 0 if warped.object is None else self._frame(warped.object, np.uint8).astype(np.int32)
+            arrays["object_id"] = np.where(valid, numbers, -1).astype(np.int32)
         return {name: array for name, array in arrays.items() if name in available & set(names)}
 
     def _frame(self, buffer: cl.Buffer, dtype: Any, channels: int | None = None) -> NDArray[Any]:

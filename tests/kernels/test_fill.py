@@ -89,6 +89,10 @@ class Planes:
         cl.enqueue_copy(self.session.queue, self.filler.planes.indices[0], pixels)
         return self.filler.planes.indices[0], np.int32(pixels.size)
 
+    @property
+    def seen(self) -> tuple[cl.Buffer, ...]:
+        return () if self.filler.planes.object is None else (self.filler.planes.object,)
+
     def bounded(self, bounds: NDArray[np.float32] | None) -> tuple[Any, ...]:
         """Arguments of a kernel with bounds on the inverse depth of neighbors, and without."""
         if bounds is None:
@@ -102,7 +106,7 @@ class Planes:
 
     def fill_ait(self, mask: Mask) -> None:
         f, (pixels, count) = self.filler.planes, self.listed(mask)
-        self.run("fill_ait", int(count), pixels, count, f.valid, f.value, f.w, f.coc, f.status, *f.object)
+        self.run("fill_ait", int(count), pixels, count, f.valid, f.value, f.w, f.coc, f.status, *self.seen)
 
     def smooth_median(self, mask: Mask, bounds: NDArray[np.float32] | None, *planes: cl.Buffer) -> None:
         """planes: values and inverse depth before, and after."""
