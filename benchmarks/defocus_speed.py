@@ -28,9 +28,9 @@ from benchmarks.blur.passes import MeasuredPass
 from benchmarks.speed.direct import THREADS, axis_table, dense_table, gaussian_bands, scatter
 from benchmarks.tables import write_table
 from clsco.opencl.device import choose
+from clsco.opencl.program import Events
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
-from clsco.passes.blur import Events
 from clsco.scene.model import Psf
 
 Array = NDArray[Any]

@@ -38,10 +38,10 @@ from benchmarks.blur.roofline import Roof, intensity, measure_roof, tap_rate
 from clsco import __version__
 from clsco.errors import DeviceError, SceneError
 from clsco.opencl.device import Device
+from clsco.opencl.program import Events
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.stencil import stencils
-from clsco.passes.blur import Events
 from clsco.passes.tables import shared_tables
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty, upload
+from clsco.opencl.program import Events
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
-from clsco.passes.blur import Events, Sources, blur_target, prepare_sources
+from clsco.passes.blur import Sources, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct
 from clsco.plan.buffers import source_bytes

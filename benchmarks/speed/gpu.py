@@ -31,8 +31,8 @@ from benchmarks.tables import Figures, write_table
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
 from clsco.opencl.pace import event_seconds
+from clsco.opencl.program import Events
 from clsco.opencl.session import session_on
-from clsco.passes.blur import Events
 from clsco.scene.model import Psf, Scene
 
 Array = NDArray[Any]

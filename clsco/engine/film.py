@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from clsco.frame.strips import Strip
 from clsco.opencl.pace import event_seconds
+from clsco.opencl.program import Events
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
-from clsco.passes.blur import Events, Plane
+from clsco.passes.blur import Plane
 from clsco.plan.plan import Plan
 
 if TYPE_CHECKING:

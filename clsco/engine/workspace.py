@@ -11,6 +11,7 @@ import pyopencl as cl
 
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
+from clsco.opencl.program import Target
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import Lens
@@ -24,7 +25,6 @@ from clsco.passes.blur import (
     Maps,
     Plane,
     Sources,
-    Target,
     blur_target,
     padded_plane,
     prepare_sources,

@@ -7,8 +7,9 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from math import prod
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -22,12 +23,13 @@ from clsco.opencl.features import FEATURES
 from clsco.opencl.self_test import require_right_arguments
 from clsco.opencl.session import Program, Session
 from clsco.opencl.source_text import Structs, without_output
-from clsco.records import Real
+from clsco.records import Real, structs
 from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
 FIRST = 8  # the first piece is at most 1 / FIRST of a launch, because its parts may take different times
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
+Events: TypeAlias = list[tuple[str, cl.Event]]  # names of kernels, and the events of their launches
 # Files that precede all others: common functions, of which processors have a form of their own, and declarations that
 # replace the header of PoCL's compiler. WITHOUT_HEADER is the option that omits this header.
 BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu/pocl.clh", "-D_OPENCL_H_"
@@ -150,6 +152,28 @@ def launch_whole(
             return event
     except cl.Error as error:
         raise failure(session.device, f"run {kernel.function_name}", error) from error
+
+
+@dataclass(frozen=True)
+class Target:
+    """Requirements of a kernel launch: a session, the kernels of a program, and the precision of their geometry."""
+
+    session: Session
+    program: Program
+    real: Real
+
+    @classmethod
+    def build(cls, session: Session, files: Sequence[str], features: Mapping[str, int | bool], real: Real) -> Target:
+        """A target with the kernels of `files`, see the function `build`."""
+        return cls(session, build(session, files, features, structs(real), real), real)
+
+    def run(
+        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
+        origin: tuple[int, ...] = (),
+    ) -> None:  # fmt: skip
+        """Enqueue a kernel by `launch`; append pairs of its name and an event to `events`."""
+        for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
+            events.append((name, event))
 
 
 def _compile_for_device(session: Session, where: str, text: str, options: list[str]) -> Program:

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from clsco.constants import SUMMED_PIXELS
 from clsco.opencl.buffers import copied, empty
-from clsco.opencl.program import build
+from clsco.opencl.program import Events, Target
 from clsco.opencl.session import Session
-from clsco.passes.blur import BLOCKS, Events, Plane, Target
+from clsco.passes.blur import BLOCKS, Plane
 from clsco.plan.buffers import Sizes
-from clsco.records import structs
 
 
 class FrameSum:
@@ -23,9 +22,7 @@ class FrameSum:
     """
 
     def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:
-        features = {"SCAN_COLUMNS": by_columns}
-        program = build(session, ["blur/accumulate.cl"], features, structs("float"), "float")
-        self.target = Target(session, program, "float")
+        self.target = Target.build(session, ["blur/accumulate.cl"], {"SCAN_COLUMNS": by_columns}, "float")
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # PoCL compiles (1, 1) three times as fast
         self.sum, self.lost = (empty(session, sizes[name]) for name in ("sum", "lost"))
         self.begins = True

@@ -7,7 +7,8 @@ from collections.abc import Hashable
 import pyopencl as cl
 
 from clsco.opencl.buffers import allocate
-from clsco.passes.blur import PIXELS, Events, Target
+from clsco.opencl.program import Events, Target
+from clsco.passes.blur import PIXELS
 from clsco.plan.buffers import bend_buffers
 from clsco.plan.features import curvature_of
 from clsco.records import Struct

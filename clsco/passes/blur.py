@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty, mapped, upload, upload_cached
-from clsco.opencl.program import build, kernel, launch
-from clsco.opencl.session import Program, Session
+from clsco.opencl.program import Events, Target
+from clsco.opencl.session import Session
 from clsco.optics.psf_tables import psf_features
 from clsco.optics.ray_means import has_ray_means, ray_means
 from clsco.optics.visibility import lens_floats
@@ -24,7 +24,7 @@ from clsco.passes.pack import psf_struct
 from clsco.passes.tables import tables_of
 from clsco.plan.buffers import Sizes, by_columns, has_spans, margin
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec
-from clsco.records import Real, Struct, structs
+from clsco.records import Real, Struct
 
 PIXELS = (64, 1)  # local size of kernels with a work-item per pixel
 BLOCKS = (8, 1)  # local size of kernels with a work-item per TAP_LANES pixels of a row
@@ -43,7 +43,6 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
 # Units of work (`clsco.opencl.pace`) per tap, if taps are counted as if all sources had the largest radius.
 UNITS_PER_TAP = 1 / 125
 
-Events = list[tuple[str, cl.Event]]
 Maps = Literal["none", "wide", "float"]
 """Radii that `prepare_sources` reads: "none"; "wide", a map of type real, and a mask; "float", a map of type float."""
 MAPS: tuple[Maps, ...] = ("none", "wide", "float")
@@ -71,28 +70,11 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
     }
 
 
-@dataclass(frozen=True)
-class Target:
-    """Requirements of a kernel launch: a session, the kernels of a program, and the precision of their geometry."""
-
-    session: Session
-    program: Program
-    real: Real
-
-    def run(
-        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
-        origin: tuple[int, ...] = (),
-    ) -> None:  # fmt: skip
-        """Enqueue a kernel by `clsco.opencl.program.launch`; append pairs of its name and an event to `events`."""
-        for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
-            events.append((name, event))
-
-
 def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:
     """Target of the blur, with a program built for `blur_features`; `convolve` builds its own program."""
     files = FILES_OF[spec.method]
     features = blur_features(spec, channels, session.device.has_fp64, maps)
-    return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
+    return Target.build(session, files, features, real) if files else Target(session, {}, real)
 
 
 @dataclass(frozen=True)
@@ -150,7 +132,8 @@ def prepare_sources(
     of the sources, else empty.
     """
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
-    target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source, *rims)
+    coc, valid = (*maps, None)[:2]
+    target.run("prepare_sources", size, BLOCKS, events, grid, psf, coc, valid, source, *rims)
 
 
 @dataclass(frozen=True)
@@ -215,7 +198,7 @@ class BlurredPlane(ABC):
         return np.int32(self.pitch), np.int32(self.pad), self.total
 
     @property
-    def sink(self) -> tuple[object, ...]:
+    def sink(self) -> tuple[Any, ...]:
         """Kernel arguments of the buffer to which `add` adds radiance."""
         return self.layout
 
@@ -231,7 +214,8 @@ class BlurredPlane(ABC):
 
     def clear(self) -> None:
         """Set all radiance to 0."""
-        cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
+        *_, buffer = self.sink
+        cl.enqueue_fill_buffer(self.target.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
     @abstractmethod
     def add(self, sources: Sources, events: Events) -> None:
@@ -304,9 +288,6 @@ class Scatter(TableBlur):
     @property
     def sink(self) -> tuple[object, ...]:
         return np.float32(self.scale), self.sums
-
-    def clear(self) -> None:
-        cl.enqueue_fill_buffer(self.target.session.queue, self.sums, np.zeros(1, np.uint32), 0, self.sums.size)
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
         padded = (int(self.grid["width"]), int(self.grid["height"]))

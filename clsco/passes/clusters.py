@@ -12,14 +12,14 @@ import pyopencl as cl
 from clsco.constants import DISCONTINUITY_CLASSES, PUSH_PIXELS, REACH_PIXELS, SEED_COLUMNS
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate, download
-from clsco.opencl.program import build
+from clsco.opencl.program import Target
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds, bins_of, depth_of_hidden, layer_bounds, levels_of
-from clsco.passes.blur import BLOCKS, PIXELS, Image, Target
+from clsco.passes.blur import BLOCKS, PIXELS, Image
 from clsco.passes.job import Job
 from clsco.plan.buffers import cluster_buffers
 from clsco.plan.methods import BlurSpec
-from clsco.records import Real, Struct, structs
+from clsco.records import Real, Struct
 
 LINES = (8,)  # local size of kernels with a work-item per row or column
 RUNS = (1, 8)  # local size of kernels with a work-item per run of a row
@@ -54,7 +54,7 @@ def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real)
     own, because they depend on few features.
     """
     features = {"CHANNELS": channels + 1, "SCATTER": spec.method == "scatter", "RIMS": len(spec.psf.rims)}
-    return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
+    return Target.build(session, ["layered/layered.cl"], features, real)
 
 
 class Clusters:

@@ -6,8 +6,9 @@ import pyopencl as cl
 
 from clsco.frame.frame import GREEN
 from clsco.opencl.buffers import empty
+from clsco.opencl.program import Events
 from clsco.opencl.session import Session
-from clsco.passes.blur import Events, Plane
+from clsco.passes.blur import Plane
 
 FLOAT = 4  # size in bytes
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import floor, log2
 
 import numpy as np
@@ -10,12 +11,12 @@ import pyopencl as cl
 from clsco.constants import CONVOLVED_COLUMNS, CONVOLVED_ROWS, DROPPED_BITS, TILES_ABREAST
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import Refilled, empty
-from clsco.opencl.program import build
+from clsco.opencl.program import Events, Target
 from clsco.optics.stencil import Stencil, stencils
-from clsco.passes.blur import BlurredPlane, Events, Sources, Target
+from clsco.passes.blur import BlurredPlane, Sources
 from clsco.plan.buffers import SUMS_BEYOND, Sizes
 from clsco.plan.methods import BlurSpec
-from clsco.records import Struct, structs
+from clsco.records import Struct
 
 BITS = 56  # bits of a sum over a disc
 # Sums without DROPPED_BITS lose less than a unit per row of a disc: at most (2 R + 1) 2^-29 of the brightest source,
@@ -34,8 +35,8 @@ class Convolve(BlurredPlane):
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         session, self.wide = target.session, spec.brightest > BRIGHTEST
-        program = build(session, ["blur/convolve.cl"], {"WIDE_SUMS": self.wide}, structs("float"), "float")
-        super().__init__(Target(session, program, target.real), spec, tallest, grid, sizes)
+        own = Target.build(session, ["blur/convolve.cl"], {"WIDE_SUMS": self.wide}, "float")
+        super().__init__(replace(own, real=target.real), spec, tallest, grid, sizes)
         self.across = empty(session, sizes["across"]) if "across" in sizes else None
         self.sums: cl.Buffer | None = None
         if "sums" in sizes:

@@ -22,8 +22,8 @@ from clsco.constants import (
 )
 from clsco.inpainting.rules import MeanMedian, bits_of, score_of_sums, score_scale
 from clsco.opencl.buffers import allocate, download
+from clsco.opencl.program import Events, Target
 from clsco.opencl.session import Session
-from clsco.passes.blur import Events, Target
 from clsco.plan.buffers import COUNTERS, Sizes
 from clsco.records import Struct
 
@@ -34,7 +34,7 @@ LINES = (8,)  # local size of kernels with a work-item per row, column, segment,
 CHAPTER5 = MeanMedian()
 
 
-@dataclass
+@dataclass(kw_only=True)
 class FillPlanes:
     """Buffers of fill.cl, with guard band; before the filling, the caller writes the first six, `value` to `object`.
 
@@ -54,16 +54,16 @@ class FillPlanes:
     coc: cl.Buffer
     valid: cl.Buffer
     status: cl.Buffer
-    object: cl.Buffer | None
+    object: cl.Buffer | None = None
     indices: tuple[cl.Buffer, cl.Buffer]
     spans: cl.Buffer
     grown: cl.Buffer
     counters: cl.Buffer
     far: tuple[cl.Buffer, ...]
-    done: Any
-    sums: Any
-    other_value: Any
-    other_w: Any
+    done: Any = None
+    sums: Any = None
+    other_value: Any = None
+    other_w: Any = None
 
     @classmethod
     def create(cls, session: Session, sizes: Sizes) -> FillPlanes:
@@ -75,8 +75,7 @@ class FillPlanes:
         indices = buffers.pop("list"), buffers.pop("next list")
         far = (buffers.pop("far"),) if "far" in buffers else ()
         fields = {name.replace(" ", "_"): buffer for name, buffer in buffers.items()}
-        absent: dict[str, Any] = dict.fromkeys(("object", "done", "sums", "other_value", "other_w"))
-        return cls(indices=indices, far=far, **absent | fields)
+        return cls(indices=indices, far=far, **fields)
 
 
 class Filler:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from clsco.frame.strips import Grid
-from clsco.passes.blur import BlurredPlane, Scatter, Target, Tiles
+from clsco.opencl.program import Target
+from clsco.passes.blur import BlurredPlane, Scatter, Tiles
 from clsco.passes.convolve import Convolve
 from clsco.passes.gather import Gather
 from clsco.plan.buffers import blur_buffers

@@ -11,8 +11,8 @@ from clsco.constants import BAND, COLUMN_STEP, WIDE_LANES
 from clsco.frame.strips import Grid
 from clsco.opencl import pace
 from clsco.opencl.buffers import download_into, empty, filled_with, upload_cached
-from clsco.opencl.program import kernel, launch_whole
-from clsco.passes.blur import UNITS_PER_TAP, Events, TableBlur, Target
+from clsco.opencl.program import Events, Target, kernel, launch_whole
+from clsco.passes.blur import UNITS_PER_TAP, TableBlur
 from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, bands_at_a_time
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct
@@ -40,15 +40,14 @@ class Gather(TableBlur):
         # Number of rows of sources after which partial sums are added to the total; 0 without partial sums.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
-        self.ends = (filled_with(session, sizes["ends"]),) if "ends" in sizes else ()
-        self.scratch, self.bands = tuple[object, ...](), -(-tallest.rows // BAND)
-        self.step = tallest.columns  # least number of columns in a piece
+        self.bands = -(-tallest.rows // BAND)
         if {"part", "scratch"} & sizes.keys():
             self.bands = bands_at_a_time(tallest.rows, session.device.compute_units)
-        if "scratch" in sizes:
-            doubles = sizes["scratch"] // 8
-            self.scratch = (filled_with(session, sizes["scratch"]), np.int32(doubles // self.bands))
-            self.step = COLUMN_STEP
+        self.scratch, self.ends = (
+            filled_with(session, sizes[name]) if name in sizes else None for name in ("scratch", "ends")
+        )
+        self.scratch_size = np.int32(sizes.get("scratch", 0) // 8 // self.bands)  # doubles of a band
+        self.step = tallest.columns if self.scratch is None else COLUMN_STEP  # least number of columns in a piece
         self.position = empty(session, sizes["position"])
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
@@ -57,9 +56,9 @@ class Gather(TableBlur):
         walked = min(BAND + 2 * self.spec.reach, height)
         taps = self.bands * walked * width * (2 * self.spec.reach + 1) ** 2
         work, most = UNITS_PER_TAP * taps, HIDDEN_TAP * taps / session.device.compute_units
-        parts = np.int32(self.group), self.part, *self.ends
+        parts = np.int32(self.group), self.part, self.ends
         for start in range(0, -(-rows // BAND), self.bands):
-            before = (*head, *self.tap_tables, *self.scratch, np.int32(start))
+            before = (*head, *self.tap_tables, self.scratch, self.scratch_size, np.int32(start))
             after = (self.position, *parts, *self.layout, *tail)
             expected = session.pace.expected(run, work)
             if expected <= pace.PIECE and (not self.spec.occluders or most <= LONGEST):
@@ -84,7 +83,7 @@ class Gather(TableBlur):
         at_once = -(-bands // session.device.compute_units)  # number of bands that a core processes in sequence
         steps, vectors = 1, max(1, int(pace.PIECE / BRIEF / VECTOR / at_once))
         walked = np.zeros(self.bands, np.int32)
-        all_steps = -(-columns // self.step) * bool(self.scratch)
+        all_steps = 0 if self.scratch is None else -(-columns // self.step)
         band_steps = all_steps + (BAND + 2 * self.spec.reach) * -(-int(self.grid["width"]) // WIDE_LANES)
         cl.enqueue_copy(session.queue, self.position, walked)
         pieces: list[cl.Event] = []

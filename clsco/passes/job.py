@@ -9,10 +9,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.frame.strips import Strip
+from clsco.opencl.program import Events
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.motion import Pose
 from clsco.optics.quadrics import PlacedSurface
-from clsco.passes.blur import Events
 from clsco.records import Struct
 from clsco.scene.model import Camera
 

@@ -10,16 +10,8 @@ import pyopencl as cl
 
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty
-from clsco.passes.blur import (
-    PIXELS,
-    BehindRims,
-    BlurredPlane,
-    Image,
-    Sources,
-    Target,
-    blur_target,
-    prepare_sources,
-)
+from clsco.opencl.program import Target
+from clsco.passes.blur import PIXELS, BehindRims, BlurredPlane, Image, Sources, blur_target, prepare_sources
 from clsco.passes.clusters import ZERO, Layers
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.job import Job

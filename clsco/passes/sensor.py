@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from clsco.constants import SENSED_PIXELS
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download, empty, upload_cached
-from clsco.opencl.program import build
+from clsco.opencl.program import Events, Target
 from clsco.opencl.session import Session
 from clsco.optics.sensor import SensorModel, reciprocals_of_counts, sensor_values
-from clsco.passes.blur import Events, Plane, Target
+from clsco.passes.blur import Plane
 from clsco.plan.buffers import Sizes, padded_columns
-from clsco.records import filled, structs
+from clsco.records import filled
 
 RECIPROCALS = reciprocals_of_counts()
 
@@ -49,8 +49,8 @@ class FrameSensor:
 
     def __init__(self, session: Session, sensor_model: SensorModel, sizes: Sizes) -> None:
         features = {"FIXED_PATTERN": sensor_model.has_pattern}
-        program = build(session, ["sensor/sensor.cl"], features, structs("float"), "float")
-        self.target, self.planes = Target(session, program, "float"), len(sensor_model.filters)
+        self.target = Target.build(session, ["sensor/sensor.cl"], features, "float")
+        self.planes = len(sensor_model.filters)
         self.code, self.saturated = (empty(session, sizes[name]) for name in ("code", "saturated"))
         self.struct = filled("sensor_t", "float", sensor_values(sensor_model))
 

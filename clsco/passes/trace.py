@@ -12,19 +12,19 @@ import pyopencl as cl
 
 from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST, TAP_LANES
 from clsco.opencl.buffers import allocate, download, upload
-from clsco.opencl.program import build
+from clsco.opencl.program import Target
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.quadrics import EVERYWHERE
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.passes.bend import Bends
-from clsco.passes.blur import BLOCKS, PIXELS, Image, Sources, Target
+from clsco.passes.blur import BLOCKS, PIXELS, Image, Sources
 from clsco.passes.job import SceneJob
 from clsco.passes.pack import group_struct, lens_struct
 from clsco.passes.placed import PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers, silhouette_buffers
 from clsco.plan.plan import Plan
-from clsco.records import REAL, Struct, structs
+from clsco.records import REAL, Struct
 
 SPARE_SLOTS = 1.25  # ratio of allocated to needed slots when slots are added, as the next time sample may need more
 ROUNDED = 1e-5  # relative margin of extents, far above the rounding errors of rays and depths in single precision
@@ -55,16 +55,13 @@ class LatestHits:
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self.buffers: dict[OcclusionGroup, dict[str, cl.Buffer]] = {}
-        self.keys: dict[OcclusionGroup, HitKey] = {}
+        self.latest: dict[OcclusionGroup, tuple[HitKey, HitPlanes]] = {}
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
-        if key.group not in self.buffers:
-            self.buffers[key.group] = allocate(self.session, sizes)
-        planes = tuple(self.buffers[key.group].values())
-        if self.keys.get(key.group) != key:
+        latest, planes = self.latest.get(key.group) or (None, tuple(allocate(self.session, sizes).values()))
+        if latest != key:
             cast(planes)
-            self.keys[key.group] = key
+            self.latest[key.group] = key, planes
         return planes
 
 
@@ -252,8 +249,7 @@ class Tracer:
 
 def ray_target(plan: Plan, scene: PlacedScene) -> Target:
     """Target with the kernels that cast rays."""
-    session, real = scene.session, scene.real
-    return Target(session, build(session, TRACE_FILES, plan.features(), structs(real), real), real)
+    return Target.build(scene.session, TRACE_FILES, plan.features(), scene.real)
 
 
 def everything(plan: Plan) -> Struct:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.frame.outputs import MOTION_NAMES, OUTPUTS, RAY_OUTPUTS, STEREO_NAMES
-from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
+from clsco.opencl.program import Events, Target
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.distortion import Distortion
 from clsco.optics.exposure import line_times, middle_time
@@ -21,7 +21,7 @@ from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
 from clsco.optics.rims import frame_throughput
-from clsco.passes.blur import PIXELS, Events, Target
+from clsco.passes.blur import PIXELS
 from clsco.passes.job import TimeSample
 from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene
@@ -81,12 +81,7 @@ class GroundTruth:
         other_view = scene.at(time, eye=self._opposite) if set(STEREO_NAMES) & set(names) else None
         earlier = scene.at(before) if set(MOTION_NAMES) & set(names) else None
         reference = scene.in_reference_pose() if plan.moves or plan.eye_moved else sample
-        arguments = self._arguments(reference, sample, after, other_view, earlier)
-        out = self._arrays(names)
-        buffers = allocate(scene.session, truth_buffers(names, plan.grid))
-        for strip in plan.strips:
-            self._cast(strip, sample.camera, arguments, buffers, events, (plan.columns, strip.rows))
-            self._download(strip, buffers, out)
+        out = self._cast([(sample.camera, self._arguments(reference, sample, after, other_view, earlier))], events)
         self._split_colors(out, np.array(time))
         self._clear_background(out)
         if isinstance(self.pixels, ForwardWarp):
@@ -117,28 +112,28 @@ class GroundTruth:
             view = other_view.surfaces, scene.poses(other_view), np.int32(1 if plan.eye == "right" else -1)
         return *head, *view, poses if earlier is None else scene.poses(earlier), after.surfaces
 
-    def _cast(
-        self, strip: Strip, camera: Camera, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
-        size: tuple[int, int], origin: tuple[int, ...] = (),
-    ) -> None:  # fmt: skip
-        """Enqueue the rays of a block of pixels. size: its columns and rows; origin: its first pixel in the strip."""
-        grid = camera_grid(camera, self.plan.guard_px, self.scene.real, strip, self.plan.scene.camera)
-        out = (buffers["mask"], *(buffers.get(name) for name in RAY_OUTPUTS))
-        local = PIXELS if size[0] > 1 else PIXELS[::-1]
-        self.target.run("ground_truth", size, local, events, grid, *arguments, *out, origin=origin)
+    def _cast(self, samples: Sequence[tuple[Camera, tuple[Any, ...]]], events: Events) -> Arrays:
+        """Outputs from rays, of a camera and the result of `_arguments` for the frame, or of those for each line."""
+        plan, names, session = self.plan, self.plan.device_truth, self.scene.session
+        lines, by_columns = len(samples) > 1, plan.scene.sequence.by_columns
+        buffers, out = allocate(session, truth_buffers(names, plan.grid)), self._arrays(names)
+        planes = (buffers["mask"], *(buffers.get(name) for name in RAY_OUTPUTS))
+        for strip in plan.strips:
+            size = (plan.columns, strip.rows) if not lines else (1, strip.rows) if by_columns else (plan.columns, 1)
+            for n, (camera, arguments) in enumerate(samples[strip.inside] if lines and not by_columns else samples):
+                grid = camera_grid(camera, plan.guard_px, self.scene.real, strip, plan.scene.camera)
+                local, origin = PIXELS if size[0] > 1 else PIXELS[::-1], (n, 0) if by_columns else (0, n)
+                self.target.run("ground_truth", size, local, events, grid, *arguments, *planes, origin=origin)
+            for name, array in out.items():
+                download_into(session, buffers[name], array[strip.inside])
+        return out
 
     def _from_lines(self, index: int, events: Events) -> Arrays:
         """Outputs from rays cast at analytic surfaces with a rolling shutter, where each line has its own time."""
-        plan, scene, names = self.plan, self.scene, self.plan.device_truth
+        plan, scene = self.plan, self.scene
         times, by_columns = line_times(plan.scene, index), plan.scene.sequence.by_columns
         reference = scene.in_reference_pose()
-        samples = [(s.camera, self._arguments(reference, s, s)) for s in map(scene.at, times.tolist())]
-        buffers, out = allocate(scene.session, truth_buffers(names, plan.grid)), self._arrays(names)
-        for strip in plan.strips:
-            size = (1, strip.rows) if by_columns else (plan.columns, 1)
-            for line, line_arguments in enumerate(samples if by_columns else samples[strip.inside]):
-                self._cast(strip, *line_arguments, buffers, events, size, (line, 0) if by_columns else (0, line))
-            self._download(strip, buffers, out)
+        out = self._cast([(s.camera, self._arguments(reference, s, s)) for s in map(scene.at, times.tolist())], events)
         self._split_colors(out, times if by_columns else times[:, None])
         self._clear_background(out)
         out |= {"row_time": times, "filled": np.zeros((plan.rows, plan.columns), np.uint8)}
@@ -209,10 +204,6 @@ class GroundTruth:
             shape = (plan.rows, plan.columns) if depth == 1 else (plan.rows, plan.columns, depth)
             out[name] = np.empty(shape, OUTPUTS[name].dtype)
         return out
-
-    def _download(self, strip: Strip, buffers: dict[str, Any], out: Arrays) -> None:
-        for name, array in out.items():
-            download_into(self.scene.session, buffers[name], array[strip.inside])
 
     def _from_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
         """Outputs of a scene with depth maps, computed from its static or warped pixels, as rays cannot hit a map."""

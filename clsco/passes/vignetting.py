@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from clsco.constants import SUMMED_PIXELS
 from clsco.opencl.buffers import Refilled
-from clsco.opencl.program import build
+from clsco.opencl.program import Events, Target
 from clsco.opencl.session import Session
 from clsco.optics.vignetting import throughput
-from clsco.passes.blur import BLOCKS, Events, Plane, Target
-from clsco.records import structs
+from clsco.passes.blur import BLOCKS, Plane
 from clsco.scene.lens import Vignetting as Kind
 from clsco.scene.model import Camera
 
@@ -31,8 +30,8 @@ class Vignetting:
     """
 
     def __init__(self, session: Session, kind: Kind, colors: int, pixels: int) -> None:
-        program = build(session, ["blur/vignetting.cl"], {}, structs("float"), "float")
-        self.target, self.kind, self.colors = Target(session, program, "float"), kind, colors
+        self.target = Target.build(session, ["blur/vignetting.cl"], {}, "float")
+        self.kind, self.colors = kind, colors
         self._buffer = Refilled(session, 4 * pixels)  # kernels of the previous time sample may still read it
         self._filled: NDArray[np.float32] | None = None
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as in `FrameSum`

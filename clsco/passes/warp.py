@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build
+from clsco.opencl.program import Events, Target
 from clsco.optics.lens import Lens
 from clsco.optics.lens_path import reference_camera
-from clsco.passes.blur import PIXELS, Events, Target
+from clsco.passes.blur import PIXELS
 from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler, FillPlanes
 from clsco.passes.job import TimeSample
 from clsco.passes.pack import camera_grid, lens_struct
@@ -22,7 +22,7 @@ from clsco.passes.placed import PlacedScene
 from clsco.plan.buffers import fill_sizes, warp_buffers
 from clsco.plan.features import curvature_of
 from clsco.plan.plan import Plan
-from clsco.records import REAL, structs
+from clsco.records import REAL
 
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
 NOWHERE = np.array(NO_WINNER, np.int32)
@@ -69,7 +69,7 @@ class ForwardWarp:
         self.lens = lens_struct(Lens.of(reference_camera(plan.scene), plan.scene.lens, plan.only), real)
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
-        self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
+        self.kernels = Target.build(session, KERNELS, features, real)
         self.filler = Filler(self.kernels, self.grid, self.lens, features, fill_sizes(plan.scene, plan.grid))
         # The filling, which starts when the pixels have been moved, uses the same buffers for its lists.
         self.target, self.winner = self.filler.planes.indices

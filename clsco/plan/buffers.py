@@ -50,7 +50,7 @@ TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table
 BANDS_PER_CORE = 4  # bands per core that `gather` processes at a time, if each needs memory of its own
 SUMS_BEYOND = 64  # sums beyond the last row, which vectors of `convolve` read and discard
 PAGE, BESIDE_PAGE = 64, 5  # in vectors: 2 KiB of floats; least distance of a row's length from a multiple of PAGE
-ITEM_BYTES, CHORD_BYTES = 32, 8  # bytes of a group of sources of a column, or of chords, without its vectors
+ITEM_BYTES = 32  # bytes of a group of sources of a column without its vectors
 MOST_IN_ONE_SUM = 256  # taps that `gather` adds up in one float before it adds this sum to another one
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # number of counters of a filling, ints
@@ -137,8 +137,8 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
     if psf.layout == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
         sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + tilt)
-        return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
-    chords = 8 * WIDE_LANES * (1 + tilt) * channels * BAND + MOST_ITEMS * CHORD_BYTES
+        return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + ITEM_BYTES)
+    chords = 8 * WIDE_LANES * (1 + tilt) * channels * BAND + MOST_ITEMS * ITEM_BYTES
     if psf.stretched:
         return chords + tiles + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels)
     mirrored = psf.layout != "general"

@@ -143,8 +143,9 @@ def psf_of(
     inverse = _inverse_depths(lens_at(scene, time), plan.largest_blur) if depths is None else _inverse(depths)
     places = _field(camera) if at is None else _places(camera, at)
     rays = np.stack(ray_slopes(camera, places[:, 1], places[:, 0]), axis=-1)
+    lenses, spreads = lenses * (count // len(lenses)), spreads * (count // len(spreads))
     radius = np.empty((count, len(places), len(inverse)))
-    for channel, lens in zip(radius, lenses * (count // len(lenses)), strict=True):
+    for channel, lens in zip(radius, lenses, strict=True):
         channel[:] = lens.image_radius(inverse, rays[:, :1], rays[:, 1:])
     cuts, varies = any(spread.rims for spread in spreads), any(spread.varying for spread in spreads)
     if at is None and not (cuts or varies) and (radius == radius[:, :1]).all():
@@ -156,10 +157,9 @@ def psf_of(
     names: tuple[str, ...] = ("red", "green", "blue") if count > 1 else ("all",)
     if wavelengths is not None:
         names = tuple(f"{wavelength:g} nm" for wavelength in wavelengths)
-    spreads *= count // len(spreads)
     weights = _stacked(spreads, radius, places)
     if cuts:
-        for channel, spread, lens, radii in zip(weights, spreads, lenses * (count // len(lenses)), radius, strict=True):
+        for channel, spread, lens, radii in zip(weights, spreads, lenses, radius, strict=True):
             channel[:] = behind_rims(lens, spread, rays, inverse, radii, channel)
     return PsfStack(weights, depth, radius, places, names, plan.psf.name)
 

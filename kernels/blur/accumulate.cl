@@ -7,12 +7,6 @@
 
 #include "common/geometry.clh"
 
-#if SCAN_COLUMNS
-#define WEIGHT(x, row) weights[x]
-#else
-#define WEIGHT(x, row) weight
-#endif
-
 // Adds the plane of a time sample: its channels are `apart` floats apart, its first pixel is at `start`, its rows are
 // `pitch` long. In: begins, 1 for the first plane of a frame, which overwrites sum and lost; weights float (rows) or
 // (columns). In and out: sum and lost, float (channels, height, columns), where the plane begins in row `top`.
@@ -24,15 +18,14 @@ __kernel void accumulate(const int begins, const int rows, const int columns, co
     const int first = get_global_id(0) * SUMMED_PIXELS, row = get_global_id(1);
     if (first >= columns || row >= rows)
         return;
-#if !SCAN_COLUMNS
-    const float weight = weights[row];
-#endif
+    const float weight = SCAN_COLUMNS ? 0 : weights[row];
     for (int k = 0; k < channels; ++k) {
         __global const float *restrict own = plane + k * apart + start + row * pitch;
         __global float *restrict total = sum + (k * height + top + row) * columns, *restrict low = lost + (total - sum);
         for (int x = first; x < MIN(first + SUMMED_PIXELS, columns); ++x) {
             const float before = begins ? 0.0f : total[x];
-            const float part = WEIGHT(x, row) * own[x] - (begins ? 0.0f : low[x]), after = before + part;
+            const float part = (SCAN_COLUMNS ? weights[x] : weight) * own[x] - (begins ? 0.0f : low[x]);
+            const float after = before + part;
             low[x] = (after - before) - part;
             total[x] = after;
         }

@@ -21,6 +21,83 @@
 
 #pragma OPENCL FP_CONTRACT ON
 
+#if !OCCLUDED
+typedef void visibility_t;  // nothing hides light
+#endif
+
+// A source in a pixel: the pixel itself, or a point in it. id: number of the pixel or of the point; light: radiance of
+// its first channel, `apart` floats before that of the next one.
+typedef struct {
+    float4 record;  // see sources.clh
+    spread_t spread;
+    int id, apart;
+    __global const float *light;
+} pixel_source_t;
+
+// Number of sources of a pixel with the record `own`.
+#if SUBPIXELS
+#define SOURCES_IN(own) (as_int((own).w) >= 0 ? SOURCES_OF(as_int((own).w)) : 1)
+#else
+#define SOURCES_IN(own) 1
+#endif
+
+// The n-th source of pixel `at` of the grid, which is in `row` and `column` of the frame. Its coordinate is negative if
+// there is none.
+INLINE pixel_source_t source_in(const psf_t psf, __global const float *value, __global const int2 *intervals,
+                                __global const float *coefficients, float4 own, int n, int plane, int at, int row,
+                                int column SUBPIXEL_ARGUMENTS OF_ELLIPSES)
+{
+    pixel_source_t source = {.record = own, .id = at, .apart = plane, .light = value + at};
+#if SUBPIXELS
+    if (as_int(own.w) >= 0) {
+        source.id = FIRST_SLOT(as_int(own.w)) * EACH + n;
+        source.record = sub_source[source.id];
+        source.light = sub_value + source.id;
+        source.apart = capacity * EACH;
+        if (source.record.x >= 0)
+            source.spread = subpixel_spread(psf, sub_intervals, sub_coefficients, source.record,
+                                            n PLACE_VALUES(row, column));
+    } else
+#endif
+    if (own.x >= 0)
+        source.spread = pixel_spread(psf, intervals, coefficients, own.x PLACE_VALUES(row, column));
+    if (source.record.x >= 0)
+        source.spread = SHAPED(source.spread, psf, source.record, at);
+    return source;
+}
+
+#if OCCLUDED
+// Occluders of a source in the pixel `at`, which has the record `own`; 0 if nothing hides its light. seen: room for
+// them, and for those of the pixel, which points share; looked: True if the latter are there.
+INLINE const visibility_t *occluders_of(const grid_t grid, const psf_t psf, float4 own, int at, int row, int column,
+                                        pixel_source_t *source, visibility_t *seen, bool *looked SUBPIXEL_ARGUMENTS
+                                        OCCLUSION_ARGUMENTS)
+{
+    const real source_row = row + source->spread.oy, source_column = column + source->spread.ox;
+    real w = depth[at], width = 1;
+#if SUBPIXELS
+    if (as_int(own.w) >= 0) {
+        w = sub_depth[source->id];
+        width = (real)1 / SUBPIXELS;
+    }
+#endif
+#if SHARED
+    if (as_int(source->record.w) == PARTLY_SHARED) {
+        if (!*looked)
+            pixel_visibility(grid, lens, surfaces, group, psf, lens_cells, row, column, depth[at], own, seen + 1);
+        *looked = true;
+        shared_visibility(grid, lens, psf, lens_cells, source_row, source_column, w, source->spread, seen + 1);
+        return seen + 1;
+    }
+#endif
+    if (!IS_PARTLY(as_int(source->record.w)))
+        return 0;
+    source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, source_row, source_column, w,
+                      &source->spread, &source->record, width, seen);
+    return seen;
+}
+#endif
+
 #if SCATTER
 #if HAS_INT64_ATOMICS
 #define ADD_FIXED(p, v) atom_add(p, v)
@@ -29,9 +106,6 @@
 #endif
 
 #if OCCLUDED
-#define VISIBILITY_ARGUMENT , const visibility_t *visibility
-#define VISIBILITY_VALUE , visibility
-
 static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t s)
 {
     if (!visibility->wide)
@@ -43,14 +117,11 @@ static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t 
     const bool several = visibility->count > 1;
     return FIRST_LANE(free_share(visibility, several, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
 }
-#else
-#define VISIBILITY_ARGUMENT
-#define VISIBILITY_VALUE
 #endif
 
-// Adds one source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, 0 for none.
-static void scatter_source(const grid_t grid, spread_t spread, float4 source, float v, float scale, int row,
-                           int column, __global fixed_t *sums VISIBILITY_ARGUMENT)
+// Adds one channel of a source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, 0 for none.
+static void scatter_source(const grid_t grid, spread_t spread, const visibility_t *visibility, float4 source, float v,
+                           float scale, int row, int column, __global fixed_t *sums)
 {
     const int half_width = spread.half_width;
     for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, grid.rows - 1 - row); ++dy)
@@ -75,56 +146,25 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
         return;
     const int at = y * grid.width + x, row = y - grid.above, column = x - grid.guard;
     const int plane = grid.width * grid.height, sums_plane = grid.rows * grid.columns;
-    float4 s = get_source(source, plane, at);
-#if SUBPIXELS
-    const int slot = as_int(s.w);
-    if (slot >= 0) {
-        for (int sub = 0; sub < SOURCES_OF(slot); ++sub) {
-            const int id = FIRST_SLOT(slot) * EACH + sub;
-            float4 p = sub_source[id];
-            if (p.x < 0)
-                continue;
-            spread_t spread = SHAPED(
-                subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(grid.top + row, column)),
-                psf, p, at);
+    const float4 own = get_source(source, plane, at);
 #if OCCLUDED
-            visibility_t seen;
-            const visibility_t *visibility = IS_PARTLY(as_int(p.w)) ? &seen : 0;
-            const real sub_row = grid.top + row + spread.oy, sub_column = column + spread.ox;
-#if SHARED
-            if (as_int(p.w) == PARTLY_SHARED) {
-                visibility = &seen;
-                pixel_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row, column, depth[at], s,
-                                 &seen);
-                shared_visibility(grid, lens, psf, lens_cells, sub_row, sub_column, sub_depth[id], spread, &seen);
-            } else
+    visibility_t seen[1 + SHARED];
+    bool looked = false;
 #endif
-            if (visibility)
-                source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, sub_row, sub_column,
-                                  sub_depth[id], &spread, &p, (real)1 / SUBPIXELS, &seen);
+    for (int n = 0; n < SOURCES_IN(own); ++n) {
+        pixel_source_t s = source_in(psf, value, intervals, coefficients, own, n, plane, at, grid.top + row,
+                                     column SUBPIXEL_VALUES ELLIPSE_VALUES);
+        if (s.record.x < 0)
+            continue;
+        const visibility_t *visibility = 0;
+#if OCCLUDED
+        visibility = occluders_of(grid, psf, own, at, grid.top + row, column, &s, seen,
+                                  &looked SUBPIXEL_VALUES OCCLUSION_VALUES);
 #endif
-            for (int k = 0; k < CHANNELS; ++k)
-                scatter_source(grid, spread, p, sub_value[k * capacity * EACH + id], scale, row,
-                               column, sums + k * sums_plane VISIBILITY_VALUE);
-        }
-        return;
+        for (int k = 0; k < CHANNELS; ++k)
+            scatter_source(grid, s.spread, visibility, s.record, s.light[k * s.apart], scale, row, column,
+                           sums + k * sums_plane);
     }
-#endif
-    if (s.x < 0)
-        return;
-    spread_t spread = SHAPED(
-        pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + row, column)), psf, s, at);
-#if OCCLUDED
-    visibility_t seen;
-    const visibility_t *visibility = IS_PARTLY(as_int(s.w)) ? &seen : 0;
-    if (visibility)
-        source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + row, column, depth[at],
-                          &spread, &s,
-                          (real)1, &seen);
-#endif
-    for (int k = 0; k < CHANNELS; ++k)
-        scatter_source(grid, spread, s, value[k * plane + at], scale, row, column,
-                       sums + k * sums_plane VISIBILITY_VALUE);
 }
 
 // Fixed point to float: sums / scale, in the layout of total.
@@ -167,50 +207,29 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
     if (column >= grid.columns || y >= grid.height)
         return;
     const int at = y * grid.columns + column, plane = grid.height * grid.columns;
-    float4 s = get_source(source, plane, at);
-#if SUBPIXELS
-    const int slot = as_int(s.w);
-    if (slot >= 0) {
-        for (int sub = 0; sub < SOURCES_OF(slot); ++sub) {
-            const int id = FIRST_SLOT(slot) * EACH + sub;
-            float4 p = sub_source[id];
-            if (p.x < 0)
-                continue;
-            const spread_t spread = SHAPED(
-                subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(row, column)), psf, p, at);
-            const float share = share_inside(grid, spread, p, row, column);
-            for (int k = 0; k < CHANNELS && share > 0; ++k)
-                sub_value[k * capacity * EACH + id] /= share;
-        }
-        return;
+    const float4 own = get_source(source, plane, at);
+    for (int n = 0; n < SOURCES_IN(own); ++n) {
+        const pixel_source_t s = source_in(psf, value, intervals, coefficients, own, n, plane, at, row,
+                                           column SUBPIXEL_VALUES ELLIPSE_VALUES);
+        if (s.record.x < 0)
+            continue;
+        const float share = share_inside(grid, s.spread, s.record, row, column);
+        for (int k = 0; k < CHANNELS && share > 0; ++k)
+            ((__global float *)s.light)[k * s.apart] /= share;
     }
-#endif
-    if (s.x < 0)
-        return;
-    const spread_t spread =
-        SHAPED(pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(row, column)), psf, s, at);
-    const float share = share_inside(grid, spread, s, row, column);
-    for (int k = 0; k < CHANNELS && share > 0; ++k)
-        value[k * plane + at] /= share;
 }
 #endif
 
 #if PREPARE
 #if PREPARE == 2
 typedef float map_t;
-#define MAPS __global const map_t *restrict coc
-#define MAPS_VALUE coc
-#define RADIUS(r) (real)(r)
-#define IS_THERE(at) true
-#define ALL_THERE(at) true
 #else
 typedef real map_t;
-#define MAPS __global const map_t *restrict coc, __global const uchar *restrict valid
-#define MAPS_VALUE coc, valid
-#define RADIUS(r) (r)
-#define IS_THERE(at) valid[at]
-#define ALL_THERE(at) (LOAD_EIGHT_BYTES(valid + (at)) == 0x0101010101010101ul)
 #endif
+#define MAPS __global const map_t *restrict coc, __global const uchar *restrict valid
+#define RADIUS(at) (real)(coc[at])
+#define IS_THERE(at) (PREPARE == 2 || valid[at])
+#define ALL_THERE(at) (PREPARE == 2 || LOAD_EIGHT_BYTES(valid + (at)) == 0x0101010101010101ul)
 
 // Difference of the radius per px along one axis: central, one-sided at an edge, 0 without neighbors.
 static real difference(MAPS, int at, int step, bool before, bool after)
@@ -218,29 +237,15 @@ static real difference(MAPS, int at, int step, bool before, bool after)
     before = before && IS_THERE(at - step);
     after = after && IS_THERE(at + step);
     if (before && after)
-        return (real)0.5 * (RADIUS(coc[at + step]) - RADIUS(coc[at - step]));
+        return (real)0.5 * (RADIUS(at + step) - RADIUS(at - step));
     if (after)
-        return RADIUS(coc[at + step]) - RADIUS(coc[at]);
-    return before ? RADIUS(coc[at]) - RADIUS(coc[at - step]) : 0;
+        return RADIUS(at + step) - RADIUS(at);
+    return before ? RADIUS(at) - RADIUS(at - step) : 0;
 }
 
 #if RIMS && OCCLUDED
 #define OF_RIMS , const lens_t lens, __global real *restrict depth
 #define RIM_VALUES , lens, depth
-// Record of a source, marked if rims cut its light, and with a negative coordinate if they block it. Out: depth.
-static float4 behind_rims(const grid_t grid, const psf_t psf, float4 record, real radius, int x, int y OF_RIMS)
-{
-    const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
-    const lens_t here = lens_along(grid, lens, ray);
-    const real w = (blur_radius(here, ray, 0) - radius) / here.blur_scale;
-    const division_t division = division_of(radius, psf.lens_extent, 1, record.yz);
-    const int found = meet_rims(here, psf, ray, w, radius, division, 0);
-    depth[y * grid.width + x] = w;
-    record.x = found == HIDDEN ? -1 : record.x;
-    record.w = as_float(found == CLEAR ? WHOLE : CUT);
-    return record;
-}
-
 // Share of the lens's light that rims let through to each pixel of the frame from its point in focus, whatever the
 // scene has there. For depth layers. In: lens_cells. Out: open float (rows, columns).
 __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, __constant float *lens_cells,
@@ -282,28 +287,35 @@ __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, 
 #define RIM_VALUES
 #endif
 
-// One source from a map of signed radii.
+// One source from a map of signed radii. Rims mark it if they cut its light, and make its coordinate negative if they
+// block it. Out: depth.
 static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y OF_RIMS)
 {
-    const int at = y * grid.width + x;
+    const int w = grid.width, at = y * w + x;
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
-    if (IS_THERE(at)) {
-        record.x = table_coordinate(psf, RADIUS(coc[at]), 0);
+    if (!IS_THERE(at))
+        return record;
+    const real radius = RADIUS(at);
+    record.x = table_coordinate(psf, radius, 0);
 #if TILT
-        const int w = grid.width;
-        const real2 gradient = (real2)(difference(MAPS_VALUE, at, 1, x > 0, x + 1 < w),
-                                       difference(MAPS_VALUE, at, w, y > 0, y + 1 < grid.height));
-        record.yz = tilt_slope(gradient, RADIUS(coc[at]));
+    const real2 gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
+                                   difference(coc, valid, at, w, y > 0, y + 1 < grid.height));
+    record.yz = tilt_slope(gradient, radius);
 #endif
 #if RIMS && OCCLUDED
-        record = behind_rims(grid, psf, record, RADIUS(coc[at]), x, y RIM_VALUES);
+    const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
+    const lens_t here = lens_along(grid, lens, ray);
+    depth[at] = (blur_radius(here, ray, 0) - radius) / here.blur_scale;
+    const division_t division = division_of(radius, psf.lens_extent, 1, record.yz);
+    const int state = meet_rims(here, psf, ray, depth[at], radius, division, 0);
+    record.x = state == HIDDEN ? -1 : record.x;
+    record.w = as_float(state == CLEAR ? WHOLE : CUT);
 #endif
-    }
     return record;
 }
 
 // Makes sources from a map of signed radii, px, instead of surfaces. In: coc real, valid uchar (0 or 1), both (height,
-// width); with PREPARE = 2, for an image without gaps, coc float and no valid. Out: source, and with rims depth.
+// width); with PREPARE = 2, for an image without gaps, coc float and valid 0. Out: source, and with rims depth.
 // TAP_LANES at a time, in loops that compilers vectorize if all of them and their neighbors are valid.
 __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source OF_RIMS)
 {
@@ -321,27 +333,25 @@ __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global
 #endif
     if (!whole) {
         for (int i = 0; i < MIN(TAP_LANES, w - x); ++i)
-            put_source(source, plane, at + i, record_of(grid, psf, MAPS_VALUE, x + i, y RIM_VALUES));
+            put_source(source, plane, at + i, record_of(grid, psf, coc, valid, x + i, y RIM_VALUES));
         return;
     }
     // The compiler vectorizes loops over such pointers that compute one slope each.
-    __global const map_t *restrict here = coc + at;
     __global float *restrict coordinate = source + at;
     #pragma unroll
     for (int i = 0; i < TAP_LANES; ++i)
-        coordinate[i] = table_coordinate(psf, RADIUS(here[i]), 0);
+        coordinate[i] = table_coordinate(psf, RADIUS(at + i), 0);
 #if TILT
-    __global const map_t *restrict above = here - w, *restrict below = here + w;
     __global float *restrict right = coordinate + plane, *restrict down = right + plane;
     #pragma unroll
     for (int i = 0; i < TAP_LANES; ++i) {
-        const real across = (real)0.5 * (RADIUS(here[i + 1]) - RADIUS(here[i - 1]));
-        right[i] = tilt_slope((real2)(across, 0), RADIUS(here[i])).x;
+        const real across = (real)0.5 * (RADIUS(at + i + 1) - RADIUS(at + i - 1));
+        right[i] = tilt_slope((real2)(across, 0), RADIUS(at + i)).x;
     }
     #pragma unroll
     for (int i = 0; i < TAP_LANES; ++i) {
-        const real along = (real)0.5 * (RADIUS(below[i]) - RADIUS(above[i]));
-        down[i] = tilt_slope((real2)(0, along), RADIUS(here[i])).y;
+        const real along = (real)0.5 * (RADIUS(at + w + i) - RADIUS(at - w + i));
+        down[i] = tilt_slope((real2)(0, along), RADIUS(at + i)).y;
     }
 #endif
 #if SUBPIXELS || OCCLUDED

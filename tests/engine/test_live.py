@@ -17,8 +17,9 @@ from clsco.engine.live import Live
 from clsco.engine.renderer import Renderer
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
+from clsco.opencl.program import Target
 from clsco.opencl.session import Session
-from clsco.passes.blur import Scatter, Target
+from clsco.passes.blur import Scatter
 from clsco.passes.gather import Gather
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene

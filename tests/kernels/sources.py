@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clsco.frame.strips import Grid
 from clsco.inputs.pupils import load_point_spread
 from clsco.opencl.buffers import copied, download, empty, upload
-from clsco.opencl.program import build
+from clsco.opencl.program import Target, build
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import PsfTable
@@ -147,7 +147,7 @@ def blur_of(session: Session, given: Light, method: Blur) -> BlurredPlane:
         chosen |= spread.blur_features(spec, given.channels, True, "none") | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     grid = Grid.whole(*given.shape, given.guard, given.channels)
-    return make_blur(spread.Target(session, program, "double"), spec, grid, given.grid())
+    return make_blur(Target(session, program, "double"), spec, grid, given.grid())
 
 
 def blurred(session: Session, given: Light, method: Blur, moments: int = 1) -> Array:

@@ -10,7 +10,7 @@ import pytest
 
 from clsco.constants import BAND, ITEMS_BYTES, WIDE_LANES
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, launch
+from clsco.opencl.program import Target, build, launch
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
@@ -200,7 +200,7 @@ def test_same_bits_again_and_in_other_groups(session: Session, method: Blur, mon
         def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any, local: Any = local, **how: Any) -> Any:
             return launch(session, kernel, size, local[: len(usual)], *args, **how)
 
-        monkeypatch.setattr(spread, "launch", other)
+        monkeypatch.setattr("clsco.opencl.program.launch", other)
         assert blurred(session, given, method).tobytes() == first, local
 
 
@@ -252,7 +252,7 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     program = build(session, FILES_OF["gather"], features(given.psf, 1, 0), structs("double"), "double")
     struct, out = psf_struct(point_spread(psf), table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
-    target = spread.Target(session, program, "double")
+    target = Target(session, program, "double")
     spread.prepare_sources(target, given.grid(), struct, maps, out, [])
     found = download_sources(session, out, coc.shape, tilt, False)
     expected = light_sources.records(given, coc, twin.prepare_sources(coc, valid), valid, False)

@@ -9,11 +9,11 @@ import pytest
 
 from clsco.constants import BAND
 from clsco.frame.strips import Grid
-from clsco.opencl.program import build
+from clsco.opencl.program import Target, build
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
-from clsco.passes.blur import FILES_OF, Target
+from clsco.passes.blur import FILES_OF
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct
 from clsco.plan.methods import BlurSpec

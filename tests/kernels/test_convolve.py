@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import copied, download
-from clsco.opencl.program import launch
+from clsco.opencl.program import Target, launch
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.stencil import SUMMED
-from clsco.passes import blur
 from clsco.passes import convolve as convolution
-from clsco.passes.blur import Sources, Target
+from clsco.passes.blur import Sources
 from clsco.passes.convolve import Convolve
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct
@@ -153,7 +152,7 @@ def test_same_bits_again_and_in_other_groups(session: Session, psf: Psf, monkeyp
     def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any, **given: Any) -> Any:
         return launch(session, kernel, size, (3, 2, 1)[: len(usual)], *args, **given)
 
-    monkeypatch.setattr(blur, "launch", other)
+    monkeypatch.setattr("clsco.opencl.program.launch", other)
     assert found().tobytes() == first
 
 

@@ -14,13 +14,12 @@ from clsco.constants import FILL_LANES, SCORE_SUMS, SCORED_COLUMNS
 from clsco.frame.strips import Grid
 from clsco.inpainting.rules import score_of_sums
 from clsco.opencl.buffers import download, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import Target, build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at
 from clsco.optics.quadrics import place
 from clsco.passes import fill
-from clsco.passes.blur import Target
 from clsco.passes.fill import Filler
 from clsco.passes.pack import camera_grid, lens_struct, surface_structs
 from clsco.passes.warp import KERNELS

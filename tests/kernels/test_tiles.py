@@ -13,6 +13,7 @@ import clsco
 from clsco import reference
 from clsco.cli.check import compare
 from clsco.engine.sequence import render_prepared
+from clsco.opencl.program import launch
 from clsco.opencl.session import Session, session_for
 from clsco.passes.blur import GROUP
 from clsco.plan.prepare import prepare
@@ -132,14 +133,12 @@ def on_a_gpu(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     device = replace(session.device, kind="gpu")
     monkeypatch.setattr(import_module("clsco.opencl.session"), "choose", lambda name: device)
     names: list[str] = []
-    spread = import_module("clsco.passes.blur")
-    launch = spread.launch
 
     def noted(session: Session, kernel: Any, *args: Any, **given: Any) -> Any:
         names.append(kernel.function_name)
         return launch(session, kernel, *args, **given)
 
-    monkeypatch.setattr(spread, "launch", noted)
+    monkeypatch.setattr("clsco.opencl.program.launch", noted)
     return names
 
 

@@ -7,7 +7,10 @@ and down from a source to a pixel that it contributes to.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,154 +67,122 @@ def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike
     return np.asarray(part * dx), np.asarray(part * dy)
 
 
-def place_weights(
-    psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64], subpixel: bool = False
-) -> Array:
-    """Weights (n,) of taps for sources at positions `place` (2, n), row and column in the frame, px.
+@dataclass(frozen=True, eq=False)
+class _LitSources:
+    """N sources that emit light: pixels, or points in pixels.
 
-    dx, dy: offset from the source to the tap, px, scalar or (n,); radius: (n,) signed, px; subpixel: True to use
-    `PointSpread.subpixel_weights`, False to use `PointSpread.weights`. If the PSF varies over the frame, the weights of
-    four grid positions are blended.
+    number (N,): index in an array of all pixels, or of all points. place (N, 2): row and column in the frame; x, y
+    (N,): offset of a point from the middle of its pixel, px, 0 for pixels. radius (N,): px, signed. slope (N, 2) and
+    limb: as for `tilt_factor`. shape (N, 3): as in `Sources`. part: share of its pixel's light.
     """
 
-    def weights(spread: PointSpread, which: NDArray[np.int64] | slice) -> Array:
-        x, y = (offset if offset.ndim == 0 else offset[which] for offset in (np.asarray(dx), np.asarray(dy)))
-        return (spread.subpixel_weights if subpixel else spread.weights)(x, y, radius[which])
+    number: NDArray[np.int64]
+    place: NDArray[np.int64]
+    x: Array | float
+    y: Array | float
+    radius: Array
+    slope: Array
+    limb: ArrayLike
+    shape: Array | None
+    visibility: Visibility | None
+    points: bool = False
+    part: float = 1.0
 
-    if psf.varying is None:
-        return weights(psf, slice(None))
-    numbers, shares = psf.varying.blend(place[1], place[0])
-    blended = np.zeros(radius.shape)
-    for number in np.unique(numbers):
-        share = (shares * (numbers == number)).sum(axis=0)
-        which = np.flatnonzero(share)
-        if which.size:
-            blended[which] += share[which] * weights(psf.places[number], which)
-    return blended
-
-
-def _equal_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
-    """Offsets, each with the set of offsets of equal weight (changed signs, swapped axes); itself if `alone`."""
-    if alone:
-        span = range(-offset_limit, offset_limit + 1)
-        yield from ((dx, dy, {(dx, dy)}) for dy in span for dx in span)
-        return
-    for b in range(offset_limit + 1):
-        for a in range(b + 1):
-            yield b, a, {(s * x, t * y) for x, y in ((a, b), (b, a)) for s in (1, -1) for t in (1, -1)}
+    def select(self, chosen: NDArray[np.int64]) -> _LitSources:
+        """The sources with these indices."""
+        arrays = {name: array[chosen] for name, array in vars(self).items() if isinstance(array, np.ndarray)}
+        visibility = None if self.visibility is None else self.visibility.select(chosen)
+        fields: dict[str, Any] = vars(self) | arrays | {"visibility": visibility}
+        return _LitSources(**fields)
 
 
-def _group_by_radius(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
-    """Groups of partly hidden sources with nearly equal radii, which have nearly the same taps.
+def _pixels(spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], guard: int) -> _LitSources:
+    """The pixels of a mask (H, W); their numbers are those of raveled arrays (H, W)."""
+    number = np.flatnonzero(there)
+    slope = tilt_slope(sources.gradient, sources.radius, spec.psf.diffracted)
+    if sources.widening is not None:
+        slope = slope + sources.widening
+    shape = None if sources.shape is None else sources.shape[there]
+    visibility = None if sources.visibility is None else sources.visibility.select(number)
+    place = np.argwhere(there) - guard
+    return _LitSources(number, place, 0.0, 0.0, sources.radius[there], slope[there], False, shape, visibility)
 
-    Each group has the numbers of its sources, the `Visibility` of these sources, and the result of `cell_visibility`.
-    """
-    hidden = np.flatnonzero(visibility.row >= 0)
-    parts = _blocks(hidden, visibility.radius[visibility.row[hidden]], OCCLUDED_BLOCK)
-    return [(part, group, cell_visibility(group)) for part in parts for group in [visibility.select(part)]]
+
+def _points(spec: BlurSpec, sub: SubpixelSources, guard: int) -> _LitSources:
+    """The points with `hit`, numbered in this order."""
+    samples, (p, i, j) = sub.hit.shape[1], np.nonzero(sub.hit)
+    offset, radius = subpixel_offsets(samples), sub.radius[sub.hit]
+    slope = tilt_slope(sub.gradient[sub.hit], radius, spec.psf.diffracted)
+    if sub.widening is not None:
+        slope = slope + sub.widening[sub.hit]
+    if sub.visibility is not None:  # 0 where `tap_share` includes the tilt
+        slope[np.flatnonzero(sub.visibility.row >= 0)[sub.visibility.lean.any(axis=-1)]] = 0.0
+    place = np.stack([sub.row[p], sub.column[p]], axis=-1) - guard
+    limb = np.zeros(p.shape, np.bool_) if sub.limb is None else sub.limb[sub.hit]
+    shape = None if sub.shape is None else sub.shape[p]
+    parts: dict[str, Any] = {"points": True, "part": 1.0 / samples**2}
+    return _LitSources(
+        np.arange(p.size), place, offset[j], offset[i], radius, slope, limb, shape, sub.visibility, **parts
+    )
 
 
-def _blocks(numbers: NDArray[np.int64], radius: Array, size: int) -> list[NDArray[np.int64]]:
-    """Numbers (n,) of sources with signed radii (n,), in blocks of similar |R|, which have nearly the same taps."""
-    numbers = numbers[np.argsort(np.abs(radius), kind="stable")]
-    return [numbers[start : start + size] for start in range(0, numbers.size, size)]
+def _blocks(lit: _LitSources) -> Iterator[_LitSources]:
+    """Blocks of sources of similar |R|, which have nearly the same taps; all in a block are partly hidden, or none."""
+    hidden = np.zeros(lit.radius.shape, np.bool_) if lit.visibility is None else lit.visibility.row >= 0
+    for chosen, size in ((~hidden, BLOCK), (hidden, OCCLUDED_BLOCK)):
+        order = np.flatnonzero(chosen)
+        order = order[np.argsort(np.abs(lit.radius[order]), kind="stable")]
+        blocks = [lit.select(order[start : start + size]) for start in range(0, order.size, size)]
+        yield from blocks if chosen is hidden else (replace(block, visibility=None) for block in blocks)
 
 
 def _tap_shares(
-    spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
+    spec: BlurSpec, lit: _LitSources, shape: Shape
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """For every offset: numbers of sources and of the frame pixels that they reach, and fractions of their radiance.
-
-    there: mask (H, W) of the sources to use. Pixels outside of the frame are left out.
+    """For blocks of sources and every offset: numbers of sources and of the frame pixels that they reach, and fractions
+    of their pixels' radiance. Pixels outside of the frame are left out.
     """
-    radius, at = sources.radius.ravel(), np.flatnonzero(there)
-    slope = tilt_slope(sources.gradient, sources.radius, spec.psf.diffracted).reshape(-1, 2)
-    row, column = place = np.indices(there.shape).reshape(2, -1) - guard
-    blocks = _blocks(at, radius[at], BLOCK)
-    reaches = [spec.psf.reach(float(np.abs(radius[block[-1]]))) for block in blocks]
-    groups = [] if sources.visibility is None else _group_by_radius(sources.visibility)
-    shape_at = None if sources.shape is None else sources.shape.reshape(-1, 3)
-    alone = spec.psf.signed or shape_at is not None
-    if shape_at is not None and sources.widening is not None:
-        slope = slope + sources.widening.reshape(-1, 2)
-    for right, down, offsets in _equal_offsets(max(reaches, default=-1), alone):
-        weight = np.zeros(there.size)
-        for block, far in zip(blocks, reaches, strict=True):
-            if far >= max(abs(right), abs(down)):
-                offset = np.asarray(float(right)), np.asarray(float(down))
-                if shape_at is None:
-                    weight[block] = place_weights(spec.psf, *offset, radius[block], place[:, block])
-                else:
-                    disc_radius = np.maximum(np.abs(radius[block]), LEAST_OPENING)
-                    weight[block] = chord_weights(*offset, disc_radius, shape_at[block])
-        lit = np.flatnonzero(weight)
-        for dx, dy in sorted(offsets):
-            y, x = row[lit] + dy, column[lit] + dx
-            inside = (y >= 0) & (y < shape[0]) & (x >= 0) & (x < shape[1])
-            source, target = lit[inside], (y * shape[1] + x)[inside]
-            if not source.size:
-                continue
-            share = weight[source]
-            if spec.tilt:
-                share = share * tilt_factor(*within_rim(spec.psf, dx, dy, radius[source]), slope[source])
-            for hidden, visibility, cells in groups:
-                at_source = np.minimum(np.searchsorted(source, hidden), source.size - 1)
-                matches = source[at_source] == hidden
-                if matches.any():
-                    partial, hidden_weight = at_source[matches], weight[hidden]
-                    cut = cut_weights(visibility, hidden_weight, dx, dy, spec.psf.edge == "area")
-                    share[partial] *= cut[matches] / hidden_weight[matches]
-                    share[partial] *= tap_share(visibility, cells, dx, dy)[matches]
-            yield source, target, share
-
-
-def _subpixel_tap_shares(
-    spec: BlurSpec, sub: SubpixelSources, shape: Shape, guard: int
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
-    """As `_tap_shares`, for blocks of sub-pixel sources and every offset.
-
-    Sources are numbered in the order of `hit`; the fraction includes the source's weight 1/S^2. Pixels outside of the
-    frame are left out.
-    """
-    samples, places = sub.hit.shape[1], np.nonzero(sub.hit)
-    offset, size = subpixel_offsets(samples), BLOCK if sub.visibility is None else OCCLUDED_BLOCK
-    for block in _blocks(np.arange(len(places[0])), sub.radius[sub.hit], size):
-        p, i, j = at = tuple(indices[block] for indices in places)
-        y, x, radius = offset[i], offset[j], sub.radius[at]
-        slope = tilt_slope(sub.gradient[at], radius, spec.psf.diffracted)
-        limb = False if sub.limb is None else sub.limb[at]
-        if sub.widening is not None:
-            slope = slope + sub.widening[at]
-        far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
-        place = np.stack([sub.row[p], sub.column[p]]) - guard
-        visibility = None if sub.visibility is None else sub.visibility.select(block)
+    psf, equal = spec.psf, not (spec.psf.signed or lit.points or lit.shape is not None)
+    for block in _blocks(lit):
+        (row, column), visibility = block.place.T, block.visibility
         cells = np.empty(0) if visibility is None else cell_visibility(visibility)
-        if visibility is not None:  # 0 where `tap_share` includes the tilt
-            slope[np.flatnonzero(visibility.row >= 0)[visibility.lean.any(axis=-1)]] = 0.0
-        for dy in range(-far, far + 1):
-            for dx in range(-far, far + 1):
-                row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
-                inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-                right, below = dx - x[inside], dy - y[inside]
-                if sub.shape is None:
-                    share = place_weights(spec.psf, right, below, radius[inside], place[:, inside], subpixel=True)
-                else:
-                    disc_radius = np.maximum(np.abs(radius[inside]), LEAST_OPENING)
-                    share = chord_weights(right, below, disc_radius, sub.shape[p[inside]], point=True)
-                if visibility is not None:
-                    weight, hidden = np.zeros(p.size), visibility.row >= 0
-                    weight[inside] = share
-                    weight[hidden] = cut_weights(visibility, weight[hidden], dx, dy, True)
-                    share = weight[inside]
-                if spec.tilt:
-                    share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope, limb)[inside]
-                if visibility is not None:
-                    visible = np.ones(p.size)
-                    visible[visibility.row >= 0] = tap_share(visibility, cells, dx, dy)
-                    share = share * visible[inside]
-                lit = share != 0.0
-                target = (row * shape[1] + column)[inside][lit]
-                yield block[inside][lit], target, share[lit] / samples**2
+        far = psf.reach(float(np.abs(block.radius[-1])), subpixel=lit.points)
+        weights = partial(_weights, psf, block)
+        latest = lru_cache(maxsize=1)(weights)
+        # Offsets of equal weight, by changed signs and swapped axes, follow each other.
+        for dx, dy in sorted(product(range(-far, far + 1), repeat=2), key=lambda offset: sorted(map(abs, offset))):
+            y, x = row + dy, column + dx
+            inside = (y >= 0) & (y < shape[0]) & (x >= 0) & (x < shape[1])
+            share = latest(*sorted((abs(dx), abs(dy)))) if equal else weights(dx, dy)
+            if visibility is not None:
+                whole = cut_weights(visibility, share, dx, dy, lit.points or psf.edge == "area")
+                share = np.asarray(whole * tap_share(visibility, cells, dx, dy))
+            if spec.tilt:
+                share = share * tilt_factor(
+                    *within_rim(psf, dx - block.x, dy - block.y, block.radius), block.slope, block.limb
+                )
+            reached = inside & (share != 0.0)
+            yield block.number[reached], (y * shape[1] + x)[reached], share[reached] * lit.part
+
+
+def _weights(psf: PointSpread, block: _LitSources, dx: int, dy: int) -> Array:
+    """Weights (N,) of the tap (dx, dy) px from the middle of each source's pixel. If the PSF varies over the frame, the
+    weights of four grid positions are blended.
+    """
+    right, down = np.asarray(dx - block.x), np.asarray(dy - block.y)
+    if block.shape is not None:
+        size = np.maximum(np.abs(block.radius), LEAST_OPENING)
+        return chord_weights(right, down, size, block.shape, point=block.points)
+    if psf.varying is None:
+        return (psf.subpixel_weights if block.points else psf.weights)(right, down, block.radius)
+    row, column = block.place.T
+    numbers, shares = psf.varying.blend(column, row)
+    blended = np.zeros(block.radius.shape)
+    for number in np.unique(numbers):
+        share = (shares * (numbers == number)).sum(axis=0)
+        if (which := np.flatnonzero(share)).size:
+            blended[which] += share[which] * _weights(psf.places[number], block.select(which), dx, dy)
+    return blended
 
 
 def _whole_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bool_]:
@@ -235,23 +206,21 @@ def renormalize(
     inside[guard : guard + m, guard : guard + n] = True
     mask = _whole_sources(sources, sub) & inside
 
-    def scale_of(count: int, taps: Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]) -> Array:
+    def scale_of(lit: _LitSources, count: int) -> Array:
         light = np.zeros(count)
-        for source, _, share in taps:
-            light[source] += share  # for a single offset, no source occurs twice
+        for source, _, share in _tap_shares(spec, lit, shape):
+            light[source] += share / lit.part  # for a single offset, no source occurs twice
         return np.where(light > 0.0, 1.0 / np.where(light > 0.0, light, 1.0), 0.0)
 
-    scale = scale_of(mask.size, _tap_shares(spec, replace(sources, visibility=None), mask, shape, guard))
+    scale = scale_of(_pixels(spec, replace(sources, visibility=None), mask, guard), mask.size)
     radiance = sources.radiance * scale.reshape(mask.shape)[..., None]
     sources = replace(sources, lit=sources.lit & inside, radiance=radiance)
     if sub is None:
         return sources, None
     sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
-    scale, radiance = np.zeros(sub.hit.shape), sub.radiance
-    taps = _subpixel_tap_shares(spec, replace(sub, visibility=None), shape, guard)
-    # Shares include 1/S^2; the divisor must be the share of the source's radiance alone.
-    scale[sub.hit] = scale_of(int(sub.hit.sum()), taps) / sub.hit.shape[1] ** 2
-    return sources, replace(sub, radiance=radiance * scale[..., None])
+    scale = np.zeros(sub.hit.shape)
+    scale[sub.hit] = scale_of(_points(spec, replace(sub, visibility=None), guard), int(sub.hit.sum()))
+    return sources, replace(sub, radiance=sub.radiance * scale[..., None])
 
 
 def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
@@ -265,10 +234,10 @@ def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape
         sources, sub = renormalize(spec, sources, sub, shape, guard)
     color = np.zeros((m * n, sources.radiance.shape[2]))
     radiance = sources.radiance.reshape(-1, color.shape[1])
-    for source, target, share in _tap_shares(spec, sources, _whole_sources(sources, sub), shape, guard):
+    for source, target, share in _tap_shares(spec, _pixels(spec, sources, _whole_sources(sources, sub), guard), shape):
         color[target] += share[:, None] * radiance[source]  # for a single offset, no target occurs twice
     if sub is not None:
         radiance = sub.radiance[sub.hit]
-        for source, target, share in _subpixel_tap_shares(spec, sub, shape, guard):
+        for source, target, share in _tap_shares(spec, _points(spec, sub, guard), shape):
             np.add.at(color, target, share[:, None] * radiance[source])
     return color.reshape(m, n, -1)

@@ -26,36 +26,6 @@
 
 #pragma OPENCL FP_CONTRACT ON
 
-#if TILT
-// Share of its light that the tilt of a source leaves to taps (x, y) px from it.
-INLINE float8 tilts(spread_t s, float4 source, float8 x, float y)
-{
-#if WAVES
-    const float8 factor = WITHIN_RIM(s.rim, x, y, LANE_SQRT) * (x * source.y + y * source.z) + 1;
-#else
-    const float8 factor = x * source.y + (1 + y * source.z);
-#endif
-    return TILT_SHARE((float8)0, factor, LIMB_OF(s));
-}
-#endif
-
-// Adds rows -up..down of one source to `out`, the address of its first tap in its own row.
-INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
-{
-    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
-    for (int b = 0; b < s.lanes; b += TAP_LANES) {
-        for (int dy = -up; dy <= down; ++dy) {
-            const float8 w = weights(s, dy, b);
-#if TILT
-            const float8 factor = tilts(s, source, lane + (b - s.half_width - s.ox), dy - s.oy);
-            ADD_TAPS(out + dy * pitch + b, w * (factor * v));
-#else
-            ADD_TAPS(out + dy * pitch + b, w * v);
-#endif
-        }
-    }
-}
-
 #if OCCLUDED
 // Share of the lens that is free as seen from TAP_LANES taps of a row, the first one `first` px right of the source.
 INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, int dy)
@@ -73,79 +43,43 @@ INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, i
 }
 #endif
 
-#if ELLIPSES
-#if OCCLUDED
-#define HIDDEN_ARGUMENT const visibility_t *visibility,
-#define HIDDEN_VALUE(visibility) visibility,
-#define FREE_TAPS(w, s, first, dy) (visibility ? (w) * free_taps(visibility, s, first, dy) : (w))
-#else
-#define HIDDEN_ARGUMENT
-#define HIDDEN_VALUE(visibility)
-#define FREE_TAPS(w, s, first, dy) (w)
-#endif
-// Adds rows -up..down of an ellipse with all channels, `planes` apart in `out`. visibility: its occluders, 0 for none;
-// light: radiance of each channel.
-static NOINLINE void add_ellipse_rows(spread_t s, HIDDEN_ARGUMENT int up, int down, const float *light, float4 source,
-                                      __global float *out, int planes, int pitch)
+// Adds rows -up..down of one source with all channels, `planes` apart, to `out`, the address of its first tap in its
+// own row. visibility: its occluders, 0 for none; light: radiance of each channel.
+INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int down, const float *light, float4 source,
+                     __global float *out, int planes, int pitch)
 {
-    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+#if ELLIPSES
     const opening_t opening = s.opening;
     const float around = opening.size + chord_margin(opening), over = 1 / opening.shape.x;
+#endif
     for (int dy = -up; dy <= down; ++dy) {
-        const float below = dy - s.oy, outer = opening.shape.x * around * around - below * below;
+        const float y = dy - s.oy;
+        int from = 0, to = s.lanes;
+#if ELLIPSES
+        const float outer = opening.shape.x * around * around - y * y;
         if (outer <= 0)
             continue;
-        const float middle = s.half_width + s.ox - opening.shape.y * below * over, reach = sqrt(outer) * over;
-        const int from = MAX((int)(middle - reach), 0), to = MIN((int)(middle + reach) + 1, 2 * s.half_width + 1);
-        for (int b = from; b < to; b += TAP_LANES) {
-            const float8 x = lane + (b - s.half_width - s.ox);
-            float8 w = FREE_TAPS(opening_weight(opening, x, (float8)below), s, b - s.half_width, dy);
-#if TILT
-            w *= tilts(s, source, x, below);
+        const float middle = s.half_width + s.ox - opening.shape.y * y * over, reach = sqrt(outer) * over;
+        from = MAX((int)(middle - reach), 0);
+        to = MIN((int)(middle + reach) + 1, 2 * s.half_width + 1);
 #endif
+        for (int b = from; b < to; b += TAP_LANES) {
+            const float8 x = LANE_OFFSETS + (b - s.half_width - s.ox);
+#if ELLIPSES
+            float8 w = opening_weight(opening, x, (float8)y);
+#else
+            float8 w = own_weights(s, dy, b);
+#endif
+#if OCCLUDED
+            if (visibility)
+                w *= free_taps(visibility, s, b - s.half_width, dy);
+#endif
+            const float8 tilt = tilts(s, source, x, y);
             for (int k = 0; k < CHANNELS; ++k)
-                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * (tilt * light[k]));
         }
     }
 }
-#endif
-
-#if OCCLUDED && ELLIPSES
-#define add_occluded_rows add_ellipse_rows
-#elif OCCLUDED
-// Adds rows -up..down of a source with occluders and a narrow lens, with all channels, `planes` apart in `out`.
-INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
-                              const float *light, float4 source, __global float *out, int planes, int pitch)
-{
-    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
-    for (int dy = -up; dy <= down; ++dy)
-        for (int b = 0; b < s.lanes; b += TAP_LANES) {
-            const int first = b - s.half_width;
-            float8 w = own_weights(s, dy, b) * free_taps(visibility, s, first, dy);
-#if TILT
-            w *= tilts(s, source, lane + (first - s.ox), dy - s.oy);
-#endif
-            for (int k = 0; k < CHANNELS; ++k)
-                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
-        }
-}
-#endif
-
-#if OCCLUDED
-INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int down, const float *light,
-                         float4 source, __global float *out, int planes, int pitch SPAN_ARGUMENTS)
-{
-    if (visibility->behind)
-        return;
-#if !WAVES && !ELLIPSES
-    if (visibility->wide)
-        add_spans(s, visibility, up, down, light, source, out, planes,
-                  pitch SPANS_TO(ends, column, columns));
-    else
-#endif
-        add_occluded_rows(s, visibility, up, down, light, source, out, planes, pitch);
-}
-#endif
 
 // Moves rows first..last from part to total. apart: distance between planes of part; shift: from a row's place in total
 // to that in part.
@@ -175,10 +109,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                                __global const float *value, __global const int2 *intervals,
                                __global const float *coefficients, __global const outline_t *outlines, int first,
                                int end, int walked, int2 budget, int part_rows, __global float *part, int apart,
-                               int shift,
-#if SPANS
-                               __global double *ends,
-#endif
+                               int shift, __global scratch_t *ends,
                                int pitch, int pad, __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS
                                OF_ELLIPSES)
 {
@@ -190,9 +121,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
     bool added = walked > 0;  // True if something was added to part since it was settled
     for (int y = from + walked / blocks; y < to; ++y, block_first = 0) {
     const int line = (y + grid.above) * grid.width, place = shift + y * pitch - grid.guard + pad;
-#if SPANS
-    __global double *own_ends = ends + (long)(y - first) * (grid.columns + 1) * END_PLANES;
-#endif
+    __global scratch_t *own_ends = ends + (long)(y - first) * (grid.columns + 1) * END_PLANES;
     for (int block = block_first * SOURCE_BLOCK; block < grid.width; block += SOURCE_BLOCK) {
     if (cut && left <= 0) {
         return (y - from) * blocks + block / SOURCE_BLOCK;
@@ -208,103 +137,41 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
         const int x = block + __builtin_ctz(single);
         single &= single - 1;
         const int at = line + x;
-        float4 s = get_source(source, plane, at);
-        __global float *out = part + place + x;
-#if SUBPIXELS
-        const int slot = as_int(s.w);
-        if (slot >= 0) {
-#if OCCLUDED && SHARED
-            visibility_t shared;
-            bool looked = false;
-#endif
-            for (int sub = 0; sub < SOURCES_OF(slot); ++sub) {
-                const int id = FIRST_SLOT(slot) * EACH + sub;
-                float4 p = sub_source[id];
-                if (p.x < 0)
-                    continue;
-                spread_t spread =
-                    SHAPED(subpixel_spread(psf, sub_intervals, sub_coefficients, p,
-                                           sub PLACE_VALUES(grid.top + y, x - grid.guard)), psf, p, at);
-                const int half_width = spread.half_width;
-                const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
-                const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
-                left -= CHANNELS * vectors;
-#if OCCLUDED && SHARED
-                if (as_int(p.w) == PARTLY_SHARED) {
-                    left -= (looked ? 0 : HIDDEN_WORK) + HIDDEN_TAPS * vectors;
-                    if (!looked)
-                        pixel_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y, x - grid.guard,
-                                         depth[at], s, &shared);
-                    looked = true;
-                    shared_visibility(grid, lens, psf, lens_cells, grid.top + y + spread.oy,
-                                      x - grid.guard + spread.ox, sub_depth[id], spread, &shared);
-                    float light[CHANNELS];
-                    for (int k = 0; k < CHANNELS; ++k)
-                        light[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
-                    add_occluded_rows(spread, &shared, up, down, light, p, out - half_width, apart, pitch);
-                    continue;
-                }
-#endif
+        const float4 own = get_source(source, plane, at);
 #if OCCLUDED
-                if (IS_PARTLY(as_int(p.w))) {
-                    left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
-                    visibility_t visibility;
-                    source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y + spread.oy,
-                                      x - grid.guard + spread.ox,
-                                      sub_depth[id], &spread, &p, (real)1 / SUBPIXELS, &visibility);
-                    float light[CHANNELS];
-                    for (int k = 0; k < CHANNELS; ++k)
-                        light[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
-                    add_occluded(spread, &visibility, up, down, light, p, out - half_width, apart,
-                                 pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
-                    continue;
-                }
+        visibility_t seen[1 + SHARED];
+        bool looked = false;
 #endif
-#if ELLIPSES
-                float own[CHANNELS];
-                for (int k = 0; k < CHANNELS; ++k)
-                    own[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
-                add_ellipse_rows(spread, HIDDEN_VALUE(0) up, down, own, p, out - half_width, apart, pitch);
-#else
-                for (int k = 0; k < CHANNELS; ++k)
-                    add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
-                             out + k * apart - half_width, pitch);
-#endif
-            }
-            continue;
-        }
-#endif
-        if (s.x < 0)
-            continue;
-        spread_t spread = SHAPED(
-            pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + y, x - grid.guard)), psf, s, at);
-        const int half_width = spread.half_width;
-        const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
-        const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
-        left -= CHANNELS * vectors;
-#if OCCLUDED
-        if (IS_PARTLY(as_int(s.w))) {
-            left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
-            visibility_t visibility;
-            source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y, x - grid.guard,
-                              depth[at], &spread, &s, (real)1, &visibility);
+        for (int n = 0; n < SOURCES_IN(own); ++n) {
+            pixel_source_t s = source_in(psf, value, intervals, coefficients, own, n, plane, at, grid.top + y,
+                                         x - grid.guard SUBPIXEL_VALUES ELLIPSE_VALUES);
+            if (s.record.x < 0)
+                continue;
+            const int half_width = s.spread.half_width;
+            const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
+            const int vectors = MAX(up + down + 1, 0) * (s.spread.lanes / TAP_LANES);
+            __global float *out = part + place + x - half_width;
             float light[CHANNELS];
             for (int k = 0; k < CHANNELS; ++k)
-                light[k] = value[k * plane + at];
-            add_occluded(spread, &visibility, up, down, light, s, out - half_width, apart,
-                         pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
-            continue;
+                light[k] = s.light[k * s.apart];
+            left -= CHANNELS * vectors;
+            const visibility_t *visibility = 0;
+#if OCCLUDED
+            visibility = occluders_of(grid, psf, own, at, grid.top + y, x - grid.guard, &s, seen,
+                                      &looked SUBPIXEL_VALUES OCCLUSION_VALUES);
+            left -= visibility ? HIDDEN_WORK + HIDDEN_TAPS * vectors : 0;
+            if (visibility && visibility->behind)
+                continue;
+#endif
+#if OCCLUDED && !WAVES && !ELLIPSES
+            if (visibility && visibility->wide) {
+                add_spans(s.spread, visibility, up, down, light, s.record, out, apart, pitch, own_ends, x - grid.guard,
+                          grid.columns);
+                continue;
+            }
+#endif
+            add_rows(s.spread, visibility, up, down, light, s.record, out, apart, pitch);
         }
-#endif
-#if ELLIPSES
-        float own[CHANNELS];
-        for (int k = 0; k < CHANNELS; ++k)
-            own[k] = value[k * plane + at];
-        add_ellipse_rows(spread, HIDDEN_VALUE(0) up, down, own, s, out - half_width, apart, pitch);
-#else
-        for (int k = 0; k < CHANNELS; ++k)
-            add_rows(spread, up, down, value[k * plane + at], s, out + k * apart - half_width, pitch);
-#endif
     }
     }
     if (part_rows && added && ((y + 1 - from) % part_rows == 0 || y + 1 == to)) {
@@ -329,14 +196,9 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
                      __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,
                      __global const float *taps, __global const outline_t *outlines,
-#if BY_COLUMNS
                      __global scratch_t *scratch, const int scratch_size,  // of a work-item
-#endif
                      const int start, const int2 budget, __global int *position,
-                     const int part_rows, __global float *part,
-#if SPANS
-                     __global double *ends,
-#endif
+                     const int part_rows, __global float *part, __global scratch_t *ends,
                      const int pitch, const int pad,
                      __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES)
 {
@@ -347,30 +209,26 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
     const int end = MIN(grid.rows, first + BAND), before = cut ? position[own] : 0;
     if (before == DONE)
         return;
+    const int steps = BY_COLUMNS ? (grid.columns + COLUMN_STEP - 1) / COLUMN_STEP : 0;
     int at_first = before & (OTHERS - 1);
 #if BY_COLUMNS
-    const int steps = (grid.columns + COLUMN_STEP - 1) / COLUMN_STEP;
     if (at_first < steps) {
         const int until = cut ? MIN(at_first + budget.x, steps) : steps;
         const bool others = add_columns(grid, psf, source, value, intervals, taps, outlines, first, end,
                                         at_first * COLUMN_STEP, until * COLUMN_STEP, scratch + own * scratch_size,
-                                        pitch, pad, total CUT_VALUES(lens, depth) ELLIPSE_VALUES);
+                                        pitch, pad, total OCCLUSION_VALUES ELLIPSE_VALUES);
         if (cut)
             position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
         if (cut || !others)
             return;
         at_first = steps;
     }
-#else
-    const int steps = 0;
 #endif
     const int apart = (part_rows ? (int)get_global_size(0) * BAND : grid.rows) * pitch;
     const int shift = part_rows ? -start * BAND * pitch : 0;
     const int walked = add_others(grid, psf, source, value, intervals, coefficients, outlines, first, end,
                                   at_first - steps, budget, part_rows, part, apart, shift,
-#if SPANS
                                   ends + (long)own * BAND * (grid.columns + 1) * END_PLANES,
-#endif
                                   pitch, pad, total SUBPIXEL_VALUES OCCLUSION_VALUES ELLIPSE_VALUES);
     if (cut)
         position[own] = walked == DONE ? DONE : steps + walked;
