@@ -77,7 +77,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
 // projected one.
 static float take_radiance(const grid_t grid, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
                            int column, int sources, float share, float part,
-                           __global const float *texture OF_TEXTURE_MAPS, __global float *values, int plane)
+                           __global const float *texture, __constant texture_map_t *maps, __global float *values, int plane)
 {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
@@ -99,7 +99,7 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
 // Casts rays through all pixels of frame and apron at the objects of an occlusion group, for all lenses. Out: value,
 // depth, label. With textures on surfaces, value has one more plane: the result of `surface_texture`.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
-                   __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                   __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __global float *value,
                    __global real *depth, __global uchar *label OF_SLOPES)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -114,34 +114,26 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
     label[at] = root;
     const int plane = grid.height * grid.width;
     const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1,
-                                       SHADE_OF(surfaces, root, ray, w), 1, texture TEXTURE_MAPS, value + at, plane);
+                                       SHADE_OF(surfaces, root, ray, w), 1, texture, maps, value + at, plane);
 #if TEXTURED
     value[CHANNELS * plane + at] = texels;
 #endif
 }
 
-#if SEVERAL
 // True if a hit is outside an object's extent: low and high x and y of rays, and inverse depth.
 static bool is_beyond(__constant real *extent, real3 ray, real w)
 {
     return !(ray.x >= extent[0] && ray.x <= extent[1] && ray.y >= extent[2] && ray.y <= extent[3] &&
              w >= extent[4] && w <= extent[5]);
 }
-#endif
 
 // Makes the sources of all hits for one lens. In: depth, label, and with textures on surfaces value, from `cast`;
 // extents, as predicted for each object. Out: source, a null pointer if the blur needs none; statistics; with textures
 // on surfaces share; the bit EDGE of labels.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
-                  __global int *statistics
-#if SEVERAL
-                  , __constant real *extents
-#endif
-#if TEXTURED && SUBPIXELS
-                  , __global const float *value, __constant texture_map_t *maps, __global float *share
-#endif
-                  OF_SLOPES OF_BENDS)
+                  __global int *statistics, __constant real *extents, __global const float *value,
+                  __constant texture_map_t *maps, __global float *share OF_SLOPES OF_BENDS)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -164,13 +156,10 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 #endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);
-#if SEVERAL
-    if (hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
+    if (SEVERAL && hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
         atomic_max(statistics + STATISTIC_BEYOND, 1);
-#endif
-#if SUBPIXELS && OCCLUDED
-    label[at] = root;
-#endif
+    if (SUBPIXELS && OCCLUDED)
+        label[at] = root;
 }
 
 #if SUBPIXELS
@@ -185,26 +174,17 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     if (begin >= grid.width || y >= grid.height)
         return;
     const bool alike = has_one_label(grid, label, begin, y);
-#if !TEXTURED && !SMALL
-    if (alike)
+    if (alike && !TEXTURED && !SMALL)
         return;
-#endif
     __global float *marks = MARKS(source, grid.height * grid.width);
     for (int x = begin; x < MIN(begin + TAP_LANES, grid.width); ++x) {
         const int at = y * grid.width + x;
-        if (as_int(marks[at]) >= 0)
+        const int mark = as_int(marks[at]);
+        if (mark >= 0)
             continue;
-        bool detailed = false, fine = false;
-#if TEXTURED
-        fine = as_int(marks[at]) == FINE;
-        detailed = fine || as_int(marks[at]) == DETAILED;
-#endif
-        bool differs = !alike && is_at_silhouette(grid, label, x, y);
-        int more = 0;
-#if SMALL
-        differs |= as_int(marks[at]) <= SMALL_WITHIN;
-        more = MAX(SMALL_WITHIN - as_int(marks[at]), 0);
-#endif
+        const bool fine = TEXTURED && mark == FINE, detailed = fine || (TEXTURED && mark == DETAILED);
+        const bool differs = (!alike && is_at_silhouette(grid, label, x, y)) || (SMALL && mark <= SMALL_WITHIN);
+        const int more = SMALL ? MAX(SMALL_WITHIN - mark, 0) : 0;
         if (!differs && !detailed)
             continue;
         const int slot = atomic_add(statistics + STATISTIC_SLOTS, 1 + more);
@@ -227,7 +207,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
         return;
     const int pixel = pixels[slot];
     group_t behind = group;
-#if SMALL && SUBPIXELS
+#if SMALL
     behind.members &= ~small_members(grid, surfaces, group, FRAME_ROW(grid, pixel / grid.width),
                                      pixel % grid.width - grid.guard);
 #endif
@@ -236,10 +216,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
         int object;
         const real3 ray = cell_ray(grid, pixel, sub, 0, 0);
         sub_depth[slot * EACH + sub] = nearest_surface(surfaces, behind, ray, &root, &object);
-#if SMALL && SUBPIXELS
-        root = behind.members ? root : 0;
-#endif
-        sub_label[slot * EACH + sub] = root;
+        sub_label[slot * EACH + sub] = !SMALL || behind.members ? root : 0;
     }
 }
 
@@ -247,7 +224,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
 // In: source, sub_label, sub_depth. Out: sub_source float4 (coordinate, tilt right, tilt down, mark), sub_value float
 // (CHANNELS, slots, SUBPIXELS^2), sub_depth.
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                              const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                              const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                               __global const int *pixels, const int capacity, __global const float *source,
                               __global float4 *sub_source, __global float *sub_value, __global const uchar *sub_label,
                               __global real *sub_depth, __global int *statistics)
@@ -296,18 +273,64 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
         covered *= left[sub];
 #endif
         take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, SHADE_OF(surfaces, root, ray, w),
-                      covered / EACH, texture TEXTURE_MAPS, sub_value + id, capacity * EACH);
+                      covered / EACH, texture, maps, sub_value + id, capacity * EACH);
         // The lens is tested from the middle of the cell, as by the blur.
-        const float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w,
-                                            middle, bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
-        sub_source[id] = with_limb(grid, surfaces, hit, ray, aside, record);
+        float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w, middle,
+                                      bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
+        const bool aside_of_middle = aside.x != 0 || aside.y != 0;
+        if (TILT && QUADRATIC && record.x >= 0 && aside_of_middle && is_at_limb(grid, surfaces, hit, ray))
+            record.w = as_float(as_int(record.w) == WHOLE ? LIMB : PARTLY_LIMB);
+        sub_source[id] = record;
     }
 }
+
+#if SMALL
+// Fills the slots of small surfaces, see small.clh. In: source, pixels. Out: sub_source, sub_value, sub_depth, as of trace_subpixels.
+__kernel void trace_small(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                          const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
+                          __global const int *pixels, const int capacity, __global const float *source,
+                          __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
+                          __global int *statistics)
+{
+    const int slot = get_global_id(0);
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
+        return;
+    const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
+    const int mark = as_int(MARKS(source, grid.height * grid.width)[pixel]), number = slot - FIRST_SLOT(mark);
+    if (number < 1 || number > mark >> SLOT_BITS)
+        return;
+    ulong small = small_members(grid, surfaces, group, row, column);
+    for (int i = 1; i < number; ++i)
+        small &= small - 1;
+    const int object = (int)popcount((small & -small) - 1);
+    float4 cover[EACH];
+    small_cover(grid, surfaces, group, object, row, column, cover LIGHT);
+    for (int sub = 0; sub < EACH; ++sub) {
+        const int id = slot * EACH + sub;
+        const float4 own = cover[sub];
+        if (!(own.x > 0)) {
+            sub_source[id] = (float4)(-1, 0, 0, as_float(WHOLE));
+            continue;
+        }
+        const real3 ray = pixel_ray(grid, row + own.z / own.x, column + own.y / own.x);
+        const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
+        const real w = small_depth(surfaces + object, group, ray);
+        sub_depth[id] = w;
+        uchar root;
+        const real hit = solve_root(surfaces + object, ray, group.root, &root);
+        take_radiance(grid, surfaces, ray, root ? hit : w, 2 * object + 1, row, column, SUBPIXELS, own.w / own.x,
+                      own.x / EACH, texture, maps, sub_value + id, capacity * EACH);
+        root = 2 * object + 1;
+        sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w, middle,
+                                       bend_along(grid, lens, middle), w, 1, true, &root, statistics);
+    }
+}
+#endif
 
 #if TEXTURED
 // Makes the point sources of pixels that are marked for their textures alone, see detail.clh.
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                           const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                           const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
                            __global float *sub_value, __global real *sub_depth, __global int *statistics)
 {
@@ -426,7 +449,7 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
 // Makes the pinhole image of an occlusion group, for `layered` occlusion. Out: value, as above; coc real, signed R in
 // px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                      __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                      __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __global float *value,
                           __global real *coc, __global uchar *valid, __global int *statistics OF_SLOPES OF_BENDS)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -438,7 +461,7 @@ __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     take_radiance(grid, surfaces, ray, w, root, row, column, 1, SHADE_OF(surfaces, root, ray, w), 1,
-                  texture TEXTURE_MAPS, value + at, grid.height * grid.width);
+                  texture, maps, value + at, grid.height * grid.width);
     const bend_t bend = KEPT_BEND(grid, lens, at, ray);
     coc[at] = root ? bend.stretch * bent_radius(lens, bend.focus, w) : 0;
     valid[at] = root != 0;

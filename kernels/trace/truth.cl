@@ -48,7 +48,7 @@ static NOINLINE bool occluded_among(__constant surface_t *surfaces, const grid_t
 // poses `there`, and `following` in the next frame. to_left: 1 for the right view, -1 for the left one.
 __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surface_t *surfaces,
                            __constant surface_t *still, __constant pose_t *next, const group_t group,
-                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __constant surface_t *opposite,
+                           __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __constant surface_t *opposite,
                            __constant pose_t *there, const int to_left, __constant pose_t *previous,
                            __constant surface_t *following, __global uchar *mask, __global float *sharp,
                            __global float *depth, __global float *coc, __global int *object_id, __global float *normal,
