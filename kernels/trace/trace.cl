@@ -18,6 +18,12 @@
 #include "trace/texture.clh"
 #include "trace/small.clh"
 
+// How rims cut the light of a point, see `meet_rims`.
+#if RIMS
+#define RIM_STATE(lens, psf, ray, w, radius, division) meet_rims(lens, psf, ray, w, radius, division, 0)
+#else
+#define RIM_STATE(lens, psf, ray, w, radius, division) CLEAR
+#endif
 #define EDGE 128  // bit of a label: the hit is behind an odd number of surfaces, or the pixel may show more
 
 // Record of the source at a hit; its coordinate is negative if none of its light reaches the lens. Radius and tilt are
@@ -37,30 +43,22 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
     real spread = radius;
-#if TILT
-    real2 slope;
-#if SMALL && SUBPIXELS
-    if (small)
-        outline_plane(surface, ray, &slope);
-    else
-#endif
-        slope = surface_slope(surface, ray, w);
-    const real2 gradient = blur_gradient(grid, lens, bend, slope, ray, w);
-    tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
-#if ELLIPSES
-    tilt += ellipse_tilt(grid, seen_bend);
-#endif
-#endif
+    if (TILT) {
+        real2 slope = surface_slope(surface, ray, w);
+        if (small)
+            outline_plane(surface, ray, &slope);
+        const real2 gradient = blur_gradient(grid, lens, bend, slope, ray, w);
+        tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
+        if (ELLIPSES)
+            tilt += ellipse_tilt(grid, seen_bend);
+    }
 #if OCCLUDED
     bool edge;
     const real size = bent_radius(seen_lens, seen_bend.focus, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     int seen = check_visibility(seen_lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
-    int partly = PARTLY_OCCLUDED;
-#if RIMS
-    partly = seen == CLEAR && !subpixel ? CUT : PARTLY_OCCLUDED;
-    seen = MAX(seen, meet_rims(seen_lens, psf, seen_ray, seen_w, size, division, 0));
-#endif
+    const int partly = seen == CLEAR && !subpixel ? CUT : PARTLY_OCCLUDED;
+    seen = MAX(seen, RIM_STATE(seen_lens, psf, seen_ray, seen_w, size, division));
     *label |= edge ? EDGE : 0;
     if (seen == HIDDEN)
         return record;
@@ -77,7 +75,8 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
 // projected one.
 static float take_radiance(const grid_t grid, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
                            int column, int sources, float share, float part,
-                           __global const float *texture, __constant texture_map_t *maps, __global float *values, int plane)
+                           __global const float *texture, __constant texture_map_t *maps, __global float *values,
+                           int plane)
 {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
@@ -257,16 +256,17 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
         if (outlined && root != 0) {
             aside = (float2)((float)coverage.right[cell], (float)coverage.down[cell]);
             covered = coverage.covered[cell];
-            if (aside.x != 0 || aside.y != 0) {
-                const real3 moved = cell_ray(grid, pixel, sub, aside.x, aside.y);
-                uchar there;
-                int object;
-                const real moved_w = nearest_surface(surfaces, group, moved, &there, &object);
-                // Beside a corner, the moved ray may hit another surface.
-                ray = there == root ? moved : ray;
-                w = there == root ? moved_w : w;
-                root = there == root || hit == sub_label[id] ? root : 0;
-            }
+        }
+        const bool is_moved = aside.x != 0 || aside.y != 0;
+        if (is_moved) {
+            const real3 moved = cell_ray(grid, pixel, sub, aside.x, aside.y);
+            uchar there;
+            int object;
+            const real moved_w = nearest_surface(surfaces, group, moved, &there, &object);
+            // Beside a corner, the moved ray may hit another surface.
+            ray = there == root ? moved : ray;
+            w = there == root ? moved_w : w;
+            root = there == root || hit == sub_label[id] ? root : 0;
         }
         const real depth = sub_depth[id] = hit == sub_label[id] ? sub_depth[id] : w;
 #if SMALL
@@ -277,15 +277,15 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
         // The lens is tested from the middle of the cell, as by the blur.
         float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w, middle,
                                       bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
-        const bool aside_of_middle = aside.x != 0 || aside.y != 0;
-        if (TILT && QUADRATIC && record.x >= 0 && aside_of_middle && is_at_limb(grid, surfaces, hit, ray))
+        if (TILT && QUADRATIC && record.x >= 0 && is_moved && is_at_limb(grid, surfaces, hit, ray))
             record.w = as_float(as_int(record.w) == WHOLE ? LIMB : PARTLY_LIMB);
         sub_source[id] = record;
     }
 }
 
 #if SMALL
-// Fills the slots of small surfaces, see small.clh. In: source, pixels. Out: sub_source, sub_value, sub_depth, as of trace_subpixels.
+// Fills the slots of small surfaces, see small.clh. In: source, pixels. Out: sub_source, sub_value, sub_depth, as of
+// trace_subpixels.
 __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                           const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                           __global const int *pixels, const int capacity, __global const float *source,
@@ -352,9 +352,8 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     bool edge;
     real spread = middle;
     float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
-#if TILT && ELLIPSES
-    tilt += ellipse_tilt(grid, bend);
-#endif
+    if (TILT && ELLIPSES)
+        tilt += ellipse_tilt(grid, bend);
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
 #if SHARED
     visibility_t visibility;
@@ -364,10 +363,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     const int seen = check_visibility(here, surfaces, group, ray, w, division, 0, &edge);
     const bool shared = false;
 #endif
-    bool partly = seen == PARTLY;
-#if RIMS
-    partly |= meet_rims(here, psf, ray, w, middle, division, 0) != CLEAR;
-#endif
+    const bool partly = seen == PARTLY || RIM_STATE(here, psf, ray, w, middle, division) != CLEAR;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
     detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, middle, fine, values);
@@ -378,20 +374,14 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         const real radius = middle + (right * gradient.x + down * gradient.y);
         note_radius(statistics, radius);
         float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
-#if TILT
         // In its own pixel, a source is visible from all of the lens until its disc crosses the pixel's border.
-        record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
-#if ELLIPSES
-        record.yz += ellipse_tilt(grid, bend);
-#endif
-#endif
+        if (TILT)
+            record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
+        if (TILT && ELLIPSES)
+            record.yz += ellipse_tilt(grid, bend);
 #if OCCLUDED
-#if CURVED & CURVED_IMAGE
         const real2 aside = ray_change(grid, ray, right, -down);
         sub_depth[id] = w + aside.x * slope.x + aside.y * slope.y;
-#else
-        sub_depth[id] = w + grid.step * (right * slope.x - down * slope.y);
-#endif
         if (shared) {
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(partly ? PARTLY_SHARED : WHOLE);
@@ -400,9 +390,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
             const division_t own = division_of(radius, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
             const lens_t there = lens_along(grid, lens, towards);
             int own_seen = check_visibility(there, surfaces, group, towards, sub_depth[id], own, 0, &edge);
-#if RIMS
-            own_seen = MAX(own_seen, meet_rims(there, psf, towards, sub_depth[id], radius, own, 0));
-#endif
+            own_seen = MAX(own_seen, RIM_STATE(there, psf, towards, sub_depth[id], radius, own));
             record.x = own_seen == HIDDEN ? -1 : record.x;
             record.w = as_float(own_seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
         }
