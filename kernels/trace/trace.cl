@@ -114,9 +114,8 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
     const int plane = grid.height * grid.width;
     const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1,
                                        SHADE_OF(surfaces, root, ray, w), 1, texture, maps, value + at, plane);
-#if TEXTURED
-    value[CHANNELS * plane + at] = texels;
-#endif
+    if (TEXTURED)
+        value[CHANNELS * plane + at] = texels;
 }
 
 // True if a hit is outside an object's extent: low and high x and y of rays, and inverse depth.

@@ -222,7 +222,7 @@ def spread_sources(sources: Sources) -> Sources:
     return replace(sources, radius=radius, gradient=signed_size(radius)[..., None] * tilt)
 
 
-def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def mark_silhouettes(label: NDArray[np.uint8 | np.bool_]) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels with a different label within 2 px, in rows and in columns.
 
     label: (H, W) from `trace`. Near such silhouettes the blur radius is steep or discontinuous.
@@ -386,11 +386,8 @@ def _with_parts(
     for number, parts in {*zip(objects[cut > 0].tolist(), cut[cut > 0].tolist(), strict=True)}:
         selected = (objects == number) & (cut == parts)
         row, column = (n[selected] for n in pixel)
-        surface, texture, rays = (
-            view.surfaces[number],
-            view.textures[number],
-            pixel_ray(camera, row - guard, column - guard),
-        )
+        surface, texture = view.surfaces[number], view.textures[number]
+        rays = pixel_ray(camera, row - guard, column - guard)
         assert isinstance(texture, MappedTexture)
         planes = sources.inverse_depth, sources.radius, sources.gradient
         w, radius, gradient = (plane[row, column] for plane in planes)
