@@ -18,7 +18,7 @@
 #include "trace/texture.clh"
 #include "trace/small.clh"
 
-// How rims cut the light of a point, see `meet_rims`.
+// State of the lens behind its rims, see `meet_rims`.
 #if RIMS
 #define RIM_STATE(lens, psf, ray, w, radius, division) meet_rims(lens, psf, ray, w, radius, division, 0)
 #else
