@@ -156,7 +156,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
         put_source(source, grid.height * grid.width, at, record);
     if (SEVERAL && hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
         atomic_max(statistics + STATISTIC_BEYOND, 1);
-    if (SUBPIXELS && OCCLUDED)
+    if (SUBPIXELS * OCCLUDED > 0)
         label[at] = root;
 }
 
@@ -172,7 +172,7 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     if (begin >= grid.width || y >= grid.height)
         return;
     const bool alike = has_one_label(grid, label, begin, y);
-    if (alike && !TEXTURED && !SMALL)
+    if (TEXTURED + SMALL == 0 && alike)
         return;
     __global float *marks = MARKS(source, grid.height * grid.width);
     for (int x = begin; x < MIN(begin + TAP_LANES, grid.width); ++x) {
