@@ -6,7 +6,6 @@ x^2, x y, y^2 relative to the middles of pixels, px right and down.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +26,7 @@ from clsco.reference.common.geometry import (
     turned,
 )
 from clsco.reference.trace.light import shade
-from clsco.reference.trace.view import Cast, View
+from clsco.reference.trace.view import Cast, View, cast
 
 LINES, END_LINES = 8, 2  # number of lines in a pixel; number of these at each end if sides of a card end there
 CLEARLY, SMALL_REACH = 1.001, 2.0  # factor that exceeds rounding errors; distance from an occluder's image, px
@@ -198,8 +197,7 @@ def outline_plane(surface: PlacedSurface, rays: Array) -> tuple[Array, Array]:
 
 
 def cast_behind(
-    cast: Callable[..., Cast], view: View, group: OcclusionGroup, small: Mask, row: Array, column: Array,
-    texel: tuple[Index, Index], samples: int,
+    view: View, group: OcclusionGroup, small: Mask, row: Array, column: Array, texel: tuple[Index, Index], samples: int
 ) -> Cast:  # fmt: skip
     """`cast` at cells (M, S, S) without the objects that are small in their pixels; small: (objects, M)."""
     hits = cast(view, group, row, column, texel, samples)
@@ -213,7 +211,7 @@ def cast_behind(
 
 
 def with_small(
-    cast: Callable[..., Cast], view: View, group: OcclusionGroup, hit: Cast, small: Mask, place: tuple[Index, Index]
+    view: View, group: OcclusionGroup, hit: Cast, small: Mask, place: tuple[Index, Index]
 ) -> tuple[Cast, Index]:  # fmt: skip
     """Hits (N, S, S) of the cells of M pixels, including small surfaces, and the pixel number (N,) of each entry.
 

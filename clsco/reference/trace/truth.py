@@ -28,8 +28,8 @@ from clsco.reference.common.geometry import (
     turned,
 )
 from clsco.reference.trace.mapping import MappedTexture, texture_coordinates
-from clsco.reference.trace.trace import cast, everything, padded_grid, view_at
-from clsco.reference.trace.view import Texture, View
+from clsco.reference.trace.trace import everything, padded_grid, view_at
+from clsco.reference.trace.view import Texture, View, cast
 from clsco.scene.model import Camera, Scene
 
 
