@@ -204,7 +204,7 @@ def cast_behind(
     for absent in np.unique(small[:, small.any(axis=0)], axis=1).T:
         behind = replace(group, members=group.members & ~sum(1 << k for k in np.flatnonzero(absent).tolist()))
         pixels = np.flatnonzero((absent == small.T).all(axis=1))
-        part = cast(view, behind, row[pixels], column[pixels], tuple(n[pixels] for n in texel), samples)
+        part = cast(view, behind, row[pixels], column[pixels], (texel[0][pixels], texel[1][pixels]), samples)
         for name, values in vars(hits).items():
             values[pixels] = getattr(part, name)
     return hits
