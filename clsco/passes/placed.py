@@ -98,9 +98,9 @@ class PlacedScene:
         return [*accumulate(floats, initial=base)]
 
     @cached_property
-    def texture_maps(self) -> tuple[cl.Buffer, ...]:
-        """A buffer with texture_map_t of each object; an empty tuple if no texture is on a surface."""
-        return (upload(self.session, self.packed_maps),) if self.mapped else ()
+    def texture_maps(self) -> cl.Buffer | None:
+        """A buffer with texture_map_t of each object; None if no texture is on a surface."""
+        return upload(self.session, self.packed_maps) if self.mapped else None
 
     @cached_property
     def packed_maps(self) -> NDArray[np.void]:

@@ -29,7 +29,7 @@ from clsco.records import REAL, Struct
 SPARE_SLOTS = 1.25  # ratio of allocated to needed slots when slots are added, as the next time sample may need more
 ROUNDED = 1e-5  # relative margin of extents, far above the rounding errors of rays and depths in single precision
 # The kernels that cast rays.
-TRACE_FILES = ("trace/trace.cl", "trace/small.cl", "trace/bend.cl", "trace/truth.cl")
+TRACE_FILES = ("trace/trace.cl", "trace/bend.cl", "trace/truth.cl")
 # Statistics at the beginning of a frame, before any radius or slot is recorded (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
@@ -120,15 +120,15 @@ class Tracer:
         return lens_struct(Lens.of(job.sample.camera, self.plan.scene.lens, self.plan.only), self.scene.real)
 
     @cached_property
-    def extents(self) -> tuple[cl.Buffer, ...]:
-        """Predicted extents of all objects in a buffer on the device; empty for a single object."""
+    def extents(self) -> cl.Buffer | None:
+        """Predicted extents of all objects in a buffer on the device; None for a single object."""
         count = len(self.plan.scene.objects)
         if count == 1:
-            return ()
+            return None
         extents = self.plan.extents or [EVERYWHERE] * count
         ends = np.array([(*extent.x, *extent.y, *extent.w) for extent in extents])
         ends += np.array([-1.0, 1.0] * 3) * (ROUNDED * np.abs(ends))
-        return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
+        return upload(self.scene.session, ends.astype(REAL[self.scene.real]))
 
     def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources:
         """Sources of one occlusion group; they overwrite those of the previous group."""
@@ -141,10 +141,9 @@ class Tracer:
             planes = self.hits.planes(sizes, self._key(job, group), lambda planes: self._cast(job, group, planes))
         value, depth, label = planes
         source = buffers.get("source")
-        beside = (value, *self.scene.texture_maps, buffers["share"]) if "share" in buffers else ()
-        out = (source, buffers["statistics"], *self.extents)
+        out = (source, buffers["statistics"], self.extents, value, self.scene.texture_maps, buffers.get("share"))
         bends = self._bends(job, "slopes", "bends")
-        self._per_pixel("aim", job, *head, depth, label, *out, *beside, *bends)
+        self._per_pixel("aim", job, *head, depth, label, *out, *bends)
         occluders: dict[str, Any] = {}
         if plan.spec.occluders:
             occluders = {"lens": head[1], "surfaces": job.sample.surfaces, "group": head[3], "depth": depth}
@@ -231,8 +230,8 @@ class Tracer:
         return HitKey(group, (cast, maps), self.scene.content)
 
     def _appearance(self, job: SceneJob) -> tuple[Any, ...]:
-        """Kernel arguments: textures and, if the scene has them, texture mappings and a light."""
-        return (self.scene.texture, *self.scene.texture_maps, *job.sample.light)
+        """Kernel arguments: textures, texture mappings and, if the scene has one, a light."""
+        return (self.scene.texture, self.scene.texture_maps, *job.sample.light)
 
     def without_occluders(self, job: SceneJob) -> dict[str, Any]:
         """Lens, surfaces and a group without occluders, as fields of `Sources`."""

@@ -104,7 +104,7 @@ class GroundTruth:
         """
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
-        appearance = (scene.texture, *scene.texture_maps, *sample.light)
+        appearance = (scene.texture, scene.texture_maps, *sample.light)
         lens = lens_struct(Lens.of(sample.camera, plan.scene.lens), scene.real)
         head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *appearance)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read only for a stereo pair

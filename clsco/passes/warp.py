@@ -75,12 +75,12 @@ class ForwardWarp:
         self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)
         self.rest, self.moved = (empty(session, sizes[name]) for name in ("rest", "moved"))
-        self.object = (empty(session, sizes["object"]),) if "object" in sizes else ()
+        self.object = empty(session, sizes["object"]) if "object" in sizes else None
         if self.object:  # kernels move one object at a time, and write only the pixels of that object
             for buffer in (self.target, self.moved):
                 cl.enqueue_fill_buffer(session.queue, buffer, ZERO, 0, buffer.size)
         depths = [depth for depth in maps if depth is not None]
-        self.maps = (upload(session, np.stack(depths).astype(REAL[real])),) if depths else ()
+        self.maps = upload(session, np.stack(depths).astype(REAL[real])) if depths else None
         self.bounds = empty(session, sizes["bounds"]) if self.owned else None
         # The buffer of radii is unused until the radii are written.
         self.depth = self.filler.planes.coc if self.owned else empty(session, self.winner.size)
@@ -88,7 +88,7 @@ class ForwardWarp:
         self.rest_surfaces = reference.surfaces
         members = np.uint64(sum(1 << k for k, surface in enumerate(reference.placed) if surface is not None))
         count = np.int32(len(reference.placed))
-        args = (self.grid, self.rest_surfaces, count, members, *self.maps, self.rest, *self.object)
+        args = (self.grid, self.rest_surfaces, count, members, self.maps, self.rest, self.object)
         self.kernels.run("reproject_rest", (plan.columns, plan.rows), PIXELS, [], *args)
 
     def warp(self, sample: TimeSample, events: Events) -> FillPlanes:
@@ -107,9 +107,8 @@ class ForwardWarp:
         counters = self.filler.fill(sample.surfaces, len(sample.placed), events, self.scene.brightest)
         if self.maps:
             out = (self.lens, planes.value, planes.w, planes.coc, planes.valid)
-            objects = () if planes.object is None else (planes.object,)
             if self.filler.fills:
-                self._per_line("fill_entered", events, *out, planes.status, *objects)
+                self._per_line("fill_entered", events, *out, planes.status, planes.object)
             self.kernels.run("extend_border", (plan.width, plan.height), PIXELS, events, self.grid, *out)
         return counters
 
@@ -120,7 +119,7 @@ class ForwardWarp:
             self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)
             self.grid = self.filler.grid = camera_grid(sample.camera, self.plan.guard_px, real, reference=scene.camera)
         poses = self.scene.poses(sample)
-        args = (self.grid, self.rest_surfaces, poses, self.rest, self.target, self.moved, *self.object)
+        args = (self.grid, self.rest_surfaces, poses, self.rest, self.target, self.moved, self.object, self.bounds)
         (self._test_in_bands if self.owned else self._test_by_atomics)(args, events)
 
     def gather(self, events: Events) -> None:
@@ -128,11 +127,9 @@ class ForwardWarp:
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
             self._per_chunk("reproject_gaps", events, self.depth, self.winner, planes.valid)
-        head = (self.grid, self.lens, self.scene.texture, self.moved, self.winner)
-        several = (self.rest_surfaces, *self.object) if self.object else ()
-        objects = () if planes.object is None else (planes.object,)
-        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *objects)
-        self.kernels.run("reproject_gather", (plan.width, plan.height), PIXELS, events, *head, *several, *out)
+        head = (self.grid, self.lens, self.scene.texture, self.moved, self.winner, self.rest_surfaces, self.object)
+        out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object)
+        self.kernels.run("reproject_gather", (plan.width, plan.height), PIXELS, events, *head, *out)
         if self.maps:
             self._per_line("mark_entered", events, self.winner, planes.valid, planes.status)
 
@@ -185,10 +182,9 @@ class ForwardWarp:
         rows, cores = self.plan.height, self.scene.session.device.compute_units
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
         segments = self.plan.rows * -(-self.plan.columns // OWNED_PIXELS)
-        self.kernels.run("reproject_targets", (segments,), LINES, events, *args, self.bounds)
-        owned = (self.grid, self.target, self.moved, self.bounds, np.int32(band), self.winner)
-        depth = (self.depth,) if self.filler.is_far else ()
-        self.kernels.run("reproject_nearest", (-(-rows // band),), OWNERS, events, *owned, *depth)
+        self.kernels.run("reproject_targets", (segments,), LINES, events, *args)
+        owned = (self.grid, self.target, self.moved, self.bounds, np.int32(band), self.winner, self.depth)
+        self.kernels.run("reproject_nearest", (-(-rows // band),), OWNERS, events, *owned)
 
     def _test_by_atomics(self, args: tuple[Any, ...], events: Events) -> None:
         """Enqueue the depth test by atomics, with a work-item per source."""

@@ -178,11 +178,5 @@ def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray
     for below, right in ((y, x) for y in places for x in places):
         _, labels, _ = view.nearest(group, pixel_ray(view.camera, row + below, column + right))
         for neighbor in np.unique(labels[labels != center]).tolist():
-            missed |= (labels == neighbor) & ~_near(center == neighbor)
-    return mark_silhouettes(label) | _near(missed)
-
-
-def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mask (H, W) of pixels within SILHOUETTE_RANGE px of a pixel in `mask`, in rows and in columns."""
-    padded, size = np.pad(mask, SILHOUETTE_RANGE), 2 * SILHOUETTE_RANGE + 1
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(-1, -2)))
+            missed |= (labels == neighbor) & (center != neighbor) & ~mark_silhouettes(center == neighbor)
+    return mark_silhouettes(label) | missed | mark_silhouettes(missed)

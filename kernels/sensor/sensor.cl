@@ -15,26 +15,10 @@ static inline float16 first_lanes(__global const float *p, int n)
 {
     if (n >= NOISE_LANES)
         return LOAD(float, 16, p);
-    float v[NOISE_LANES];
-    for (int i = 0; i < NOISE_LANES; ++i)
-        v[i] = i < n ? p[i] : 0.0f;
-    return (float16)(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14],
-                     v[15]);
-}
-
-// Mean electrons of pixels from light: negative light and NaN count as no light.
-static inline float16 photoelectrons(float16 light, float16 scale)
-{
-    return light > 0.0f ? light * scale : 0.0f;
-}
-
-// Codes for the electrons that pixels have collected and those that the read-out adds.
-static inline int16 codes_of(float16 electrons, float16 added, const sensor_t sensor)
-{
-    float16 code = sensor.gain * (electrons + added) + (sensor.black + 0.5f);
-    code = code > 0.0f ? code : 0.0f;
-    code = code < sensor.largest ? code : sensor.largest;
-    return CONVERT16(int, code);
+    float16 v = 0.0f;
+    for (int i = 0; i < n; ++i)
+        ((float *)&v)[i] = p[i];
+    return v;
 }
 
 // Reads out a plane, in the layout of accumulate.cl, from row `top` of the frame on; camera: twice the number of the
@@ -60,7 +44,7 @@ __kernel void sense(const int rows, const int columns, const int top, const int 
         float16 light = first_lanes(own + even * apart + x, columns - x);
         if (even != other)
             light = odd ? first_lanes(own + other * apart + x, columns - x) : light;
-        float16 mean = photoelectrons(light, scale);
+        float16 mean = light > 0.0f ? light * scale : 0.0f;  // neither negative light nor NaN
         const uint16 pixel = lane + (begin + (uint)x);
         uint16 word[4];
         float16 dark = sensor.dark, added = 0.0f;
@@ -77,7 +61,9 @@ __kernel void sense(const int rows, const int columns, const int top, const int 
         const float16 count = CONVERT16(float, poisson(mean, word[0], reciprocals));
         const int16 full = count >= sensor.full_well;
         added = added + sensor.read_noise * normal_of(word[1]);
-        const int16 found = codes_of(full ? (float16)sensor.full_well : count, added, sensor);
+        float16 level = sensor.gain * ((full ? (float16)sensor.full_well : count) + added) + (sensor.black + 0.5f);
+        level = level > 0.0f ? level : 0.0f;
+        const int16 found = CONVERT16(int, level < sensor.largest ? level : sensor.largest);
         const int at = (k * rows + row) * padded + x;
         STORE(ushort, 16, CONVERT16(ushort, found), code + at);
         const int16 most = full | (found >= sensor.maximum);

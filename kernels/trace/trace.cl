@@ -18,6 +18,12 @@
 #include "trace/texture.clh"
 #include "trace/small.clh"
 
+// State of the lens behind its rims, see `meet_rims`.
+#if RIMS
+#define RIM_STATE(lens, psf, ray, w, radius, division) meet_rims(lens, psf, ray, w, radius, division, 0)
+#else
+#define RIM_STATE(lens, psf, ray, w, radius, division) CLEAR
+#endif
 #define EDGE 128  // bit of a label: the hit is behind an odd number of surfaces, or the pixel may show more
 
 // Record of the source at a hit; its coordinate is negative if none of its light reaches the lens. Radius and tilt are
@@ -37,30 +43,22 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
     real spread = radius;
-#if TILT
-    real2 slope;
-#if SMALL && SUBPIXELS
-    if (small)
-        outline_plane(surface, ray, &slope);
-    else
-#endif
-        slope = surface_slope(surface, ray, w);
-    const real2 gradient = blur_gradient(grid, lens, bend, slope, ray, w);
-    tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
-#if ELLIPSES
-    tilt += ellipse_tilt(grid, seen_bend);
-#endif
-#endif
+    if (TILT) {
+        real2 slope = surface_slope(surface, ray, w);
+        if (small)
+            outline_plane(surface, ray, &slope);
+        const real2 gradient = blur_gradient(grid, lens, bend, slope, ray, w);
+        tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
+        if (ELLIPSES)
+            tilt += ellipse_tilt(grid, seen_bend);
+    }
 #if OCCLUDED
     bool edge;
     const real size = bent_radius(seen_lens, seen_bend.focus, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     int seen = check_visibility(seen_lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
-    int partly = PARTLY_OCCLUDED;
-#if RIMS
-    partly = seen == CLEAR && !subpixel ? CUT : PARTLY_OCCLUDED;
-    seen = MAX(seen, meet_rims(seen_lens, psf, seen_ray, seen_w, size, division, 0));
-#endif
+    const int partly = seen == CLEAR && !subpixel ? CUT : PARTLY_OCCLUDED;
+    seen = MAX(seen, RIM_STATE(seen_lens, psf, seen_ray, seen_w, size, division));
     *label |= edge ? EDGE : 0;
     if (seen == HIDDEN)
         return record;
@@ -77,7 +75,8 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
 // projected one.
 static float take_radiance(const grid_t grid, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
                            int column, int sources, float share, float part,
-                           __global const float *texture OF_TEXTURE_MAPS, __global float *values, int plane)
+                           __global const float *texture, __constant texture_map_t *maps, __global float *values,
+                           int plane)
 {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
@@ -99,7 +98,7 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
 // Casts rays through all pixels of frame and apron at the objects of an occlusion group, for all lenses. Out: value,
 // depth, label. With textures on surfaces, value has one more plane: the result of `surface_texture`.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
-                   __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                   __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __global float *value,
                    __global real *depth, __global uchar *label OF_SLOPES)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -114,34 +113,25 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
     label[at] = root;
     const int plane = grid.height * grid.width;
     const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1,
-                                       SHADE_OF(surfaces, root, ray, w), 1, texture TEXTURE_MAPS, value + at, plane);
-#if TEXTURED
-    value[CHANNELS * plane + at] = texels;
-#endif
+                                       SHADE_OF(surfaces, root, ray, w), 1, texture, maps, value + at, plane);
+    if (TEXTURED)
+        value[CHANNELS * plane + at] = texels;
 }
 
-#if SEVERAL
 // True if a hit is outside an object's extent: low and high x and y of rays, and inverse depth.
 static bool is_beyond(__constant real *extent, real3 ray, real w)
 {
     return !(ray.x >= extent[0] && ray.x <= extent[1] && ray.y >= extent[2] && ray.y <= extent[3] &&
              w >= extent[4] && w <= extent[5]);
 }
-#endif
 
 // Makes the sources of all hits for one lens. In: depth, label, and with textures on surfaces value, from `cast`;
 // extents, as predicted for each object. Out: source, a null pointer if the blur needs none; statistics; with textures
 // on surfaces share; the bit EDGE of labels.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
-                  __global int *statistics
-#if SEVERAL
-                  , __constant real *extents
-#endif
-#if TEXTURED && SUBPIXELS
-                  , __global const float *value, __constant texture_map_t *maps, __global float *share
-#endif
-                  OF_SLOPES OF_BENDS)
+                  __global int *statistics, __constant real *extents, __global const float *value,
+                  __constant texture_map_t *maps, __global float *share OF_SLOPES OF_BENDS)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -164,13 +154,10 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 #endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);
-#if SEVERAL
-    if (hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
+    if (SEVERAL && hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
         atomic_max(statistics + STATISTIC_BEYOND, 1);
-#endif
-#if SUBPIXELS && OCCLUDED
-    label[at] = root;
-#endif
+    if (SUBPIXELS * OCCLUDED > 0)
+        label[at] = root;
 }
 
 #if SUBPIXELS
@@ -185,26 +172,17 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     if (begin >= grid.width || y >= grid.height)
         return;
     const bool alike = has_one_label(grid, label, begin, y);
-#if !TEXTURED && !SMALL
-    if (alike)
+    if (TEXTURED + SMALL == 0 && alike)
         return;
-#endif
     __global float *marks = MARKS(source, grid.height * grid.width);
     for (int x = begin; x < MIN(begin + TAP_LANES, grid.width); ++x) {
         const int at = y * grid.width + x;
-        if (as_int(marks[at]) >= 0)
+        const int mark = as_int(marks[at]);
+        if (mark >= 0)
             continue;
-        bool detailed = false, fine = false;
-#if TEXTURED
-        fine = as_int(marks[at]) == FINE;
-        detailed = fine || as_int(marks[at]) == DETAILED;
-#endif
-        bool differs = !alike && is_at_silhouette(grid, label, x, y);
-        int more = 0;
-#if SMALL
-        differs |= as_int(marks[at]) <= SMALL_WITHIN;
-        more = MAX(SMALL_WITHIN - as_int(marks[at]), 0);
-#endif
+        const bool fine = TEXTURED && mark == FINE, detailed = fine || (TEXTURED && mark == DETAILED);
+        const bool differs = (!alike && is_at_silhouette(grid, label, x, y)) || (SMALL && mark <= SMALL_WITHIN);
+        const int more = SMALL ? MAX(SMALL_WITHIN - mark, 0) : 0;
         if (!differs && !detailed)
             continue;
         const int slot = atomic_add(statistics + STATISTIC_SLOTS, 1 + more);
@@ -227,7 +205,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
         return;
     const int pixel = pixels[slot];
     group_t behind = group;
-#if SMALL && SUBPIXELS
+#if SMALL
     behind.members &= ~small_members(grid, surfaces, group, FRAME_ROW(grid, pixel / grid.width),
                                      pixel % grid.width - grid.guard);
 #endif
@@ -236,10 +214,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
         int object;
         const real3 ray = cell_ray(grid, pixel, sub, 0, 0);
         sub_depth[slot * EACH + sub] = nearest_surface(surfaces, behind, ray, &root, &object);
-#if SMALL && SUBPIXELS
-        root = behind.members ? root : 0;
-#endif
-        sub_label[slot * EACH + sub] = root;
+        sub_label[slot * EACH + sub] = !SMALL || behind.members ? root : 0;
     }
 }
 
@@ -247,7 +222,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
 // In: source, sub_label, sub_depth. Out: sub_source float4 (coordinate, tilt right, tilt down, mark), sub_value float
 // (CHANNELS, slots, SUBPIXELS^2), sub_depth.
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                              const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                              const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                               __global const int *pixels, const int capacity, __global const float *source,
                               __global float4 *sub_source, __global float *sub_value, __global const uchar *sub_label,
                               __global real *sub_depth, __global int *statistics)
@@ -280,34 +255,81 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
         if (outlined && root != 0) {
             aside = (float2)((float)coverage.right[cell], (float)coverage.down[cell]);
             covered = coverage.covered[cell];
-            if (aside.x != 0 || aside.y != 0) {
-                const real3 moved = cell_ray(grid, pixel, sub, aside.x, aside.y);
-                uchar there;
-                int object;
-                const real moved_w = nearest_surface(surfaces, group, moved, &there, &object);
-                // Beside a corner, the moved ray may hit another surface.
-                ray = there == root ? moved : ray;
-                w = there == root ? moved_w : w;
-                root = there == root || hit == sub_label[id] ? root : 0;
-            }
+        }
+        const bool is_moved = aside.x != 0 || aside.y != 0;
+        if (is_moved) {
+            const real3 moved = cell_ray(grid, pixel, sub, aside.x, aside.y);
+            uchar there;
+            int object;
+            const real moved_w = nearest_surface(surfaces, group, moved, &there, &object);
+            // Beside a corner, the moved ray may hit another surface.
+            ray = there == root ? moved : ray;
+            w = there == root ? moved_w : w;
+            root = there == root || hit == sub_label[id] ? root : 0;
         }
         const real depth = sub_depth[id] = hit == sub_label[id] ? sub_depth[id] : w;
 #if SMALL
         covered *= left[sub];
 #endif
         take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, SHADE_OF(surfaces, root, ray, w),
-                      covered / EACH, texture TEXTURE_MAPS, sub_value + id, capacity * EACH);
+                      covered / EACH, texture, maps, sub_value + id, capacity * EACH);
         // The lens is tested from the middle of the cell, as by the blur.
-        const float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w,
-                                            middle, bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
-        sub_source[id] = with_limb(grid, surfaces, hit, ray, aside, record);
+        float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w, middle,
+                                      bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
+        if (TILT && QUADRATIC && record.x >= 0 && is_moved && is_at_limb(grid, surfaces, hit, ray))
+            record.w = as_float(as_int(record.w) == WHOLE ? LIMB : PARTLY_LIMB);
+        sub_source[id] = record;
     }
 }
+
+#if SMALL
+// Fills the slots of small surfaces, see small.clh. In: source, pixels. Out: sub_source, sub_value, sub_depth, as of
+// trace_subpixels.
+__kernel void trace_small(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                          const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
+                          __global const int *pixels, const int capacity, __global const float *source,
+                          __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
+                          __global int *statistics)
+{
+    const int slot = get_global_id(0);
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
+        return;
+    const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
+    const int mark = as_int(MARKS(source, grid.height * grid.width)[pixel]), number = slot - FIRST_SLOT(mark);
+    if (number < 1 || number > mark >> SLOT_BITS)
+        return;
+    ulong small = small_members(grid, surfaces, group, row, column);
+    for (int i = 1; i < number; ++i)
+        small &= small - 1;
+    const int object = (int)popcount((small & -small) - 1);
+    float4 cover[EACH];
+    small_cover(grid, surfaces, group, object, row, column, cover LIGHT);
+    for (int sub = 0; sub < EACH; ++sub) {
+        const int id = slot * EACH + sub;
+        const float4 own = cover[sub];
+        if (!(own.x > 0)) {
+            sub_source[id] = (float4)(-1, 0, 0, as_float(WHOLE));
+            continue;
+        }
+        const real3 ray = pixel_ray(grid, row + own.z / own.x, column + own.y / own.x);
+        const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
+        const real w = small_depth(surfaces + object, group, ray);
+        sub_depth[id] = w;
+        uchar root;
+        const real hit = solve_root(surfaces + object, ray, group.root, &root);
+        take_radiance(grid, surfaces, ray, root ? hit : w, 2 * object + 1, row, column, SUBPIXELS, own.w / own.x,
+                      own.x / EACH, texture, maps, sub_value + id, capacity * EACH);
+        root = 2 * object + 1;
+        sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w, middle,
+                                       bend_along(grid, lens, middle), w, 1, true, &root, statistics);
+    }
+}
+#endif
 
 #if TEXTURED
 // Makes the point sources of pixels that are marked for their textures alone, see detail.clh.
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                           const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                           const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
                            __global float *sub_value, __global real *sub_depth, __global int *statistics)
 {
@@ -329,9 +351,8 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     bool edge;
     real spread = middle;
     float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
-#if TILT && ELLIPSES
-    tilt += ellipse_tilt(grid, bend);
-#endif
+    if (TILT && ELLIPSES)
+        tilt += ellipse_tilt(grid, bend);
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
 #if SHARED
     visibility_t visibility;
@@ -341,10 +362,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     const int seen = check_visibility(here, surfaces, group, ray, w, division, 0, &edge);
     const bool shared = false;
 #endif
-    bool partly = seen == PARTLY;
-#if RIMS
-    partly |= meet_rims(here, psf, ray, w, middle, division, 0) != CLEAR;
-#endif
+    const bool partly = seen == PARTLY || RIM_STATE(here, psf, ray, w, middle, division) != CLEAR;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
     detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, middle, fine, values);
@@ -355,20 +373,14 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         const real radius = middle + (right * gradient.x + down * gradient.y);
         note_radius(statistics, radius);
         float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
-#if TILT
         // In its own pixel, a source is visible from all of the lens until its disc crosses the pixel's border.
-        record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
-#if ELLIPSES
-        record.yz += ellipse_tilt(grid, bend);
-#endif
-#endif
+        if (TILT)
+            record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
+        if (TILT && ELLIPSES)
+            record.yz += ellipse_tilt(grid, bend);
 #if OCCLUDED
-#if CURVED & CURVED_IMAGE
         const real2 aside = ray_change(grid, ray, right, -down);
         sub_depth[id] = w + aside.x * slope.x + aside.y * slope.y;
-#else
-        sub_depth[id] = w + grid.step * (right * slope.x - down * slope.y);
-#endif
         if (shared) {
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(partly ? PARTLY_SHARED : WHOLE);
@@ -377,9 +389,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
             const division_t own = division_of(radius, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
             const lens_t there = lens_along(grid, lens, towards);
             int own_seen = check_visibility(there, surfaces, group, towards, sub_depth[id], own, 0, &edge);
-#if RIMS
-            own_seen = MAX(own_seen, meet_rims(there, psf, towards, sub_depth[id], radius, own, 0));
-#endif
+            own_seen = MAX(own_seen, RIM_STATE(there, psf, towards, sub_depth[id], radius, own));
             record.x = own_seen == HIDDEN ? -1 : record.x;
             record.w = as_float(own_seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
         }
@@ -426,7 +436,7 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
 // Makes the pinhole image of an occlusion group, for `layered` occlusion. Out: value, as above; coc real, signed R in
 // px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                      __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                      __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __global float *value,
                           __global real *coc, __global uchar *valid, __global int *statistics OF_SLOPES OF_BENDS)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -438,7 +448,7 @@ __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     take_radiance(grid, surfaces, ray, w, root, row, column, 1, SHADE_OF(surfaces, root, ray, w), 1,
-                  texture TEXTURE_MAPS, value + at, grid.height * grid.width);
+                  texture, maps, value + at, grid.height * grid.width);
     const bend_t bend = KEPT_BEND(grid, lens, at, ray);
     coc[at] = root ? bend.stretch * bent_radius(lens, bend.focus, w) : 0;
     valid[at] = root != 0;

@@ -15,6 +15,13 @@ static NOINLINE real3 moved_pixel(__constant surface_t *surface, const grid_t gr
     return project(grid, other->step, rest * w + turned_point);
 }
 
+// Writes the way from a pixel to an image position, px right and down; 0 if that is none.
+static void put_flow(__global float *flow, bool there, real3 to, int row, int column)
+{
+    flow[0] = there && to.z > 0 ? (float)(to.x - column) : 0;
+    flow[1] = there && to.z > 0 ? (float)(to.y - row) : 0;
+}
+
 static bool outside_frame(const grid_t grid, real3 at)
 {
     return !(at.z > 0 && at.x >= (real)-0.5 && at.x < grid.columns - (real)0.5 && at.y >= (real)-0.5 &&
@@ -48,13 +55,13 @@ static NOINLINE bool occluded_among(__constant surface_t *surfaces, const grid_t
 // poses `there`, and `following` in the next frame. to_left: 1 for the right view, -1 for the left one.
 __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surface_t *surfaces,
                            __constant surface_t *still, __constant pose_t *next, const group_t group,
-                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __constant surface_t *opposite,
-                           __constant pose_t *there, const int to_left, __constant pose_t *previous,
-                           __constant surface_t *following, __global uchar *mask, __global float *sharp,
-                           __global float *depth, __global float *coc, __global int *object_id, __global float *normal,
-                           __global float *flow, __global uchar *hidden, __global float *flow_backward,
-                           __global uchar *flow_occluded, __global float *uv, __global float *disparity,
-                           __global uchar *occluded)
+                           __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
+                           __constant surface_t *opposite, __constant pose_t *there, const int to_left,
+                           __constant pose_t *previous, __constant surface_t *following, __global uchar *mask,
+                           __global float *sharp, __global float *depth, __global float *coc, __global int *object_id,
+                           __global float *normal, __global float *flow, __global uchar *hidden,
+                           __global float *flow_backward, __global uchar *flow_occluded, __global float *uv,
+                           __global float *disparity, __global uchar *occluded)
 {
     const int column = get_global_id(0), row = grid.top + get_global_id(1);
     if (column >= grid.columns || row >= grid.top + grid.rows)
@@ -64,7 +71,8 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
-    __constant surface_t *surface = surfaces + MAX(object, 0);
+    const int own = MAX(object, 0);
+    __constant surface_t *surface = surfaces + own;
     mask[at] = root != 0;
     bool is_mapped = false;  // the texture lies on the surface
 #if TEXTURED
@@ -81,11 +89,6 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
         normal[3 * at] = (float)n.x;
         normal[3 * at + 1] = (float)n.y;
         normal[3 * at + 2] = (float)n.z;
-    }
-    if (flow) {
-        const real3 later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
-        flow[2 * at] = root && later.z > 0 ? (float)(later.x - column) : 0;
-        flow[2 * at + 1] = root && later.z > 0 ? (float)(later.y - row) : 0;
     }
     if (hidden) {
         hidden[at] = 0;
@@ -124,21 +127,19 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     }
 #endif
     if (disparity || occluded) {
-        const real3 other = moved_pixel(surface, grid, there + MAX(object, 0), ray, w);
+        const real3 other = moved_pixel(surface, grid, there + own, ray, w);
         if (disparity)
-            disparity[at] = root && other.z > 0 ? (float)(to_left * (other.x - column))
-                                                        : 0;
+            disparity[at] = root && other.z > 0 ? (float)(to_left * (other.x - column)) : 0;
         if (occluded)
             occluded[at] = root ? occluded_among(opposite, grid, there->step, group, other, w) : 0;
     }
-    if (flow_backward) {
-        const real3 earlier = moved_pixel(surface, grid, previous + MAX(object, 0), ray, w);
-        const bool before_lens = root && earlier.z > 0;
-        flow_backward[2 * at] = before_lens ? (float)(earlier.x - column) : 0;
-        flow_backward[2 * at + 1] = before_lens ? (float)(earlier.y - row) : 0;
-    }
-    if (flow_occluded) {
-        const real3 later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
-        flow_occluded[at] = root ? occluded_among(following, grid, next->step, group, later, w) : 0;
+    if (flow_backward)
+        put_flow(flow_backward + 2 * at, root, moved_pixel(surface, grid, previous + own, ray, w), row, column);
+    if (flow || flow_occluded) {
+        const real3 later = moved_pixel(surface, grid, next + own, ray, w);
+        if (flow)
+            put_flow(flow + 2 * at, root, later, row, column);
+        if (flow_occluded)
+            flow_occluded[at] = root ? occluded_among(following, grid, next->step, group, later, w) : 0;
     }
 }

@@ -7,7 +7,7 @@
 //   target   int per source: pixel of the padded grid that it moves to, -1 for none
 //   moved    real per source: its inverse depth after the move, 1/mm, 0 for none
 //   winner   int per pixel of the padded grid: lowest number of the nearest sources moved there, NO_WINNER for none
-//   object   uchar per source, with SEVERAL: number of its object, 0 where there is none
+//   object   uchar per source: number of its object, 0 where there is none
 //
 // The source in a pixel is the nearest of all surfaces there in the reference pose; it moves with its object. `count`
 // objects have a surface, a pose and a texture each. Those in the bit mask `members` are analytic; the others are depth
@@ -28,24 +28,12 @@
 #define SAME_DEPTH 1.02f  // relative: neighbors in the reference pose that differ by less are one surface
 
 // Sources of a row that a work-item moves. PoCL vectorizes a loop over them, but not work-items of one source each.
-#if OWNED
-#define ITEM_PIXELS OWNED_PIXELS
-#else
-#define ITEM_PIXELS 1
-#endif
+#define ITEM_PIXELS (OWNED ? OWNED_PIXELS : 1)
 
 // Inverse depth and object of every source; `surfaces` are in the reference pose; maps real (depth maps, rows,
 // columns): inverse depths in the reference pose. Of equally near objects the first counts. Out: rest, object.
-__kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, const int count,
-                             const ulong members,
-#if MAPPED
-                             __global const real *maps,
-#endif
-                             __global real *rest
-#if SEVERAL
-                             , __global uchar *object
-#endif
-)
+__kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, const int count, const ulong members,
+                             __global const real *maps, __global real *rest, __global uchar *object)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
@@ -54,36 +42,25 @@ __kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, 
     const real3 ray = pixel_ray(grid, row, column);
     real nearest = 0;
     int whose = 0;
-#if MAPPED
-    for (int k = 0; k < count; ++k) {
+    for (int k = 0; k < (SEVERAL ? count : 1); ++k) {
         uchar root;
-        const bool is_map = !(members >> k & 1);
+        const bool is_map = MAPPED && !(members >> k & 1);
         const real w = is_map ? maps[at] : solve_quadric(surfaces + k, ray, &root);
         maps += is_map ? grid.rows * grid.columns : 0;
         const bool nearer = nearest < w;
         whose = nearer ? k : whose;
         nearest = nearer ? w : nearest;
     }
-#else
-    const group_t group = {members, 0, count, -1, 0};
-    uchar label;
-    nearest = nearest_surface(surfaces, group, ray, &label, &whose);
-#endif
     rest[at] = nearest;
-#if SEVERAL
-    object[at] = whose < 0 ? 0 : whose;
-#endif
+    if (SEVERAL)
+        object[at] = whose;
 }
 
 // Moves the sources of object k in columns begin..end - 1 of a row by its pose, about the center of its surface in the
 // reference pose. Returns the lowest and highest target, (INT_MAX, -1) for none.
 static inline int2 move_sources(const grid_t grid, __constant surface_t *surface, __constant pose_t *pose, int row,
                                 int begin, int end, __global const real *restrict rest, __global int *restrict target,
-                                __global real *restrict moved
-#if SEVERAL
-                                , __global const uchar *restrict object, int k
-#endif
-)
+                                __global real *restrict moved, __global const uchar *restrict object, int k)
 {
     // For a ray r, R r + w (across, up, away) is the moved point times w. Computed by components, and with few
     // divisions: PoCL vectorizes no loop that computes with vectors.
@@ -123,20 +100,12 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
         const real i = down - py * scale, j = right + px * scale;
 #endif
         const real depth = w * nearness;
-        bool used = w > 0 && pz > 0 && !(i < first) && i < bottom && !(j < first) && j < edge;
-#if SEVERAL
-        const bool mine = object[at] == k;
-        used = used && mine;
-#endif
+        const bool mine = !SEVERAL || object[at] == k;
+        const bool used = mine && w > 0 && pz > 0 && !(i < first) && i < bottom && !(j < first) && j < edge;
         const int line = (int)(used ? i : first), place = (int)(used ? j : 0);
         const int to = line * grid.width + place - grid.width - 1;
-#if SEVERAL
         target[at] = mine ? to : target[at];
         moved[at] = used ? depth : mine ? 0 : moved[at];
-#else
-        target[at] = to;
-        moved[at] = used ? depth : 0;
-#endif
         lowest = MIN(lowest, used ? to : INT_MAX);
         highest = MAX(highest, to);
     }
@@ -147,48 +116,33 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
 // of a row: lowest and highest target there, (INT_MAX, -1) for none.
 __kernel void reproject_targets(const grid_t grid, __constant surface_t *surfaces, __constant pose_t *poses,
                                 __global const real *restrict rest, __global int *restrict target,
-                                __global real *restrict moved
-#if SEVERAL
-                                , __global const uchar *restrict object
-#endif
-#if OWNED
-                                , __global int2 *restrict bounds
-#endif
-)
+                                __global real *restrict moved, __global const uchar *restrict object,
+                                __global int2 *restrict bounds)
 {
     const int id = get_global_id(0), each = (grid.columns + ITEM_PIXELS - 1) / ITEM_PIXELS, row = id / each;
     if (row >= grid.rows)
         return;
     const int begin = id % each * ITEM_PIXELS, end = MIN(begin + ITEM_PIXELS, grid.columns);
-#if SEVERAL
-    ulong present = 0;
-    for (int column = begin; column < end; ++column)
+    ulong present = !SEVERAL;
+    for (int column = begin; SEVERAL && column < end; ++column)
         present |= (ulong)1 << object[row * grid.columns + column];
     int2 range = (int2)(INT_MAX, -1);
     for (int k = 0; present >> k; ++k) {
         if (!(present >> k & 1))
             continue;
-        const int2 own =
-            move_sources(grid, surfaces + k, poses + k, row, begin, end, rest, target, moved, object, k);
+        const int2 own = move_sources(grid, surfaces + k, poses + k, row, begin, end, rest, target, moved, object, k);
         range = (int2)(MIN(range.x, own.x), MAX(range.y, own.y));
     }
-#else
-    const int2 range = move_sources(grid, surfaces, poses, row, begin, end, rest, target, moved);
-#endif
-#if OWNED
-    bounds[id] = range;
-#endif
+    if (OWNED)
+        bounds[id] = range;
 }
 
 #if OWNED
 // The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner;
 // with FILL_FAR depth, as by reproject_depth.
 __kernel void reproject_nearest(const grid_t grid, __global const int *target, __global const real *moved,
-                                __global const int2 *bounds, const int band, __global int *winner
-#if FILL_FAR
-                                , __global int *depth
-#endif
-)
+                                __global const int2 *bounds, const int band, __global int *winner,
+                                __global int *depth)
 {
     const int first = get_global_id(0) * band;
     if (first >= grid.height)
@@ -212,10 +166,8 @@ __kernel void reproject_nearest(const grid_t grid, __global const int *target, _
                 winner[to] = i;
         }
     }
-#if FILL_FAR
-    for (int to = begin; to < end; ++to)
+    for (int to = begin; FILL_FAR && to < end; ++to)
         depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)moved[winner[to]]);
-#endif
 }
 #else
 // Largest inverse depth of all sources moved to each pixel. In: target, moved. In and out: depth, bits of a float per
@@ -314,36 +266,25 @@ __kernel void reproject_gaps(const grid_t grid, __global const int *restrict dep
 // winners of other pixels do not count.
 __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global const float *texture,
                                __global const real *moved, __global const int *winner,
-#if SEVERAL
-                               __constant surface_t *surfaces, __global const uchar *object,
-#endif
-                               __global float *value, __global real *w, __global real *coc, __global uchar *valid,
-                               __global uchar *status
-#if SEVERAL
-                               , __global uchar *seen
-#endif
-)
+                               __constant surface_t *surfaces, __global const uchar *object, __global float *value,
+                               __global real *w, __global real *coc, __global uchar *valid, __global uchar *status,
+                               __global uchar *seen)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int at = y * grid.width + x, source = winner[at];
-#if FILL_FAR
-    const bool known = valid[at];
-#else
-    const bool known = source != NO_WINNER;
-    valid[at] = known;
-#endif
+    const bool known = FILL_FAR ? valid[at] : source != NO_WINNER;
     const real inverse_depth = known ? moved[source] : 0;
-#if SEVERAL
-    const int whose = known ? object[source] : NO_OBJECT;
-    seen[at] = whose;
-    texture += known ? (size_t)surfaces[whose].texture * CHANNELS * grid.rows * grid.columns : 0;
-#endif
+    if (SEVERAL) {
+        seen[at] = known ? object[source] : NO_OBJECT;
+        texture += known ? (size_t)surfaces[object[source]].texture * CHANNELS * grid.rows * grid.columns : 0;
+    }
     for (int c = 0; c < CHANNELS; ++c)
         value[c * grid.height * grid.width + at] = known ? texture[c * grid.rows * grid.columns + source] : 0;
     w[at] = inverse_depth;
     coc[at] = known ? grid_radius(grid, lens, at, inverse_depth) : 0;
+    valid[at] = known;
     status[at] = 0;
 }
 
@@ -396,15 +337,15 @@ __kernel void mark_entered(const grid_t grid, const int first, const int end, __
     }
 }
 
-// Blur radius of pixel `at`, which has got its inverse depth from pixel `from`.
-static real copied_radius(const grid_t grid, const lens_t lens, __global const real *w, __global const real *coc,
-                          int at, int from)
+// Copies pixel `from` of the padded grid to pixel `at`.
+static void copy_pixel(const grid_t grid, const lens_t lens, __global float *value, __global real *w,
+                       __global real *coc, __global uchar *valid, int at, int from)
 {
-#if CURVED
-    return grid_radius(grid, lens, at, w[at]);
-#else
-    return coc[from];
-#endif
+    for (int c = 0; c < CHANNELS; ++c)
+        value[c * grid.width * grid.height + at] = value[c * grid.width * grid.height + from];
+    w[at] = w[from];
+    coc[at] = grid_radius(grid, lens, at, w[at]);
+    valid[at] = 1;
 }
 
 // Mirrors the image into what has entered the frame, about the outermost valid pixels of a line: lines first..end - 1,
@@ -412,18 +353,14 @@ static real copied_radius(const grid_t grid, const lens_t lens, __global const r
 // pixels that no line reaches have status 2.
 __kernel void fill_entered(const grid_t grid, const int first, const int end, const lens_t lens,
                            __global float *value, __global real *w, __global real *coc, __global uchar *valid,
-                           __global uchar *status
-#if SEVERAL
-                           , __global uchar *seen
-#endif
-)
+                           __global uchar *status, __global uchar *seen)
 {
     const int line = first + get_global_id(0);
     if (line >= end)
         return;
     const bool is_row = line < grid.rows;
     const int length = is_row ? grid.columns : grid.rows, step = is_row ? 1 : grid.width;
-    const int start = line_start(grid, line), plane = grid.width * grid.height;
+    const int start = line_start(grid, line);
     int low = 0, high = length - 1;
     while (low < length && !valid[start + low * step])
         ++low;
@@ -435,14 +372,9 @@ __kernel void fill_entered(const grid_t grid, const int first, const int end, co
             continue;
         const int from = low < length ? start + (low + mirror_index(i - low, high - low + 1)) * step : at;
         if (valid[from]) {
-            for (int c = 0; c < CHANNELS; ++c)
-                value[c * plane + at] = value[c * plane + from];
-            w[at] = w[from];
-            coc[at] = copied_radius(grid, lens, w, coc, at, from);
-#if SEVERAL
-            seen[at] = seen[from];
-#endif
-            valid[at] = 1;
+            copy_pixel(grid, lens, value, w, coc, valid, at, from);
+            if (SEVERAL)
+                seen[at] = seen[from];
         } else if (!is_row) {
             status[at] = 2;
         }
@@ -462,14 +394,8 @@ __kernel void extend_border(const grid_t grid, const lens_t lens, __global float
     const bool inside = column >= 0 && column < grid.columns && row >= 0 && row < grid.rows;
     const int from = (mirror_index(row, grid.rows) + grid.guard) * grid.width +
                      mirror_index(column, grid.columns) + grid.guard;
-    if (inside || valid[at] || !valid[from])
-        return;
-    const int plane = grid.width * grid.height;
-    for (int c = 0; c < CHANNELS; ++c)
-        value[c * plane + at] = value[c * plane + from];
-    w[at] = w[from];
-    coc[at] = copied_radius(grid, lens, w, coc, at, from);
-    valid[at] = 1;
+    if (!inside && !valid[at] && valid[from])
+        copy_pixel(grid, lens, value, w, coc, valid, at, from);
 }
 #endif
 

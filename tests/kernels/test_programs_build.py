@@ -140,7 +140,7 @@ def test_every_feature_is_known() -> None:
     asked |= plan.features().keys() | spreading.keys() | forward_features(plan, owned=True).keys()
     assert asked <= FEATURES.keys()
     read = set().union(*(asked_for(files) for files in PROGRAMS))
-    assert FEATURES.keys() ^ read == {"LINEAR", "SAMPLED", "SCAN_COLUMNS"}  # which are numbers in the code
+    assert FEATURES.keys() ^ read == {"LINEAR", "MOVED", "SAMPLED", "SCAN_COLUMNS"}  # which are numbers in the code
 
 
 # Of kernels that programs with all features lack, programs of cards have one, and those that scatter the other.

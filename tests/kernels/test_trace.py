@@ -218,7 +218,7 @@ def traced(
     }
     program, grid = built(session, plan, real), (plan.width, plan.height)
     run(session, program, "cast", grid, local, **given)
-    run(session, program, "aim", grid, local, **{name: each for name, each in given.items() if name != "value"})
+    run(session, program, "aim", grid, local, **given)
     if each:
         run(session, program, "mark_silhouettes", grid, local, **given)
         for name in ("label_subpixels", "trace_subpixels"):

@@ -85,13 +85,12 @@ def test_what_is_cast_once_is_aimed_for_one_lens_after_the_other(
     np.testing.assert_array_equal(labels, exact.label & 127)
     depth = written(session, planes["depth"], shape, np.float64)
     np.testing.assert_allclose(depth, exact.inverse_depth, rtol=1e-7, atol=0)  # at a limb half of the digits are left
-    wide, aimed = Lens.of(plan.scene.camera), {name: planes[name] for name in ("depth", "label")}
-    found = []
+    wide, found = Lens.of(plan.scene.camera), []
     for lens in (wide, replace(wide, blur_scale=0.5 * wide.blur_scale, radius=0.5 * wide.radius), wide):
         size, statistics = source_bytes(area, plan.tilt, True), copied(session, EMPTY_STATISTICS)
         out = buffers(session, source=size)
         given["lens"] = lens_struct(lens, "double")
-        run(session, program, "aim", grid, LOCAL, **given, **aimed, **out, statistics=statistics)
+        run(session, program, "aim", grid, LOCAL, **given, **planes, **out, statistics=statistics)
         label = written(session, planes["label"], shape, np.uint8)
         np.testing.assert_array_equal(label & 127, labels)
         source = written(session, out["source"], (size,), np.uint8)

@@ -84,8 +84,7 @@ class Kernels:
     def nearest(self, target: Array, moved: Array, bounds: Array, band: int, local: int = 1) -> Array:
         pixels = self.case.shape[0] * self.case.shape[1]
         winner, depth = self.out(np.int32, pixels), self.out(np.int32, pixels)
-        given: dict[str, Any] = {"depth": depth} if self.far else {}
-        given |= {"target": target, "moved": moved, "bounds": bounds, "band": band, "winner": winner}
+        given = {"target": target, "moved": moved, "bounds": bounds, "band": band, "winner": winner, "depth": depth}
         self.run("reproject_nearest", (-(-self.case.shape[0] // band),), (local,), **given)
         if self.far:
             expected = twin.reproject_depth(target.astype(np.int64), moved.astype(np.float32), pixels)
@@ -191,7 +190,7 @@ def test_gather_takes_what_winners_bring(session: Session) -> None:
     moved = rng.uniform(0.003, 0.005, sources)
     out = [kernels.out(t, n * pixels, 9) for t, n in (("f4", 3), ("f8", 1), ("f8", 1), ("u1", 1), ("u1", 1))]
     planes = dict(zip(("value", "w", "coc", "valid", "status"), out, strict=True))
-    given = {"texture": flat(case.textures[0], np.float32), "moved": moved, "winner": winner}
+    given = {"texture": flat(case.textures[0], np.float32), "moved": moved, "winner": winner, "surfaces": None}
     kernels.run("reproject_gather", case.shape[::-1], (64, 1), **given, **planes)
     values = np.concatenate([case.textures.reshape(sources, 3), moved[:, None]], axis=1)
     known, expected = twin.reproject_gather(winner.astype(np.int64), values)

@@ -91,7 +91,6 @@ TESTS = {
     "trace/footprint.clh": "pipeline/test_surface_textures",
     "trace/detail.clh": "pipeline/test_surface_textures",
     "trace/outline.clh": "kernels/test_trace kernels/test_trace_kernels pipeline/test_outlines",
-    "trace/small.cl": "pipeline/test_small_objects",
     "trace/small.clh": "pipeline/test_small_objects",
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_kernels",
     "trace/bend.cl": "pipeline/test_distortion pipeline/test_real_lens",

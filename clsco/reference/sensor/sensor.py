@@ -12,19 +12,7 @@ from clsco.constants import PATTERN_STREAM, SHOT_STREAM, STREAMS
 from clsco.frame.development import develop, sensor_truth
 from clsco.optics.sensor import SensorModel, reciprocals_of_counts, sensor_values
 from clsco.records import filled
-from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poisson, uniform_of
-
-
-def photoelectrons(light: Floats, scale: Floats) -> Floats:
-    """Mean number of photoelectrons of pixels, without dark electrons; negative light and NaN count as 0."""
-    with np.errstate(over="ignore", invalid="ignore"):  # pixels whose light overflows are full
-        return np.where(light > 0, light * scale, np.float32(0.0))
-
-
-def codes_of(electrons: Floats, added: Floats, sensor: Any) -> NDArray[np.int64]:
-    """Codes for the collected electrons plus those that the read-out adds."""
-    code = sensor["gain"] * (electrons + added) + (sensor["black"] + np.float32(0.5))
-    return np.clip(code, np.float32(0.0), sensor["largest"]).astype(np.int64)
+from clsco.reference.sensor.noise import Floats, normal_of, philox, poisson, uniform_of
 
 
 def sensor_outputs(
@@ -54,27 +42,24 @@ def sense(
     planes = []
     for k in range(len(sensor_model.filters)):
         channel, scale = (sensor[name].reshape(-1, 4)[k][site] for name in ("channel", "scale"))
-        mean = photoelectrons(light[y, x, channel].astype(np.float32), scale)
-        dark, added, pixel = sensor["dark"], np.zeros(mean.shape, np.float32), y * columns + x
-        if sensor_model.has_pattern:
-            word = philox(pixel, 0, camera & 1, PATTERN_STREAM + STREAMS * k, key)
-            mean, dark, added = _patterned(mean, word, sensor)
-        with np.errstate(over="ignore"):
+        dark, added, pixel = sensor["dark"], np.zeros((rows, columns), np.float32), y * columns + x
+        with np.errstate(over="ignore", invalid="ignore"):  # pixels whose light overflows are full
+            mean = light[y, x, channel].astype(np.float32)
+            mean = np.where(mean > 0, mean * scale, np.float32(0.0))  # neither negative light nor NaN
+            if sensor_model.has_pattern:
+                word = philox(pixel, 0, camera & 1, PATTERN_STREAM + STREAMS * k, key)
+                response: Floats = np.float32(1.0) + sensor["prnu"] * normal_of(word[0])
+                mean = np.where(response > 0, mean * response, np.float32(0.0))
+                dark = np.where(word[2] < sensor["hot"], dark + sensor["leak"] * uniform_of(word[3]), dark)
+                added = sensor["dsnu"] * normal_of(word[1])
             mean = np.minimum(mean + dark, sensor["most"])
         word = philox(pixel, noise, camera, int(sensor["noise_high"]) | (SHOT_STREAM + STREAMS * k), key)
         count = poisson(mean, word[0], reciprocals_of_counts()).astype(np.float32)
         full = count >= sensor["full_well"]
         added = added + sensor["read_noise"] * normal_of(word[1])
-        code = codes_of(np.where(full, sensor["full_well"], count), added, sensor)
+        level = sensor["gain"] * (np.where(full, sensor["full_well"], count) + added)
+        level = level + (sensor["black"] + np.float32(0.5))
+        code = np.clip(level, np.float32(0.0), sensor["largest"]).astype(np.int64)
         planes.append((code.astype(np.uint16), full | (code >= sensor["maximum"])))
     codes, saturated = (np.stack(planes_, axis=-1) for planes_ in zip(*planes, strict=True))
     return codes, saturated
-
-
-def _patterned(mean: Floats, word: tuple[Words, ...], sensor: Any) -> tuple[Floats, Floats, Floats]:
-    """Mean electrons of pixels that differ in response, their dark electrons, and electrons added by the read-out."""
-    response: Floats = np.float32(1.0) + sensor["prnu"] * normal_of(word[0])
-    with np.errstate(over="ignore", invalid="ignore"):
-        mean = np.where(response > 0, mean * response, np.float32(0.0))
-    dark = np.where(word[2] < sensor["hot"], sensor["dark"] + sensor["leak"] * uniform_of(word[3]), sensor["dark"])
-    return mean, dark, sensor["dsnu"] * normal_of(word[1])

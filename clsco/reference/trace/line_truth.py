@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.exposure import line_times
 from clsco.optics.lens_path import camera_at
-from clsco.optics.motion import Eye, poses_at, rest_poses
-from clsco.optics.quadrics import place
+from clsco.optics.motion import Eye, poses_at
 from clsco.reference.common.geometry import Array
 from clsco.reference.trace.trace import padded_grid, view_at
 from clsco.reference.trace.truth import Points, Truth, followed, nearest_at, outside_frame, surface_truth
@@ -24,12 +23,11 @@ def line_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye
 
     Flow ends on the line of the other frame that shows the point; it is inf if no single line shows the point.
     """
-    rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     times, axis = line_times(scene, frame), int(scene.sequence.by_columns)
     grid, truths = list(padded_grid(scene.camera, 0)), []
     for line, time in enumerate(times.tolist()):
         grid[axis] = np.array([[line]])
-        truths.append(surface_truth(view_at(scene, textures, time, eye, True), rest, *grid))
+        truths.append(surface_truth(view_at(scene, textures, time, eye, True), *grid))
     arrays = {name: np.concatenate([line[name] for line, _ in truths], axis) for name in truths[0][0]}
     planes = (np.concatenate([getattr(points, name) for _, points in truths], axis) for name in ("number", "w", "body"))
     return followed(arrays, LinePoints(scene, *planes).follow, scene, frame, eye, times)

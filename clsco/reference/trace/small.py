@@ -6,7 +6,6 @@ x^2, x y, y^2 relative to the middles of pixels, px right and down.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +26,7 @@ from clsco.reference.common.geometry import (
     turned,
 )
 from clsco.reference.trace.light import shade
-from clsco.reference.trace.view import Cast, View
+from clsco.reference.trace.view import Cast, View, cast
 
 LINES, END_LINES = 8, 2  # number of lines in a pixel; number of these at each end if sides of a card end there
 CLEARLY, SMALL_REACH = 1.001, 2.0  # factor that exceeds rounding errors; distance from an occluder's image, px
@@ -198,22 +197,21 @@ def outline_plane(surface: PlacedSurface, rays: Array) -> tuple[Array, Array]:
 
 
 def cast_behind(
-    cast: Callable[..., Cast], view: View, group: OcclusionGroup, small: Mask, row: Array, column: Array,
-    texel: tuple[Index, Index], samples: int,
+    view: View, group: OcclusionGroup, small: Mask, row: Array, column: Array, texel: tuple[Index, Index], samples: int
 ) -> Cast:  # fmt: skip
     """`cast` at cells (M, S, S) without the objects that are small in their pixels; small: (objects, M)."""
     hits = cast(view, group, row, column, texel, samples)
     for absent in np.unique(small[:, small.any(axis=0)], axis=1).T:
         behind = replace(group, members=group.members & ~sum(1 << k for k in np.flatnonzero(absent).tolist()))
         pixels = np.flatnonzero((absent == small.T).all(axis=1))
-        part = cast(view, behind, row[pixels], column[pixels], tuple(n[pixels] for n in texel), samples)
+        part = cast(view, behind, row[pixels], column[pixels], (texel[0][pixels], texel[1][pixels]), samples)
         for name, values in vars(hits).items():
             values[pixels] = getattr(part, name)
     return hits
 
 
 def with_small(
-    cast: Callable[..., Cast], view: View, group: OcclusionGroup, hit: Cast, small: Mask, place: tuple[Index, Index]
+    view: View, group: OcclusionGroup, hit: Cast, small: Mask, place: tuple[Index, Index]
 ) -> tuple[Cast, Index]:  # fmt: skip
     """Hits (N, S, S) of the cells of M pixels, including small surfaces, and the pixel number (N,) of each entry.
 

@@ -25,14 +25,10 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import (
     Array,
-    blur_gradient,
     blur_radius,
-    mirror_index,
     pixel_ray,
     pixel_reach,
     pixel_tilt,
-    rest_pixel,
-    sample_texture,
     signed_size,
     surface_slope,
     tilt_slope,
@@ -40,12 +36,11 @@ from clsco.reference.common.geometry import (
 from clsco.reference.common.visibility import HIDDEN, Visibility, check_visibility
 from clsco.reference.common.visibility_test import bend_visibility
 from clsco.reference.trace.detail import detailed_texture, is_shared
-from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import Indices, MappedTexture
 from clsco.reference.trace.outline import UNMARKED, cell_coverage, is_at_limb, labels_around
 from clsco.reference.trace.small import cast_behind, small_members, with_small
-from clsco.reference.trace.view import Cast, Texture, View
+from clsco.reference.trace.view import Cast, Texture, View, cast
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -129,45 +124,6 @@ def everything(scene: Scene) -> OcclusionGroup:
     return OcclusionGroup((1 << len(scene.objects)) - 1, 0)
 
 
-def cast(
-    view: View, group: OcclusionGroup, row: NDArray[Any], column: NDArray[Any],
-    texel: tuple[NDArray[Any], NDArray[Any]], sources: int = 1,
-) -> Cast:  # fmt: skip
-    """The nearest surface of an occlusion group along rays through (row, column) px; all values are 0 without a hit.
-
-    texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: number of sources per
-    axis of a pixel.
-    """
-    scene, rays = view.scene, pixel_ray(view.camera, row, column)
-    w, label, number = view.nearest(group, rays)
-    gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
-    parts, share = np.zeros(w.shape, np.intp), np.zeros(w.shape)
-    for k, surface in enumerate(view.surfaces):
-        if not group.members >> k & 1:
-            continue
-        on_object = (number == k)[..., None]
-        slope, texture = surface_slope(surface, rays, w), view.textures[k]
-        gradient = np.where(on_object, blur_gradient(view.camera, view.lens, slope, rays, w), gradient)
-        if isinstance(texture, MappedTexture):
-            light, hit = np.zeros(radiance.shape), on_object[..., 0] & (w > 0.0)
-            light[hit], fineness = surface_texture(texture, surface, view.camera, rays[hit], w[hit], sources)
-            size = blur_radius(view.lens, rays[hit], w[hit])
-            parts[hit] = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
-            share[hit] = sharpening(texture, size)
-        elif view.moved:
-            # The texture at the points' projections in the reference pose; 0 where they were behind the lens.
-            at_row, at_column, valid = rest_pixel(surface, view.reference, rays, w)
-            light = sample_texture(texture, at_row, at_column, scene.motion.texture_filter) * valid[..., None]
-        else:
-            pixel = (mirror_index(np.asarray(n, np.int64), size) for n, size in zip(texel, texture.shape, strict=False))
-            light = np.broadcast_to(texture[*pixel], radiance.shape)
-        if view.light is not None:
-            light = light * shade(view.light, surface, k, rays, w)[..., None]
-        radiance = np.where(on_object, light, radiance)
-    radius = np.where(label > 0, blur_radius(view.lens, rays, w), 0.0)
-    return Cast(w, label, number, radius, gradient, radiance, parts, share)
-
-
 def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     """Sources on the padded grid, from one ray through each pixel's center to the objects of an occlusion group.
 
@@ -222,7 +178,7 @@ def spread_sources(sources: Sources) -> Sources:
     return replace(sources, radius=radius, gradient=signed_size(radius)[..., None] * tilt)
 
 
-def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def mark_silhouettes(label: NDArray[np.uint8 | np.bool_]) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels with a different label within 2 px, in rows and in columns.
 
     label: (H, W) from `trace`. Near such silhouettes the blur radius is steep or discontinuous.
@@ -268,13 +224,13 @@ def trace_subpixels(
     texel = (place[0][:, None, None], place[1][:, None, None])
     at_row, at_column = texel[0] + offsets[:, None], texel[1] + offsets
     small = small_members(view, group, *place) & marked[row, column]
-    hit = cast_behind(cast, view, group, small, at_row, at_column, texel, samples)
+    hit = cast_behind(view, group, small, at_row, at_column, texel, samples)
     lens_radius, empty = hit.radius, hit.label == 0  # the radius for visibility tests
     hit, limb = _cover(view, group, hit, marked, (row, column), guard)
     middle_radius = blur_radius(view.lens, pixel_ray(view.camera, at_row, at_column), hit.w)
     lens_radius = np.where(empty & (hit.label > 0), middle_radius, lens_radius)
     if small.any():
-        hit, pixel = with_small(cast, view, group, hit, small, place)
+        hit, pixel = with_small(view, group, hit, small, place)
         row, column, at_row, at_column = row[pixel], column[pixel], at_row[pixel], at_column[pixel]
         count = len(limb)
         limb = np.pad(limb, ((0, len(pixel) - count), (0, 0), (0, 0)))
@@ -386,11 +342,8 @@ def _with_parts(
     for number, parts in {*zip(objects[cut > 0].tolist(), cut[cut > 0].tolist(), strict=True)}:
         selected = (objects == number) & (cut == parts)
         row, column = (n[selected] for n in pixel)
-        surface, texture, rays = (
-            view.surfaces[number],
-            view.textures[number],
-            pixel_ray(camera, row - guard, column - guard),
-        )
+        surface, texture = view.surfaces[number], view.textures[number]
+        rays = pixel_ray(camera, row - guard, column - guard)
         assert isinstance(texture, MappedTexture)
         planes = sources.inverse_depth, sources.radius, sources.gradient
         w, radius, gradient = (plane[row, column] for plane in planes)

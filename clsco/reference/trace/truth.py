@@ -28,8 +28,8 @@ from clsco.reference.common.geometry import (
     turned,
 )
 from clsco.reference.trace.mapping import MappedTexture, texture_coordinates
-from clsco.reference.trace.trace import cast, everything, padded_grid, view_at
-from clsco.reference.trace.view import Texture, View
+from clsco.reference.trace.trace import everything, padded_grid, view_at
+from clsco.reference.trace.view import Texture, View, cast
 from clsco.scene.model import Camera, Scene
 
 
@@ -135,21 +135,19 @@ def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Arra
     return np.where((valid & hit)[..., None], at, 0.0)
 
 
-def surface_truth(
-    view: View, rest: list[PlacedSurface], row: NDArray[np.int64], column: NDArray[np.int64]
-) -> tuple[dict[str, Any], Points]:
+def surface_truth(view: View, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[dict[str, Any], Points]:
     """Ground truth of a view by name, and its surface points, at pixels: rows (m, 1) and columns (1, n)."""
     scene, rays = view.scene, pixel_ray(view.camera, row, column)
     hit = cast(view, everything(scene), row, column, (row, column))
     w, shape = hit.w, (*hit.w.shape, 3)
     normal, body, uv, hidden = np.zeros(shape), np.zeros(shape), np.zeros((*w.shape, 2)), np.zeros(w.shape, dtype=bool)
     mask = hit.label > 0
-    for k, (item, surface) in enumerate(zip(scene.objects, view.surfaces, strict=True)):
+    for k, (item, surface, rest) in enumerate(zip(scene.objects, view.surfaces, rest_poses(scene), strict=True)):
         on_object = hit.number == k
         normal = np.where(on_object[..., None], surface_normal(surface, rays, w), normal)
         body = np.where(on_object[..., None], body_point(surface, rays, w), body)
         if item.mapped is None:
-            hidden = np.where(on_object, _hidden(view, rest[k], k, rays, w), hidden)
+            hidden = np.where(on_object, _hidden(view, place(item, rest), k, rays, w), hidden)
         uv = np.where(on_object[..., None], _texture_coordinates(view, k, rays, np.where(on_object, w, 0.0)), uv)
         if item.is_background:  # no surface, but radiance and blur
             mask = mask & ~on_object
@@ -176,9 +174,8 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
     is outside of the frame, or is hidden by another point of its object (nearer by more than 1e-6 of the point's
     depth). It is always False for a texture on a surface.
     """
-    rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     view = view_at(scene, textures, middle_of(scene, frame), eye, scene.is_displaced or shifts_view(scene, eye))
-    arrays, points = surface_truth(view, rest, *padded_grid(scene.camera, 0))
+    arrays, points = surface_truth(view, *padded_grid(scene.camera, 0))
     return followed(arrays, replace(points, scene=scene).at_middle, scene, frame, eye)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,20 @@ from clsco.optics.light import PlacedLight
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.optics.visibility import OcclusionGroup
-from clsco.reference.common.geometry import Array, Bounds, nearest_surface
+from clsco.reference.common.geometry import (
+    Array,
+    Bounds,
+    blur_gradient,
+    blur_radius,
+    mirror_index,
+    nearest_surface,
+    pixel_ray,
+    rest_pixel,
+    sample_texture,
+    surface_slope,
+)
+from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
+from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
 from clsco.scene.model import Camera, Scene
 
@@ -77,3 +91,42 @@ class Cast:
     radiance: Array
     parts: NDArray[np.intp]
     share: Array
+
+
+def cast(
+    view: View, group: OcclusionGroup, row: NDArray[Any], column: NDArray[Any],
+    texel: tuple[NDArray[Any], NDArray[Any]], sources: int = 1,
+) -> Cast:  # fmt: skip
+    """The nearest surface of an occlusion group along rays through (row, column) px; all values are 0 without a hit.
+
+    texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: number of sources per
+    axis of a pixel.
+    """
+    scene, rays = view.scene, pixel_ray(view.camera, row, column)
+    w, label, number = view.nearest(group, rays)
+    gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
+    parts, share = np.zeros(w.shape, np.intp), np.zeros(w.shape)
+    for k, surface in enumerate(view.surfaces):
+        if not group.members >> k & 1:
+            continue
+        on_object = (number == k)[..., None]
+        slope, texture = surface_slope(surface, rays, w), view.textures[k]
+        gradient = np.where(on_object, blur_gradient(view.camera, view.lens, slope, rays, w), gradient)
+        if isinstance(texture, MappedTexture):
+            light, hit = np.zeros(radiance.shape), on_object[..., 0] & (w > 0.0)
+            light[hit], fineness = surface_texture(texture, surface, view.camera, rays[hit], w[hit], sources)
+            size = blur_radius(view.lens, rays[hit], w[hit])
+            parts[hit] = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
+            share[hit] = sharpening(texture, size)
+        elif view.moved:
+            # The texture at the points' projections in the reference pose; 0 where they were behind the lens.
+            at_row, at_column, valid = rest_pixel(surface, view.reference, rays, w)
+            light = sample_texture(texture, at_row, at_column, scene.motion.texture_filter) * valid[..., None]
+        else:
+            pixel = (mirror_index(np.asarray(n, np.int64), size) for n, size in zip(texel, texture.shape, strict=False))
+            light = np.broadcast_to(texture[*pixel], radiance.shape)
+        if view.light is not None:
+            light = light * shade(view.light, surface, k, rays, w)[..., None]
+        radiance = np.where(on_object, light, radiance)
+    radius = np.where(label > 0, blur_radius(view.lens, rays, w), 0.0)
+    return Cast(w, label, number, radius, gradient, radiance, parts, share)
