@@ -95,7 +95,7 @@ class _Solver:
         for buffer in (self.solution, self.direction, self.sums):
             cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
         unknowns = finest.index, finest.list, finest.count
-        self._each("start_residual", finest, *finest.size, known, *unknowns, self.residual)
+        self._each("apply_biharmonic", finest, *finest.size, known, self.direction, *unknowns, self.residual)
         self._precondition()
         self._dot(self.residual, self.better, now)
         # As all other sums are 0, the first direction is the preconditioned residual itself.
@@ -104,7 +104,7 @@ class _Solver:
         for step in range(MOST_STEPS):
             if step % CHECK_EVERY == 0 and not (self._sum(now) > TOLERANCE**2 * first).any():
                 break
-            self._each("apply_biharmonic", finest, *finest.size, self.direction, *unknowns, self.applied)
+            self._each("apply_biharmonic", finest, *finest.size, None, self.direction, *unknowns, self.applied)
             self._dot(self.direction, self.applied, 2)
             vectors = (self.direction, self.applied, finest.count, self.solution, self.residual)
             self._each("take_step", finest, self.sums, np.int32(now), *vectors)

@@ -98,6 +98,22 @@ static float bound_of(__global const float *far, int at, int minimum)
     return FILL_FAR && minimum ? far[at] : INFINITY;
 }
 
+// Lists a pixel as missing if the fill domain contains it.
+static void list_missing(const grid_t grid, __constant surface_t *surfaces, int count, __global const uchar *valid,
+                         __global const real *w, int x, int y, __global float *far, __global uchar *status,
+                         __global int *list, __global int *counters)
+{
+    if (!may_be_missing(grid, surfaces, count, x, y))
+        return;
+    const int at = y * grid.width + x;
+    if (FILL_FAR)
+        far[at] = far_bound(grid, valid, w, x, y);
+    status[at] = 2;
+    list[atomic_inc(counters + COUNTER_LEFT)] = at;
+    if (in_frame(grid, x, y))
+        atomic_inc(counters + COUNTER_LEFT_INSIDE);
+}
+
 // First and last valid pixel of each line. In: valid. Out: spans, grown.
 __kernel void find_spans(const grid_t grid, __global const uchar *valid, __global int2 *spans,
                          __global int2 *grown)
@@ -126,29 +142,12 @@ __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, co
     const int begin = get_global_id(0) * FILL_CHUNK, y = get_global_id(1);
     if (begin >= grid.width || y >= grid.height)
         return;
-    const int end = MIN(begin + FILL_CHUNK, grid.width);
-    __global const uchar *line = valid + y * grid.width;
     const int2 row = spans[y];
-    int found[FILL_CHUNK], entries = 0, inside = 0;
-    for (int x = begin; x < end; ++x) {
+    for (int x = begin; x < MIN(begin + FILL_CHUNK, grid.width); ++x) {
         const int2 column = spans[grid.height + x];
-        if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
-            continue;
-        if (!may_be_missing(grid, surfaces, count, x, y))
-            continue;
-        if (FILL_FAR)
-            far[y * grid.width + x] = far_bound(grid, valid, w, x, y);
-        found[entries++] = y * grid.width + x;
-        inside += in_frame(grid, x, y);
-        status[y * grid.width + x] = 2;
+        if (!valid[y * grid.width + x] && ((x > row.x && x < row.y) || (y > column.x && y < column.y)))
+            list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
     }
-    if (!entries)
-        return;
-    const int start = atomic_add(counters + COUNTER_LEFT, entries);
-    if (inside)
-        atomic_add(counters + COUNTER_LEFT_INSIDE, inside);
-    for (int i = 0; i < entries; ++i)
-        list[start + i] = found[i];
 }
 
 // Extends a line in `grown` to the pixel at `index` on it.
@@ -224,14 +223,8 @@ __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, cons
         const int x = is_row ? i : line - grid.height, y = is_row ? line : i, at = y * grid.width + x;
         const int2 row = grown[y];
         const bool listed = is_row ? status[at] == 2 : x > row.x && x < row.y;
-        if (valid[at] || listed || !may_be_missing(grid, surfaces, count, x, y))
-            continue;
-        if (FILL_FAR)
-            far[at] = far_bound(grid, valid, w, x, y);
-        status[at] = 2;
-        list[atomic_inc(counters + COUNTER_LEFT)] = at;
-        if (in_frame(grid, x, y))
-            atomic_inc(counters + COUNTER_LEFT_INSIDE);
+        if (!valid[at] && !listed)
+            list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
     }
 }
 
