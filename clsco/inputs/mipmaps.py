@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import CUBE_BORDER
-from clsco.inputs.resampling import AT_A_TIME, resample_rows
+from clsco.inputs.resampling import resample_rows
 
 Floats = NDArray[np.float32]
 # Sides of a cube, in the order right, left, top, bottom, back, front. Each has three directions as (axis, sign): out of
@@ -68,57 +68,15 @@ def _shrunk(image: Floats, size: int, axis: int) -> Floats:
     """Reduce an image (rows, columns, channels) to `size` rows or columns, at least half as many as it has."""
     if image.shape[axis] == size:
         return image
-    if image.shape[axis] == 2 * size:
-        return (_half_as_high if axis == 0 else _half_as_wide)(np.ascontiguousarray(image))
-    rows = np.swapaxes(image, axis, 0).astype(np.float64)
-    return np.swapaxes(resample_rows(rows, size, np.arange(size)).astype(np.float32), 0, axis)
+    if axis == 1:
+        return _turned(_shrunk(_turned(image), size, 0))
+    return resample_rows(image, size, np.arange(size)).astype(np.float32)
 
 
-# Weights of the cubic of `resample_rows` for halving an image: symmetric, and the same for all texels.
-_DISTANCES = np.array([0.25, 0.75, 1.25, 1.75])
-_TAPS = np.where(
-    _DISTANCES < 1,
-    (1.5 * _DISTANCES - 2.5) * _DISTANCES**2 + 1,
-    ((2.5 - 0.5 * _DISTANCES) * _DISTANCES - 4) * _DISTANCES + 2,
-)
-_TAPS /= 2 * _TAPS.sum()
-
-
-def _half_as_high(image: Floats) -> Floats:
-    rows, width = image.shape[0] // 2, image[0].size
-    flat, halved = image.reshape(2 * rows, width), np.empty((rows, width), np.float32)
-    for begin, end in _parts(rows, width):
-        taps = flat[np.clip(np.arange(2 * begin - 3, 2 * end + 3), 0, 2 * rows - 1)].astype(np.float64)
-        halved[begin:end] = _halved([taps[k : k + 2 * (end - begin) - 1 : 2] for k in range(8)])
-    return halved.reshape(rows, *image.shape[1:])
-
-
-def _half_as_wide(image: Floats) -> Floats:
-    rows, columns, channels = image.shape
-    texels = image.reshape(rows, -1).view(f"V{image[0, 0].nbytes}")
-    sources = np.clip(np.arange(-3, columns + 3), 0, columns - 1)
-    halved = np.empty((rows, columns // 2 * channels), np.float32)
-    for begin, end in _parts(rows, halved.shape[1]):
-        # Even and odd texels in separate arrays, so that taps are slices.
-        parts = (np.take(texels[begin:end], sources[k::2], axis=1) for k in (0, 1))
-        halves = [part.view(np.float32).astype(np.float64) for part in parts]
-        starts = (channels * (k // 2) for k in range(8))
-        halved[begin:end] = _halved([halves[k % 2][:, at : at + halved.shape[1]] for k, at in enumerate(starts)])
-    return halved.reshape(rows, columns // 2, channels)
-
-
-def _parts(rows: int, width: int) -> Iterator[tuple[int, int]]:
-    """Split rows of a given width into parts that fit the processor's cache."""
-    step = max(1, AT_A_TIME // width)
-    return ((begin, min(begin + step, rows)) for begin in range(0, rows, step))
-
-
-def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Weighted sum of eight taps."""
-    total = np.zeros_like(taps[0])
-    for k in (3, 2, 1, 0):
-        total += _TAPS[3 - k] * (taps[k] + taps[7 - k])
-    return total
+def _turned(image: Floats) -> Floats:
+    """An image with its rows and columns exchanged; copying whole texels is faster than copying their numbers."""
+    texels = np.ascontiguousarray(image).view(f"V{image[0, 0].nbytes}")
+    return np.ascontiguousarray(np.swapaxes(texels, 0, 1)).view(np.float32)
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -33,8 +33,8 @@ FAULTS = (
     Fault(
         "a work-item too many",
         "inpainting/biharmonic.cl",
-        "    if (entry >= count)\n        return;\n    const int y = list[entry] / columns, x = list[entry] % columns;\n    real",
-        "    if (entry > count)\n        return;\n    const int y = list[entry] / columns, x = list[entry] % columns;\n    real",
+        "    if (entry >= count)",
+        "    if (entry > count)",
         "Invalid read",
     ),
     Fault(
