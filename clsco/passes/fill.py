@@ -15,7 +15,6 @@ from clsco.constants import (
     COUNTER_FILLED_INSIDE,
     COUNTER_LEFT,
     COUNTER_LEFT_INSIDE,
-    FILL_CHUNK,
     FILL_LANES,
     SCORE_SUMS,
     SCORED_COLUMNS,
@@ -23,14 +22,14 @@ from clsco.constants import (
 from clsco.inpainting.rules import MeanMedian, bits_of, score_of_sums, score_scale
 from clsco.opencl.buffers import allocate, download
 from clsco.opencl.session import Session
-from clsco.passes.blur import Events, Target
+from clsco.passes.blur import PIXELS, Events, Target
 from clsco.plan.buffers import COUNTERS, Sizes
 from clsco.records import Struct
 
 ZERO = np.array(0, np.int32)
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
 OWNERS = (1,)  # local size of kernels with few, large work-items
-LINES = (8,)  # local size of kernels with a work-item per row, column, segment, chunk or vector
+LINES = (8,)  # local size of kernels with a work-item per row, column, segment or vector
 CHAPTER5 = MeanMedian()
 
 
@@ -132,10 +131,10 @@ class Filler:
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels on the device; returns the counters."""
-        p, lines, chunks = self.planes, (self.rows + self.columns,), (-(-self.columns // FILL_CHUNK), self.rows)
+        p, lines = self.planes, (self.rows + self.columns,)
         self.target.run("find_spans", lines, LINES, events, self.grid, p.valid, p.spans, p.grown)
         args = (*placed, p.spans, p.status, source, p.counters, p.w, p.far)
-        self.target.run("mark_missing", chunks, (1, *LINES), events, *args)
+        self.target.run("mark_missing", (self.columns, self.rows), PIXELS, events, *args)
         return self._read_counters()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
@@ -157,7 +156,7 @@ class Filler:
         cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
         args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, remaining, p.counters, p.done)
-        self.target.run("settle_sweep", (-(-count // FILL_CHUNK),), LINES, events, *args)
+        self.target.run("settle_sweep", (count,), LISTED, events, *args)
         grown = (*placed, *lines, p.status, remaining, p.counters, p.w, p.far)
         self.target.run("mark_grown", (self.rows + self.columns,), LISTED, events, *grown)
         return self._read_counters()

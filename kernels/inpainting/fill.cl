@@ -89,13 +89,13 @@ static float far_bound(const grid_t grid, __global const uchar *valid, __global 
 // True if a pixel is valid, and with FILL_FAR not nearer than a bound.
 static bool serves(__global const uchar *valid, __global const real *w, int at, float bound)
 {
-    return valid[at] && (!FILL_FAR || (float)w[at] <= bound);
+    return FILL_FAR ? valid[at] && (float)w[at] <= bound : valid[at];
 }
 
 // The bound of a missing pixel; minimum: 0 for none.
 static float bound_of(__global const float *far, int at, int minimum)
 {
-    return FILL_FAR && minimum ? far[at] : INFINITY;
+    return FILL_FAR && minimum > 0 ? far[at] : INFINITY;
 }
 
 // Lists a pixel as missing if the fill domain contains it.
@@ -132,22 +132,18 @@ __kernel void find_spans(const grid_t grid, __global const uchar *valid, __globa
     spans[line] = grown[line] = first < length ? (int2)(first, last) : (int2)(INT_MAX, -1);
 }
 
-// Lists the unknown pixels between the first and last valid one of their row, or else of their column, FILL_CHUNK
-// columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list,
-// COUNTER_LEFT and COUNTER_LEFT_INSIDE.
+// Lists the unknown pixels between the first and last valid one of their row, or else of their column. In: `count`
+// surfaces, valid, w, spans. Out: status and far of missing pixels, list, COUNTER_LEFT and COUNTER_LEFT_INSIDE.
 __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, const int count,
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
                            __global int *list, __global int *counters, __global const real *w, __global float *far)
 {
-    const int begin = get_global_id(0) * FILL_CHUNK, y = get_global_id(1);
-    if (begin >= grid.width || y >= grid.height)
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int2 row = spans[y];
-    for (int x = begin; x < MIN(begin + FILL_CHUNK, grid.width); ++x) {
-        const int2 column = spans[grid.height + x];
-        if (!valid[y * grid.width + x] && ((x > row.x && x < row.y) || (y > column.x && y < column.y)))
-            list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
-    }
+    const int2 row = spans[y], column = spans[grid.height + x];
+    if (!valid[y * grid.width + x] && ((x > row.x && x < row.y) || (y > column.x && y < column.y)))
+        list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
 }
 
 // Extends a line in `grown` to the pixel at `index` on it.
@@ -166,39 +162,23 @@ __kernel void settle_sweep(const grid_t grid, __global const int *list, const in
                            __global const int2 *spans, __global int2 *grown, __global const uchar *status,
                            __global uchar *valid, __global int *left, __global int *counters, __global int *done)
 {
-    const int begin = get_global_id(0) * FILL_CHUNK;
-    if (begin >= count)
+    const int i = get_global_id(0);
+    if (i >= count)
         return;
-    const int end = MIN(begin + FILL_CHUNK, count);
-    int filled = 0, filled_inside = 0, left_inside = 0;
-    for (int i = begin; i < end; ++i) {
-        const int at = list[i], x = at % grid.width, y = at / grid.width, inside = in_frame(grid, x, y);
-        if (status[at] == 1) {
-            reach(grown, spans, y, x);
-            reach(grown, spans, grid.height + x, y);
-            valid[at] = 1;
-            ++filled;
-            filled_inside += inside;
-        } else {
-            left_inside += inside;
-        }
+    const int at = list[i], x = at % grid.width, y = at / grid.width;
+    const bool is_filled = status[at] == 1;
+    if (is_filled) {
+        reach(grown, spans, y, x);
+        reach(grown, spans, grid.height + x, y);
+        valid[at] = 1;
+        atomic_inc(counters + COUNTER_FILLED);
+        if (FILL_MEAN_MEDIAN)
+            done[atomic_inc(counters + COUNTER_DONE)] = at;
+    } else {
+        left[atomic_inc(counters + COUNTER_LEFT)] = at;
     }
-    if (filled_inside)
-        atomic_add(counters + COUNTER_FILLED_INSIDE, filled_inside);
-    if (left_inside)
-        atomic_add(counters + COUNTER_LEFT_INSIDE, left_inside);
-    if (filled)
-        atomic_add(counters + COUNTER_FILLED, filled);
-    int next = filled < end - begin ? atomic_add(counters + COUNTER_LEFT, end - begin - filled) : 0;
-    for (int i = begin; i < end; ++i)
-        if (status[list[i]] != 1)
-            left[next++] = list[i];
-    if (!FILL_MEAN_MEDIAN)
-        return;
-    next = filled ? atomic_add(counters + COUNTER_DONE, filled) : 0;
-    for (int i = begin; i < end; ++i)
-        if (status[list[i]] == 1)
-            done[next++] = list[i];
+    if (in_frame(grid, x, y))
+        atomic_inc(counters + (is_filled ? COUNTER_FILLED_INSIDE : COUNTER_LEFT_INSIDE));
 }
 
 // Lists pixels that are missing since lines have grown, one line per work-item. A pixel within the span of its row is

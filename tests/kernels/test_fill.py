@@ -235,7 +235,7 @@ def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: s
         planes.write("status", np.where(filled, 1, np.where(missing, 2, 0)).astype(np.uint8))
         f, left = planes.filler.planes, planes.filler.planes.indices[1]
         args = (pixels, count, f.spans, f.grown, f.status, f.valid, left, f.counters, f.done)
-        planes.run("settle_sweep", -(-int(count) // 64), *args)
+        planes.run("settle_sweep", int(count), *args)
         grown_args = (planes.surface, np.int32(1), f.valid, f.spans, f.grown, f.status, left, f.counters, f.w, f.far)
         planes.run("mark_grown", sum(known.shape), *grown_args)
         after = known | filled
