@@ -9,7 +9,7 @@
 //   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
 //   grown    the same after a sweep, which may have extended lines
 //   list     int per missing pixel, in any order: its number
-//   far      float per missing pixel of the grid, 0 without FILL_FAR: largest inverse depth of neighbors to fill it from
+//   far      float per missing pixel of the grid, 0 without FILL_FAR: largest inverse depth of neighbors to fill from
 //   object   uchar, 0 without SEVERAL: which object is visible, 255 for none
 //   counters ints: COUNTER_LEFT (entries of list) and COUNTER_FILLED (by the sweep), the same inside the frame, and
 //            COUNTER_DONE (by all sweeps: entries of done)
