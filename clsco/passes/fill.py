@@ -15,6 +15,7 @@ from clsco.constants import (
     COUNTER_FILLED_INSIDE,
     COUNTER_LEFT,
     COUNTER_LEFT_INSIDE,
+    FILL_CHUNK,
     FILL_LANES,
     SCORE_SUMS,
     SCORED_COLUMNS,
@@ -22,14 +23,14 @@ from clsco.constants import (
 from clsco.inpainting.rules import MeanMedian, bits_of, score_of_sums, score_scale
 from clsco.opencl.buffers import allocate, download
 from clsco.opencl.session import Session
-from clsco.passes.blur import PIXELS, Events, Target
+from clsco.passes.blur import Events, Target
 from clsco.plan.buffers import COUNTERS, Sizes
 from clsco.records import Struct
 
 ZERO = np.array(0, np.int32)
 LISTED = (64,)  # local size of kernels with a work-item per source or per entry of a list
 OWNERS = (1,)  # local size of kernels with few, large work-items
-LINES = (8,)  # local size of kernels with a work-item per row, column, segment or vector
+LINES = (8,)  # local size of kernels with a work-item per row, column, segment, chunk or vector
 CHAPTER5 = MeanMedian()
 
 
@@ -131,10 +132,10 @@ class Filler:
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels on the device; returns the counters."""
-        p, lines = self.planes, (self.rows + self.columns,)
+        p, lines, chunks = self.planes, (self.rows + self.columns,), (-(-self.columns // FILL_CHUNK), self.rows)
         self.target.run("find_spans", lines, LINES, events, self.grid, p.valid, p.spans, p.grown)
         args = (*placed, p.spans, p.status, source, p.counters, p.w, p.far)
-        self.target.run("mark_missing", (self.columns, self.rows), PIXELS, events, *args)
+        self.target.run("mark_missing", chunks, (1, *LINES), events, *args)
         return self._read_counters()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:

@@ -132,18 +132,22 @@ __kernel void find_spans(const grid_t grid, __global const uchar *valid, __globa
     spans[line] = grown[line] = first < length ? (int2)(first, last) : (int2)(INT_MAX, -1);
 }
 
-// Lists the unknown pixels between the first and last valid one of their row, or else of their column. In: `count`
-// surfaces, valid, w, spans. Out: status and far of missing pixels, list, COUNTER_LEFT and COUNTER_LEFT_INSIDE.
+// Lists the unknown pixels between the first and last valid one of their row, or else of their column, FILL_CHUNK
+// columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list,
+// COUNTER_LEFT and COUNTER_LEFT_INSIDE.
 __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, const int count,
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
                            __global int *list, __global int *counters, __global const real *w, __global float *far)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= grid.width || y >= grid.height)
+    const int begin = get_global_id(0) * FILL_CHUNK, y = get_global_id(1);
+    if (begin >= grid.width || y >= grid.height)
         return;
-    const int2 row = spans[y], column = spans[grid.height + x];
-    if (!valid[y * grid.width + x] && ((x > row.x && x < row.y) || (y > column.x && y < column.y)))
-        list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
+    const int2 row = spans[y];
+    for (int x = begin; x < MIN(begin + FILL_CHUNK, grid.width); ++x) {
+        const int2 column = spans[grid.height + x];
+        if (!valid[y * grid.width + x] && ((x > row.x && x < row.y) || (y > column.x && y < column.y)))
+            list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
+    }
 }
 
 // Extends a line in `grown` to the pixel at `index` on it.
