@@ -109,7 +109,7 @@ NO_WINNER = 2**31 - 1  # stands for the number of the nearest source in a pixel 
 
 # Filling of missing pixels (kernels/inpainting/fill.cl, fill_mean_median.cl, mean_median.cl).
 FILL_LANES = 8  # pixels in a vector
-FILL_CHUNK = 64  # pixels per work-item of kernels that count pixels, so that atomics are rare
+FILL_CHUNK = 64  # pixels of a row in which a work-item looks for missing ones
 # Indices of the counters of a filling, which are ints.
 COUNTER_LEFT = 0  # pixels that are listed as missing, in frame and guard band
 COUNTER_LEFT_INSIDE = 1  # those of them in the frame

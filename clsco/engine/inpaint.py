@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any, Literal, overload
+from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
 import pyopencl.array as cl_array
@@ -17,33 +17,22 @@ from clsco.inpainting.rules import MeanMedian, as_stored
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 
+Array = TypeVar("Array", NDArray[Any], cl_array.Array)
 LARGEST = 2.0**60  # largest |value|: squares of differences are then finite in float32
 
 
 @overload
 def inpaint(
-    image: NDArray[Any], mask: NDArray[Any], *, method: str = "auto", device: DeviceLike = None,
+    image: Array, mask: Array, *, method: str = "auto", device: DeviceLike = None,
     progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
     return_report: Literal[False] = False,
-) -> NDArray[Any]: ...  # fmt: skip
+) -> Array: ...  # fmt: skip
 @overload
 def inpaint(
-    image: NDArray[Any], mask: NDArray[Any], *, method: str = "auto", device: DeviceLike = None,
+    image: Array, mask: Array, *, method: str = "auto", device: DeviceLike = None,
     progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
     return_report: Literal[True],
-) -> tuple[NDArray[Any], Report]: ...  # fmt: skip
-@overload
-def inpaint(
-    image: cl_array.Array, mask: cl_array.Array, *, method: str = "auto", device: DeviceLike = None,
-    progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
-    return_report: Literal[False] = False,
-) -> cl_array.Array: ...  # fmt: skip
-@overload
-def inpaint(
-    image: cl_array.Array, mask: cl_array.Array, *, method: str = "auto", device: DeviceLike = None,
-    progress: Callable[[float], object] | None = None, options: MeanMedian | None = None,
-    return_report: Literal[True],
-) -> tuple[cl_array.Array, Report]: ...  # fmt: skip
+) -> tuple[Array, Report]: ...  # fmt: skip
 def inpaint(
     image: NDArray[Any] | cl_array.Array,
     mask: NDArray[Any] | cl_array.Array,

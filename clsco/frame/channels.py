@@ -11,15 +11,19 @@ from numpy.typing import NDArray
 from clsco.frame.outputs import ATTRIBUTES, OUTPUTS
 
 
-def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Channels of an array with two or three axes, by their names, which begin with the array's."""
+def channel_names(name: str, planes: int = 1) -> list[str]:
+    """Names of the channels of an array of one or more planes; name: that of the array in files."""
     row = OUTPUTS[ATTRIBUTES[name]]
     layer = name if row.layer is None else row.layer
-    if array.ndim == 2 and not row.letters:
-        return {layer: array}
-    letters = row.letters if array.ndim == 2 or len(row.letters) == array.shape[2] else "RGB"
-    prefix = f"{layer}." if layer else ""
-    return {prefix + letter: array if array.ndim == 2 else array[..., k] for k, letter in enumerate(letters)}
+    letters = row.letters if planes in (1, len(row.letters)) else "RGB"
+    return [f"{layer}.{letter}" if layer else letter for letter in letters] or [layer]
+
+
+def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Channels of an array with two or three axes."""
+    if array.ndim == 2:
+        return dict.fromkeys(channel_names(name), array)
+    return {channel: array[..., k] for k, channel in enumerate(channel_names(name, array.shape[2]))}
 
 
 def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

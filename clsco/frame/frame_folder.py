@@ -19,14 +19,11 @@ from clsco.files.arrays import read_exr, read_npz
 from clsco.files.atomic import raise_file_error
 from clsco.files.images import read_image
 from clsco.files.transfer import TRANSFERS
+from clsco.frame.channels import channel_names
 from clsco.frame.files import LARGEST_JSON, frame_json
 from clsco.resources import read_regular
 
 MOST_FAULTS = 20
-_CHANNELS = {
-    "color": "R G B", "sharp": "sharp.R sharp.G sharp.B", "depth": "Z", "coc": "coc", "flow": "flow.u flow.v",
-}  # fmt: skip
-"""Names of the channels in an EXR, by the name of their array in an NPZ."""
 _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flow": ((2,),)}
 
 
@@ -84,12 +81,12 @@ class FrameFolder:
 def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
     """Planes of the channels of an array; of blur radii, one for each color if the file has these. Raises FileError."""
     try:
-        return read_exr(path, _CHANNELS[name].split(), eye)
+        return read_exr(path, channel_names(name), eye)
     except FileError as error:
         if name != "coc":
             raise
         try:
-            return read_exr(path, ["coc.R", "coc.G", "coc.B"], eye)
+            return read_exr(path, channel_names(name, 3), eye)
         except FileError:
             raise error from None
 

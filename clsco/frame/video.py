@@ -142,9 +142,9 @@ def write_folder_clip(
     pictures: Iterator[NDArray[Any]]
     if view in VIEWS:
         shown, transfer = VIEWS[view], "srgb"
-        scale = shown.scale(_measured(frames, shown.array, eye))
+        scale = shown.scale(_measured(frames, view, eye))
         facts.append(shown.label(scale))
-        pictures = (shown.paint(array, scale) for array in _measured(frames, shown.array, eye))
+        pictures = (shown.paint(array, scale) for array in _measured(frames, view, eye))
     else:
         pictures, transfer = _pictures(frames, eye, view), frames.transfer
     comment = "; ".join([f"clsco {__version__}", *facts])

@@ -28,12 +28,11 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 class FrameView:
     """Display of an output in colors.
 
-    array: name in files; extent: returns one or more numbers for an array; the maxima of these over all arrays of a
+    extent: returns one or more numbers for an array; the maxima of these over all arrays of a
     clip are the scale; paint: called with an array and the scale, returns 8-bit RGB; label: returns a text that states
     the scale.
     """
 
-    array: str
     extent: Callable[[NDArray[Any]], tuple[float, ...]]
     paint: Callable[[NDArray[Any], tuple[float, ...]], Picture]
     label: Callable[[tuple[float, ...]], str]
@@ -89,11 +88,11 @@ def _flow_label(scale: tuple[float, ...]) -> str:
 
 
 VIEWS = {
-    "depth": FrameView("depth", _depth_extent, _paint, _depth_label),
-    "coc": FrameView("coc", _radius_extent, _paint, _radius_label),
-    "flow": FrameView("flow", _flow_extent, lambda flow, scale: flow_colors(flow, scale[0]), _flow_label),
+    "depth": FrameView(_depth_extent, _paint, _depth_label),
+    "coc": FrameView(_radius_extent, _paint, _radius_label),
+    "flow": FrameView(_flow_extent, lambda flow, scale: flow_colors(flow, scale[0]), _flow_label),
 }
-"""Displays by name of the view."""
+"""Displays by the name of their array in files, which is that of the view."""
 
 
 def viridis(values: NDArray[Any], low: float, high: float) -> Picture:

@@ -10,7 +10,6 @@ fixed number of bytes per missing pixel.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -41,34 +40,27 @@ def fill_biharmonic(
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2]}
     program = build(session, ["inpainting/biharmonic.cl"], features, structs(real), real)
-    return fill_in_tiles(image, missing, partial(_fill, session, program, real), progress)
+
+    def fill(part: NDArray[np.float32], holes: NDArray[np.bool_]) -> NDArray[np.float32]:
+        part[holes] = _Solver(session, program, real, part.shape[2], holes).solve(part)
+        return part
+
+    return fill_in_tiles(image, missing, fill, progress)
 
 
 @dataclass(frozen=True)
 class _Level:
-    """Unknowns at one resolution: pixels in the holes of a reduced image (rows, columns), and their values `vector`.
+    """Unknowns at one resolution: pixels in the holes of a reduced image, and their values `vector`.
 
-    list: pixel number of each of the `count` unknowns; index: number of the unknown at each pixel, -1 for none.
+    size: rows and columns of the image; list: pixel number of each of the `count` unknowns; index: number of the
+    unknown at each pixel, -1 for none.
     """
 
-    rows: np.int32
-    columns: np.int32
+    size: tuple[np.int32, np.int32]
     count: np.int32
     list: cl.Buffer
     index: cl.Buffer
     vector: cl.Buffer
-
-    @property
-    def size(self) -> tuple[np.int32, np.int32]:
-        return self.rows, self.columns
-
-
-def _fill(
-    session: Session, program: Program, real: Real, image: NDArray[np.float32], missing: NDArray[np.bool_]
-) -> NDArray[np.float32]:
-    result = image.copy()
-    result[missing] = _Solver(session, program, real, image.shape[2], missing).solve(image)
-    return result
 
 
 class _Solver:
@@ -91,26 +83,27 @@ class _Solver:
     def solve(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """The solution (N, K) at the N missing pixels, row by row, of an image (H, W, K)."""
         finest, now = self.levels[0], 0
+        count = finest.count
         known = upload(self.session, image)
         for buffer in (self.solution, self.direction, self.sums):
             cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
-        unknowns = finest.index, finest.list, finest.count
-        self._each("start_residual", finest, *finest.size, known, *unknowns, self.residual)
+        unknowns = finest.index, finest.list, count
+        self._launch("apply_biharmonic", count, *finest.size, known, self.direction, *unknowns, self.residual)
         self._precondition()
         self._dot(self.residual, self.better, now)
         # As all other sums are 0, the first direction is the preconditioned residual itself.
-        self._each("turn_direction", finest, self.sums, np.int32(1), self.better, finest.count, self.direction)
+        self._launch("turn_direction", count, self.sums, np.int32(1), self.better, count, self.direction)
         first = self._sum(now)
         for step in range(MOST_STEPS):
             if step % CHECK_EVERY == 0 and not (self._sum(now) > TOLERANCE**2 * first).any():
                 break
-            self._each("apply_biharmonic", finest, *finest.size, self.direction, *unknowns, self.applied)
+            self._launch("apply_biharmonic", count, *finest.size, None, self.direction, *unknowns, self.applied)
             self._dot(self.direction, self.applied, 2)
-            vectors = (self.direction, self.applied, finest.count, self.solution, self.residual)
-            self._each("take_step", finest, self.sums, np.int32(now), *vectors)
+            vectors = (self.direction, self.applied, count, self.solution, self.residual)
+            self._launch("take_step", count, self.sums, np.int32(now), *vectors)
             self._precondition()
             self._dot(self.residual, self.better, 1 - now)
-            self._each("turn_direction", finest, self.sums, np.int32(now), self.better, finest.count, self.direction)
+            self._launch("turn_direction", count, self.sums, np.int32(now), self.better, count, self.direction)
             now = 1 - now
         return download(self.session, self.solution, (int(finest.count), self.channels), self.real).astype(np.float32)
 
@@ -120,11 +113,11 @@ class _Solver:
         for fine, coarse in pairs:
             gain = self.real(FIRST_GAIN if fine is self.levels[0] else FINER_GAIN)
             inputs = (*fine.size, fine.vector, fine.index, coarse.list, coarse.count, gain, coarse.vector)
-            self._each("coarser", coarse, *inputs)
+            self._launch("coarser", coarse.count, *inputs)
         for fine, coarse in reversed(pairs):
             target = self.better if fine is self.levels[0] else fine.vector
             outputs = (*fine.size, fine.vector, fine.list, fine.count, coarse.vector, coarse.index, target)
-            self._each("finer", fine, *outputs)
+            self._launch("finer", fine.count, *outputs)
         if not pairs:
             cl.enqueue_copy(self.session.queue, self.better, self.residual, byte_count=self.residual.size)
 
@@ -137,18 +130,16 @@ class _Solver:
     def _sum(self, slot: int) -> NDArray[Any]:
         return download(self.session, self.sums, (3, self.channels), self.real)[slot]
 
-    def _each(self, name: str, level: _Level, *args: Any) -> None:
-        self._launch(name, int(level.count), *args)
-
-    def _launch(self, name: str, size: int, *args: Any) -> None:
-        launch(self.session, kernel(self.program, name), (size,), LOCAL, *args)
+    def _launch(self, name: str, size: int | np.int32, *args: Any) -> None:
+        launch(self.session, kernel(self.program, name), (int(size),), LOCAL, *args)
 
     def _level(self, inside: NDArray[np.bool_]) -> _Level:
         at = np.flatnonzero(inside).astype(np.int32)
         index = np.full(inside.size, -1, np.int32)
         index[at] = np.arange(at.size, dtype=np.int32)
-        sizes = (np.int32(inside.shape[0]), np.int32(inside.shape[1]), np.int32(at.size))
-        return _Level(*sizes, upload(self.session, at), upload(self.session, index), self._vector(at.size))
+        size = np.int32(inside.shape[0]), np.int32(inside.shape[1])
+        buffers = upload(self.session, at), upload(self.session, index), self._vector(at.size)
+        return _Level(size, np.int32(at.size), *buffers)
 
     def _vector(self, entries: int) -> cl.Buffer:
         return empty(self.session, entries * self.channels * np.dtype(self.real).itemsize)

@@ -121,7 +121,7 @@ def fill_mean_median(
     del holes
     if layout.border.size and constants.border_share:
         with stage("blend") as reported:
-            blend_border(session, program, layout.border, image, missing, stages, reported)
+            blend_border(session, program, image, missing, stages, reported)
         stages.histogram = border_histogram(stages.gradients, span / 255, constants.border_share)
     return stages
 
@@ -367,13 +367,11 @@ def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArra
 
 
 def blend_border(
-    session: Session, program: Program, border: Pixels, image: NDArray[Any], missing: Mask, stages: Stages,
-    progress: Progress,
-) -> None:  # fmt: skip
+    session: Session, program: Program, image: NDArray[Any], missing: Mask, stages: Stages, progress: Progress
+) -> None:
     """Stage 3: write gradients and medians of all border pixels to `stages`; a threshold later selects from them."""
-    rows, columns, channels = image.shape
-    stages.gradients = np.empty(border.size, np.float64)
-    stages.blended = np.empty((border.size, channels), np.float32)
+    (rows, columns, channels), border = image.shape, stages.border
+    stages.gradients, stages.blended = np.empty(border.size), np.empty((border.size, channels), np.float32)
     for band in bands(image, missing, np.isin(np.arange(rows), border // columns), np.float32):
         before, size = band.above * columns, band.count * columns
         planes = band.value[: channels * size].reshape(size, channels)

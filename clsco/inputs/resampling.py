@@ -57,7 +57,7 @@ def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Fl
 
 
 def resample_rows(
-    image: Floats, rows: int, numbers: NDArray[np.intp], above: int = 0, before: int | None = None
+    image: NDArray[np.floating], rows: int, numbers: NDArray[np.intp], above: int = 0, before: int | None = None
 ) -> Floats:
     """Rows `numbers` of an image resampled to `rows` rows, as in `resample`; the result may be negative.
 
@@ -68,15 +68,17 @@ def resample_rows(
     outer = np.where(t < 2, ((2.5 - 0.5 * t) * t - 4) * t + 2, 0)
     weights = np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, outer)
     weights /= weights.sum(axis=1, keepdims=True)
-    nearest = np.clip(taps, 0, before - 1).astype(np.intp) - above
+    used = weights.any(axis=0)
+    weights, nearest = weights[:, used], np.clip(taps[:, used], 0, before - 1).astype(np.intp) - above
     flat = np.ascontiguousarray(image).reshape(len(image), -1)
     result = np.zeros((len(numbers), flat.shape[1]))
     step = max(1, AT_A_TIME // flat.shape[1])
     for start in range(0, len(numbers), step):
         total, here = result[start : start + step], slice(start, start + step)
-        term = np.empty_like(total)
+        first, term = nearest[here].min(), np.empty_like(total)
+        part = flat[first : nearest[here].max() + 1].astype(np.float64, copy=False)
         for weight, source in zip(weights[here].T, nearest[here].T, strict=True):
-            np.take(flat, source, axis=0, out=term, mode="clip")  # no index is clipped; the default mode would copy
+            np.take(part, source - first, axis=0, out=term, mode="clip")  # the default mode would copy
             term *= weight[:, None]
             total += term
     return result.reshape(len(numbers), *image.shape[1:])

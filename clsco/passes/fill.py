@@ -45,7 +45,7 @@ class FillPlanes:
 
     indices: lists of missing pixels before and after a sweep, an int per pixel; used only during the filling. spans,
     grown: first and last valid pixel of each line, before and after a sweep. counters: numbers of pixels, see
-    COUNTER_LEFT. far: bounds on the depth of neighbors; empty unless holes are filled from the far side. done, sums,
+    COUNTER_LEFT. far: bounds on the depth of neighbors; None unless holes are filled from the far side. done, sums,
     other_value, other_w: buffers of mean/median filling, else None.
     """
 
@@ -59,7 +59,7 @@ class FillPlanes:
     spans: cl.Buffer
     grown: cl.Buffer
     counters: cl.Buffer
-    far: tuple[cl.Buffer, ...]
+    far: Any = None
     done: Any = None
     sums: Any = None
     other_value: Any = None
@@ -73,9 +73,8 @@ class FillPlanes:
             tail = bytes_of_lane * FILL_LANES
             cl.enqueue_copy(session.queue, buffers[name], np.zeros(tail, np.uint8), dst_offset=sizes[name] - tail)
         indices = buffers.pop("list"), buffers.pop("next list")
-        far = (buffers.pop("far"),) if "far" in buffers else ()
         fields = {name.replace(" ", "_"): buffer for name, buffer in buffers.items()}
-        return cls(indices=indices, far=far, **fields)
+        return cls(indices=indices, **fields)
 
 
 class Filler:
@@ -134,26 +133,20 @@ class Filler:
         """List all missing pixels on the device; returns the counters."""
         p, lines, chunks = self.planes, (self.rows + self.columns,), (-(-self.columns // FILL_CHUNK), self.rows)
         self.target.run("find_spans", lines, LINES, events, self.grid, p.valid, p.spans, p.grown)
-        args = (*placed, p.spans, p.status, source, p.counters, *self._depths())
+        args = (*placed, p.spans, p.status, source, p.counters, p.w, p.far)
         self.target.run("mark_missing", chunks, (1, *LINES), events, *args)
         return self._read_counters()
-
-    def _depths(self) -> tuple[cl.Buffer, ...]:
-        """Kernel arguments: depths and the bounds on depths of neighbors, to fill from the far side; else empty."""
-        return (self.planes.w, *self.planes.far) if self.is_far else ()
 
     def _sweep(self, source: cl.Buffer, count: int, wins: np.int32, minimum: np.int32, events: Events) -> None:
         """Fill those of `count` missing pixels, listed in `source`, that have at least `minimum` known neighbors."""
         p = self.planes
-        objects = () if p.object is None else (p.object,)
-        planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *objects)
+        planes = (minimum, p.far, p.valid, p.value, p.w, p.coc, p.status, p.object)
         head = (self.grid, self.lens, source, np.int32(count))
         if self.interpolates:
-            rule = (minimum,) if self.is_far else ()
-            self.target.run("fill_ait", (count,), LISTED, events, *head, *rule, *planes)
+            self.target.run("fill_ait", (count,), LISTED, events, *head, *planes)
         else:
             vectors = (-(-count // FILL_LANES),)
-            self.target.run("fill_mean_median", vectors, LINES, events, *head, wins, minimum, *planes)
+            self.target.run("fill_mean_median", vectors, LINES, events, *head, wins, *planes)
 
     def _settle(
         self, placed: tuple[Any, ...], source: cl.Buffer, remaining: cl.Buffer, count: int, events: Events
@@ -162,10 +155,9 @@ class Filler:
         p = self.planes
         cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
-        args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, remaining, p.counters)
-        done = (p.done,) if self.smooths else ()
-        self.target.run("settle_sweep", (-(-count // FILL_CHUNK),), LINES, events, *args, *done)
-        grown = (*placed, *lines, p.status, remaining, p.counters, *self._depths())
+        args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, remaining, p.counters, p.done)
+        self.target.run("settle_sweep", (count,), LISTED, events, *args)
+        grown = (*placed, *lines, p.status, remaining, p.counters, p.w, p.far)
         self.target.run("mark_grown", (self.rows + self.columns,), LISTED, events, *grown)
         return self._read_counters()
 
@@ -185,7 +177,7 @@ class Filler:
         current, next_ = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(current, next_, strict=True):
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
-        vectors, head = (-(-count // FILL_LANES),), (self.grid, self.lens, p.done, np.int32(count), *p.far, p.valid)
+        vectors, head = (-(-count // FILL_LANES),), (self.grid, self.lens, p.done, np.int32(count), p.far, p.valid)
         for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
             self.target.run("smooth_median", vectors, LINES, events, *head, *current, *next_, p.coc)
             current, next_ = next_, current

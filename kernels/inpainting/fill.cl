@@ -9,8 +9,8 @@
 //   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
 //   grown    the same after a sweep, which may have extended lines
 //   list     int per missing pixel, in any order: its number
-//   far      float per missing pixel of the grid, with FILL_FAR: largest inverse depth of neighbors to fill it from
-//   object   uchar, with SEVERAL: which object is visible, 255 for none
+//   far      float per missing pixel of the grid, 0 without FILL_FAR: largest inverse depth of neighbors to fill from
+//   object   uchar, 0 without SEVERAL: which object is visible, 255 for none
 //   counters ints: COUNTER_LEFT (entries of list) and COUNTER_FILLED (by the sweep), the same inside the frame, and
 //            COUNTER_DONE (by all sweeps: entries of done)
 //
@@ -49,7 +49,6 @@ static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, in
 #endif
 }
 
-#if FILL_FAR
 // Bound on the inverse depth of neighbors that a missing pixel may be filled from. It is determined by the line (row,
 // column or diagonal) that has valid pixels on both sides within the fewest steps; in a wide hole with equally deep
 // sides by the line whose depth, interpolated at the pixel, is the farthest.
@@ -87,14 +86,33 @@ static float far_bound(const grid_t grid, __global const uchar *valid, __global 
     return FAR_SLACK * found;
 }
 
-// True if a pixel is valid, and not nearer than a bound.
+// True if a pixel is valid, and with FILL_FAR not nearer than a bound.
 static bool serves(__global const uchar *valid, __global const real *w, int at, float bound)
 {
-    return valid[at] && (float)w[at] <= bound;
+    return FILL_FAR ? valid[at] && (float)w[at] <= bound : valid[at];
 }
-#else
-#define serves(valid, w, at, bound) valid[at]
-#endif
+
+// The bound of a missing pixel; minimum: 0 for none.
+static float bound_of(__global const float *far, int at, int minimum)
+{
+    return FILL_FAR && minimum > 0 ? far[at] : INFINITY;
+}
+
+// Lists a pixel as missing if the fill domain contains it.
+static void list_missing(const grid_t grid, __constant surface_t *surfaces, int count, __global const uchar *valid,
+                         __global const real *w, int x, int y, __global float *far, __global uchar *status,
+                         __global int *list, __global int *counters)
+{
+    if (!may_be_missing(grid, surfaces, count, x, y))
+        return;
+    const int at = y * grid.width + x;
+    if (FILL_FAR)
+        far[at] = far_bound(grid, valid, w, x, y);
+    status[at] = 2;
+    list[atomic_inc(counters + COUNTER_LEFT)] = at;
+    if (in_frame(grid, x, y))
+        atomic_inc(counters + COUNTER_LEFT_INSIDE);
+}
 
 // First and last valid pixel of each line. In: valid. Out: spans, grown.
 __kernel void find_spans(const grid_t grid, __global const uchar *valid, __global int2 *spans,
@@ -119,47 +137,19 @@ __kernel void find_spans(const grid_t grid, __global const uchar *valid, __globa
 // COUNTER_LEFT and COUNTER_LEFT_INSIDE.
 __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, const int count,
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
-                           __global int *list, __global int *counters
-#if FILL_FAR
-                           , __global const real *w, __global float *far
-#endif
-)
+                           __global int *list, __global int *counters, __global const real *w, __global float *far)
 {
     const int begin = get_global_id(0) * FILL_CHUNK, y = get_global_id(1);
     if (begin >= grid.width || y >= grid.height)
         return;
-    const int end = MIN(begin + FILL_CHUNK, grid.width);
-    __global const uchar *line = valid + y * grid.width;
-    int unknown = 0;
-    for (int x = begin; x < end; ++x)
-        unknown += !line[x];
-    if (!unknown)
-        return;
     const int2 row = spans[y];
-    int found[FILL_CHUNK], entries = 0, inside = 0;
-    for (int x = begin; x < end; ++x) {
+    for (int x = begin; x < MIN(begin + FILL_CHUNK, grid.width); ++x) {
         const int2 column = spans[grid.height + x];
-        if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
-            continue;
-        if (!may_be_missing(grid, surfaces, count, x, y))
-            continue;
-#if FILL_FAR
-        far[y * grid.width + x] = far_bound(grid, valid, w, x, y);
-#endif
-        found[entries++] = y * grid.width + x;
-        inside += in_frame(grid, x, y);
-        status[y * grid.width + x] = 2;
+        if (!valid[y * grid.width + x] && ((x > row.x && x < row.y) || (y > column.x && y < column.y)))
+            list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
     }
-    if (!entries)
-        return;
-    const int start = atomic_add(counters + COUNTER_LEFT, entries);
-    if (inside)
-        atomic_add(counters + COUNTER_LEFT_INSIDE, inside);
-    for (int i = 0; i < entries; ++i)
-        list[start + i] = found[i];
 }
 
-#if FILL_AIT || FILL_MEAN_MEDIAN
 // Extends a line in `grown` to the pixel at `index` on it.
 static void reach(__global int2 *grown, __global const int2 *spans, int line, int index)
 {
@@ -171,48 +161,28 @@ static void reach(__global int2 *grown, __global const int2 *spans, int line, in
 }
 
 // Ends a sweep: pixels that it filled become valid, the others are listed again. In: list of `count`, status, spans.
-// Out: valid, grown, left (as list), counters, done (list of what all sweeps filled).
+// Out: valid, grown, left (as list), counters, with FILL_MEAN_MEDIAN done (list of what all sweeps filled).
 __kernel void settle_sweep(const grid_t grid, __global const int *list, const int count,
                            __global const int2 *spans, __global int2 *grown, __global const uchar *status,
-                           __global uchar *valid, __global int *left, __global int *counters
-#if FILL_MEAN_MEDIAN
-                           , __global int *done
-#endif
-)
+                           __global uchar *valid, __global int *left, __global int *counters, __global int *done)
 {
-    const int begin = get_global_id(0) * FILL_CHUNK;
-    if (begin >= count)
+    const int i = get_global_id(0);
+    if (i >= count)
         return;
-    const int end = MIN(begin + FILL_CHUNK, count);
-    int filled = 0, filled_inside = 0, left_inside = 0;
-    for (int i = begin; i < end; ++i) {
-        const int at = list[i], x = at % grid.width, y = at / grid.width, inside = in_frame(grid, x, y);
-        if (status[at] == 1) {
-            reach(grown, spans, y, x);
-            reach(grown, spans, grid.height + x, y);
-            valid[at] = 1;
-            ++filled;
-            filled_inside += inside;
-        } else {
-            left_inside += inside;
-        }
+    const int at = list[i], x = at % grid.width, y = at / grid.width;
+    const bool is_filled = status[at] == 1;
+    if (is_filled) {
+        reach(grown, spans, y, x);
+        reach(grown, spans, grid.height + x, y);
+        valid[at] = 1;
+        atomic_inc(counters + COUNTER_FILLED);
+        if (FILL_MEAN_MEDIAN)
+            done[atomic_inc(counters + COUNTER_DONE)] = at;
+    } else {
+        left[atomic_inc(counters + COUNTER_LEFT)] = at;
     }
-    if (filled_inside)
-        atomic_add(counters + COUNTER_FILLED_INSIDE, filled_inside);
-    if (left_inside)
-        atomic_add(counters + COUNTER_LEFT_INSIDE, left_inside);
-    if (filled)
-        atomic_add(counters + COUNTER_FILLED, filled);
-    int next = filled < end - begin ? atomic_add(counters + COUNTER_LEFT, end - begin - filled) : 0;
-    for (int i = begin; i < end; ++i)
-        if (status[list[i]] != 1)
-            left[next++] = list[i];
-#if FILL_MEAN_MEDIAN
-    next = filled ? atomic_add(counters + COUNTER_DONE, filled) : 0;
-    for (int i = begin; i < end; ++i)
-        if (status[list[i]] == 1)
-            done[next++] = list[i];
-#endif
+    if (in_frame(grid, x, y))
+        atomic_inc(counters + (is_filled ? COUNTER_FILLED_INSIDE : COUNTER_LEFT_INSIDE));
 }
 
 // Lists pixels that are missing since lines have grown, one line per work-item. A pixel within the span of its row is
@@ -220,11 +190,8 @@ __kernel void settle_sweep(const grid_t grid, __global const int *list, const in
 // COUNTER_LEFT_INSIDE.
 __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, const int count,
                          __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
-                         __global uchar *status, __global int *list, __global int *counters
-#if FILL_FAR
-                         , __global const real *w, __global float *far
-#endif
-)
+                         __global uchar *status, __global int *list, __global int *counters, __global const real *w,
+                         __global float *far)
 {
     const int line = get_global_id(0);
     if (line >= grid.height + grid.width)
@@ -240,18 +207,10 @@ __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, cons
         const int x = is_row ? i : line - grid.height, y = is_row ? line : i, at = y * grid.width + x;
         const int2 row = grown[y];
         const bool listed = is_row ? status[at] == 2 : x > row.x && x < row.y;
-        if (valid[at] || listed || !may_be_missing(grid, surfaces, count, x, y))
-            continue;
-#if FILL_FAR
-        far[at] = far_bound(grid, valid, w, x, y);
-#endif
-        status[at] = 2;
-        list[atomic_inc(counters + COUNTER_LEFT)] = at;
-        if (in_frame(grid, x, y))
-            atomic_inc(counters + COUNTER_LEFT_INSIDE);
+        if (!valid[at] && !listed)
+            list_missing(grid, surfaces, count, valid, w, x, y, far, status, list, counters);
     }
 }
-#endif
 
 #if FILL_AIT
 // Nearest valid pixel from `at` in steps of `step`, at most `most`; -1 for none.
@@ -276,15 +235,9 @@ static int2 between_valid(__global const uchar *valid, int at, int step, int ind
 // pixel used. In: list of `count`, valid; minimum, far: with 0 any valid neighbor is usable. In and out: value, w, coc,
 // status, object.
 __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int *list, const int count,
-#if FILL_FAR
-                       const int minimum, __global const float *far,
-#endif
-                       __global const uchar *valid, __global float *value, __global real *w, __global real *coc,
-                       __global uchar *status
-#if SEVERAL
-                       , __global uchar *object
-#endif
-)
+                       const int minimum, __global const float *far, __global const uchar *valid,
+                       __global float *value, __global real *w, __global real *coc, __global uchar *status,
+                       __global uchar *object)
 {
     const int id = get_global_id(0);
     if (id >= count)
@@ -301,16 +254,12 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
         }
         if (from.y >= 0)
             share = (real)((at - from.x) / step) / ((from.y - from.x) / step);
-#if FILL_FAR
-        if (from.y >= 0 && (float)w[from.x] > FAR_SLACK * (float)w[from.y])
+        if (FILL_FAR && from.y >= 0 && (float)w[from.x] > FAR_SLACK * (float)w[from.y])
             from.x = from.y;
-        else if (from.y >= 0 && (float)w[from.y] > FAR_SLACK * (float)w[from.x])
+        else if (FILL_FAR && from.y >= 0 && (float)w[from.y] > FAR_SLACK * (float)w[from.x])
             from.y = from.x;
-#endif
     } else {
-#if FILL_FAR
-        const float bound = minimum ? far[at] : INFINITY;
-#endif
+        const float bound = bound_of(far, at, minimum);
         for (int k = 0; k < 8 && from.y < 0; k += 2) {
             const int step = NEIGHBOR_Y[k] * grid.width + NEIGHBOR_X[k];
             if (serves(valid, w, at + step, bound) && serves(valid, w, at - step, bound))
@@ -333,8 +282,7 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
     w[at] = inverse_depth;
     coc[at] = grid_radius(grid, lens, at, inverse_depth);
     status[at] = 1;
-#if SEVERAL
-    object[at] = object[from.x];
-#endif
+    if (SEVERAL)
+        object[at] = object[from.x];
 }
 #endif

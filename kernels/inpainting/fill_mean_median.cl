@@ -4,13 +4,15 @@
 #include "common/geometry.clh"
 
 #if FILL_MEAN_MEDIAN
-// FILL_LANES pixels of a list, with the neighbors that they may be filled from; minimum: 0 to ignore `far`.
+// FILL_LANES pixels `at`, and the neighbors that they may be filled from: bit k of `bits` is neighbor k.
+typedef struct {
+    int at[FILL_LANES], from[FILL_LANES][8], bits[FILL_LANES];
+    int8 count;
+} around_t;
+
+// Looks around pixels of a list; minimum: 0 to ignore `far`.
 static around_t look_around(const grid_t grid, __global const uchar *valid, __global const int *list, int entries,
-                            int median_wins
-#if FILL_FAR
-                            , __global const real *w, __global const float *far, int minimum
-#endif
-)
+                            __global const real *w, __global const float *far, int minimum)
 {
     around_t around;
     for (int lane = 0; lane < FILL_LANES; ++lane) {
@@ -18,10 +20,8 @@ static around_t look_around(const grid_t grid, __global const uchar *valid, __gl
         const int at = list[MIN((int)get_global_id(0) * FILL_LANES + lane, entries - 1)];
         const int x = at % grid.width, y = at / grid.width;
         const bool inner = x > 0 && y > 0 && x < grid.width - 1 && y < grid.height - 1;
+        const float bound = bound_of(far, at, minimum);
         int bits = 0, count = 0;
-#if FILL_FAR
-        const float bound = minimum ? far[at] : INFINITY;
-#endif
         UNROLL
         for (int k = 0; k < 8; ++k) {
             const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k], from = i * grid.width + j;
@@ -32,71 +32,70 @@ static around_t look_around(const grid_t grid, __global const uchar *valid, __gl
             around.from[lane][k] = from;
         }
         around.at[lane] = at;
-        use_neighbors(&around, lane, bits, count, median_wins);
+        around.bits[lane] = bits;
+        ((int *)&around.count)[lane] = count;
     }
     return around;
 }
 
-// Writes the estimates of all planes, except for lanes with fewer than `minimum` neighbors.
-static void write_estimates(const grid_t grid, const lens_t lens, const around_t around, int minimum,
+// Sets `near` to the values of the neighbors of all lanes; infinity for those that are not used.
+#define GATHER_AROUND(value_at_from) \
+    for (int lane = 0; lane < FILL_LANES; ++lane) \
+        for (int k = 0; k < 8; ++k) { \
+            const int from = around.from[lane][k]; \
+            ((real *)(near + k))[lane] = around.bits[lane] >> k & 1 ? (value_at_from) : (real)INFINITY; \
+        }
+
+// Writes the estimates of all planes; lanes with fewer than `minimum` neighbors get what they have.
+static void write_estimates(const grid_t grid, const lens_t lens, const around_t around, int median_wins, int minimum,
                             __global const float *value_in, __global const real *w_in, __global float *value_out,
                             __global real *w_out, __global real *coc)
 {
+    const estimator_t estimator = choose_estimator(around.count, median_wins);
+    const int *count = (const int *)&around.count;
     real8 near[8], result;
-    const real *count = (const real *)&around.count, *found = (const real *)&result;
+    const real *found = (const real *)&result;
     for (int c = 0; c < CHANNELS; ++c) {
         const int plane = c * grid.height * grid.width;
-        NEAR(near, value_in[plane + from])
-        estimate(&around, near, &result);
-        for (int lane = 0; lane < FILL_LANES; ++lane)
-            if (count[lane] >= minimum)
-                value_out[plane + around.at[lane]] = (float)found[lane];
-    }
-    NEAR(near, w_in[from])
-    estimate(&around, near, &result);
-    for (int lane = 0; lane < FILL_LANES; ++lane)
-        if (count[lane] >= minimum) {
-            w_out[around.at[lane]] = found[lane];
-            coc[around.at[lane]] = grid_radius(grid, lens, around.at[lane], found[lane]);
+        GATHER_AROUND(value_in[plane + from])
+        estimate(&estimator, near, &result);
+        for (int lane = 0; lane < FILL_LANES; ++lane) {
+            const int at = plane + around.at[lane];
+            value_out[at] = count[lane] < minimum ? value_in[at] : (float)found[lane];
         }
+    }
+    GATHER_AROUND(w_in[from])
+    estimate(&estimator, near, &result);
+    for (int lane = 0; lane < FILL_LANES; ++lane) {
+        const int at = around.at[lane];
+        w_out[at] = count[lane] < minimum ? w_in[at] : found[lane];
+        if (count[lane] >= minimum)
+            coc[at] = grid_radius(grid, lens, at, found[lane]);
+    }
 }
-
-#if FILL_FAR
-#define BOUNDED_BY(w, far, minimum) , w, far, minimum
-#else
-#define BOUNDED_BY(w, far, minimum)
-#endif
 
 // Stage 1: one sweep, FILL_LANES entries per work-item. Bit k of median_wins: with k neighbors the median is the better
 // estimator. A pixel needs `minimum` neighbors; 0, with FILL_FAR, stands for one at any depth. It gets the object of
 // its first neighbor. In: list of `count`, valid, far. In and out: value, w, coc, status, object.
 __kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global const int *list, const int count,
-                               const int median_wins, const int minimum,
-#if FILL_FAR
-                               __global const float *far,
-#endif
+                               const int median_wins, const int minimum, __global const float *far,
                                __global const uchar *valid, __global float *value, __global real *w,
-                               __global real *coc, __global uchar *status
-#if SEVERAL
-                               , __global uchar *object
-#endif
-)
+                               __global real *coc, __global uchar *status, __global uchar *object)
 {
     if (get_global_id(0) * FILL_LANES >= count)
         return;
-    const around_t around = look_around(grid, valid, list, count, median_wins BOUNDED_BY(w, far, minimum));
+    const around_t around = look_around(grid, valid, list, count, w, far, minimum);
     const int least = MAX(minimum, 1);
-    write_estimates(grid, lens, around, least, value, w, value, w, coc);
+    write_estimates(grid, lens, around, median_wins, least, value, w, value, w, coc);
     for (int lane = 0; lane < FILL_LANES; ++lane) {
-        if (((const real *)&around.count)[lane] < least)
+        if (((const int *)&around.count)[lane] < least)
             continue;
         status[around.at[lane]] = 1;
-#if SEVERAL
         int k = 0;
         while (!(around.bits[lane] >> k & 1))
             ++k;
-        object[around.at[lane]] = object[around.from[lane][k]];
-#endif
+        if (SEVERAL)
+            object[around.at[lane]] = object[around.from[lane][k]];
     }
 }
 
@@ -104,24 +103,13 @@ __kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global co
 // pixel without usable neighbors stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels.
 // Out: the same of the filled pixels, coc.
 __kernel void smooth_median(const grid_t grid, const lens_t lens, __global const int *done, const int count,
-#if FILL_FAR
-                            __global const float *far,
-#endif
-                            __global const uchar *valid, __global const float *value_in, __global const real *w_in,
-                            __global float *value_out, __global real *w_out, __global real *coc)
+                            __global const float *far, __global const uchar *valid, __global const float *value_in,
+                            __global const real *w_in, __global float *value_out, __global real *w_out,
+                            __global real *coc)
 {
     if (get_global_id(0) * FILL_LANES >= count)
         return;
-    const around_t around = look_around(grid, valid, done, count, ~0 BOUNDED_BY(w_in, far, 1));
-    write_estimates(grid, lens, around, 1, value_in, w_in, value_out, w_out, coc);
-#if FILL_FAR
-    for (int lane = 0; lane < FILL_LANES; ++lane) {
-        const int at = around.at[lane];
-        for (int c = 0; c < CHANNELS && !around.bits[lane]; ++c)
-            value_out[c * grid.height * grid.width + at] = value_in[c * grid.height * grid.width + at];
-        if (!around.bits[lane])
-            w_out[at] = w_in[at];
-    }
-#endif
+    const around_t around = look_around(grid, valid, done, count, w_in, far, 1);
+    write_estimates(grid, lens, around, ~0, 1, value_in, w_in, value_out, w_out, coc);
 }
 #endif

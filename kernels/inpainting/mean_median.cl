@@ -44,17 +44,13 @@ static void rows_of(int row[3], int at, __global const int2 *beside)
     row[2] = beside[at].y;
 }
 
-// Counts the valid neighbors of all lanes, and chooses mean or median by the counts.
-static void count_near(around_t *around, const real8 *near, int median_wins)
+// Chooses mean or median by the numbers of valid neighbors of all lanes.
+static estimator_t estimator_of(const real8 *near, int median_wins)
 {
     int8 count = 0;
     for (int k = 0; k < 8; ++k)
         count -= INTS(near[k] < (real)INFINITY);
-    const int8 lower = (count - 1) / 2, upper = count / 2, by_median = (int8)median_wins >> count & 1;
-    around->count = (real8)EACH(count);
-    around->lower = (real8)EACH(lower);
-    around->upper = (real8)EACH(upper);
-    around->by_median = (real8)EACH(by_median);
+    return choose_estimator(count, median_wins);
 }
 
 // Finds values for FILL_LANES missing pixels of a list, from `first` on and before `end`; the last pixel fills up the
@@ -69,13 +65,13 @@ static void fill_vector(const int slots, __global const int *list, int first, in
     }
     if (!open)
         return;
-    around_t around;
+    estimator_t estimator;
     real8 near[8], result;
     for (int c = 0; c < CHANNELS; ++c) {
         GATHER_NEAR(value + c * slots)
         if (!c)
-            count_near(&around, near, median_wins);
-        estimate(&around, near, &result);
+            estimator = estimator_of(near, median_wins);
+        estimate(&estimator, near, &result);
         for (int lane = 0; lane < FILL_LANES; ++lane)
             found[c * slots + row[lane][1]] = ((const real *)&result)[lane];
     }
@@ -157,10 +153,9 @@ static real8 median_of(real8 *near)
 {
     SORT(real8, near)
     if (any(UNKNOWN(near[7]))) {  // at the border of the image
-        around_t around;
+        const estimator_t estimator = estimator_of(near, ~0);
         real8 result;
-        count_near(&around, near, ~0);
-        estimate(&around, near, &result);
+        estimate(&estimator, near, &result);
         return result;
     }
     return (real)0.5 * (near[3] + near[4]);

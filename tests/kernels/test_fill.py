@@ -89,30 +89,21 @@ class Planes:
         cl.enqueue_copy(self.session.queue, self.filler.planes.indices[0], pixels)
         return self.filler.planes.indices[0], np.int32(pixels.size)
 
-    @property
-    def seen(self) -> tuple[cl.Buffer, ...]:
-        return () if self.filler.planes.object is None else (self.filler.planes.object,)
-
-    def bounded(self, bounds: NDArray[np.float32] | None) -> tuple[Any, ...]:
-        """Arguments of a kernel with bounds on the inverse depth of neighbors, and without."""
-        if bounds is None:
-            return ()
-        cl.enqueue_copy(self.session.queue, self.filler.planes.far[0], np.ascontiguousarray(bounds))
-        return self.filler.planes.far
-
     def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
         head = [getattr(self.filler, each) for each in ("grid", "lens") if each in parameters(name)]
         launch(self.session, kernel(self.program, name), (size,), (local,), *head, *args)
 
     def fill_ait(self, mask: Mask) -> None:
         f, (pixels, count) = self.filler.planes, self.listed(mask)
-        self.run("fill_ait", int(count), pixels, count, f.valid, f.value, f.w, f.coc, f.status, *self.seen)
+        planes = (f.far, f.valid, f.value, f.w, f.coc, f.status, f.object)
+        self.run("fill_ait", int(count), pixels, count, np.int32(1), *planes)
 
-    def smooth_median(self, mask: Mask, bounds: NDArray[np.float32] | None, *planes: cl.Buffer) -> None:
+    def smooth_median(self, mask: Mask, bounds: NDArray[np.float32], *planes: cl.Buffer) -> None:
         """planes: values and inverse depth before, and after."""
+        self.write("far", bounds)
         f, (pixels, count) = self.filler.planes, self.listed(mask)
         size = -(-int(count) // FILL_LANES)
-        self.run("smooth_median", size, pixels, count, *self.bounded(bounds), f.valid, *planes, f.coc)
+        self.run("smooth_median", size, pixels, count, f.far, f.valid, *planes, f.coc)
 
     def fill(self) -> tuple[Array, Array, dict[str, int]]:
         """Values, status and report of a whole filling."""
@@ -242,9 +233,9 @@ def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: s
             planes.write(name, spans_of(known))
         planes.write("status", np.where(filled, 1, np.where(missing, 2, 0)).astype(np.uint8))
         f, left = planes.filler.planes, planes.filler.planes.indices[1]
-        args = [pixels, count, f.spans, f.grown, f.status, f.valid, left, f.counters]
-        planes.run("settle_sweep", -(-int(count) // 64), *args, *([f.done] if planes.filler.smooths else []))
-        grown_args = (planes.surface, np.int32(1), f.valid, f.spans, f.grown, f.status, left, f.counters)
+        args = (pixels, count, f.spans, f.grown, f.status, f.valid, left, f.counters, f.done)
+        planes.run("settle_sweep", int(count), *args)
+        grown_args = (planes.surface, np.int32(1), f.valid, f.spans, f.grown, f.status, left, f.counters, f.w, f.far)
         planes.run("mark_grown", sum(known.shape), *grown_args)
         after = known | filled
         expected = missing & ~filled | mark_missing(after, allowed)

@@ -248,7 +248,7 @@ def test_the_border_is_its_twin(
     assert ((mean_median.dilated(missing) & ~missing) == twin.border_pixels(missing)).all()
     for values in (mean_median.BAND_VALUES, 100):
         monkeypatch.setattr(mean_median, "BAND_VALUES", values)
-        mean_median.blend_border(session, built, layout.border, image, missing, stages, lambda share: None)
+        mean_median.blend_border(session, built, image, missing, stages, lambda share: None)
         assert (stages.gradients == np.sqrt(steepness.astype(np.float64))).all()
         assert (stages.blended == blended).all()
 

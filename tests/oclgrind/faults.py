@@ -33,8 +33,8 @@ FAULTS = (
     Fault(
         "a work-item too many",
         "inpainting/biharmonic.cl",
-        "    if (entry >= count)\n        return;\n    real result[CHANNELS];\n    biharmonic(rows, columns, image,",
-        "    if (entry > count)\n        return;\n    real result[CHANNELS];\n    biharmonic(rows, columns, image,",
+        "    if (entry >= count)",
+        "    if (entry > count)",
         "Invalid read",
     ),
     Fault(
@@ -47,22 +47,22 @@ FAULTS = (
     Fault(
         "one place for all work-items",
         "inpainting/biharmonic.cl",
-        "        applied[entry * CHANNELS + c] = result[c];",
+        "        applied[entry * CHANNELS + c] = image ? -result[c] : result[c];",
         "        applied[c] = result[c] + entry;",
         "Write-write data race",
     ),
     Fault(
         "the same value written by all",
         "inpainting/biharmonic.cl",
-        "    residual[entry * CHANNELS + c] = -result[c];",
-        "    { residual[entry * CHANNELS + c] = -result[c]; residual[0] = 0; }",
+        "        direction[k] = preconditioned[k] + part * direction[k];",
+        "        direction[k] = preconditioned[k] + part * direction[k]; direction[0] = 0;",
         "data race",
     ),
     Fault(
         "a private array not set",
         "inpainting/biharmonic.cl",
-        "    for (int c = 0; c < CHANNELS; ++c)\n        result[c] = 0;\n",
-        "",
+        "    real sum[CHANNELS] = {0};\n    for (int k",
+        "    real sum[CHANNELS];\n    for (int k",
         "ninitialized",
     ),
     Fault(
