@@ -339,24 +339,11 @@ def _card_with_files(data_set: DataSet) -> dict[str, Any]:
 
     Files of an unfinished set, whose card does not list them yet, are read from its parts of the manifest.
     """
-    try:
-        if "files" in data_set.about:
-            listed = dict(data_set.about["files"])
-        else:
-            listed = files_by_split(each for _, data in data_set.parts() for each in files_of(parsed_part(data), data))
-        files = {
-            str(split): [(checked_key(str(file)), _count(count)) for file, count in each]
-            for split, each in listed.items()
-        }
-    except (ValueError, TypeError) as error:
-        raise_file_error(f"{data_set.storage.where}/{CARD}", "must list the files of a data set", repr(error), error)
+    listed = data_set.about.get("files")
+    if listed is None:
+        listed = files_by_split(each for _, data in data_set.parts() for each in files_of(parsed_part(data), data))
+    files = {split: [(checked_key(file), count) for file, count in each] for split, each in listed.items()}
     return {**data_set.about, "files": files}
-
-
-def _count(value: Any) -> int:
-    if type(value) is not int or not 0 <= value <= 2**40:
-        raise ValueError(f"{value!r} samples")
-    return value
 
 
 TILE = 200  # px, the longer side of a picture

@@ -10,13 +10,23 @@ from typing import Any
 
 from clsco.data import manifest
 from clsco.data.card import CARD, write_card
+from clsco.data.fields import ARRAY, NUMBER, checked_json
 from clsco.data.manifest import Identity, ManifestPart, Merged, part_key
 from clsco.data.storage import Storage
 from clsco.errors import FileError, SceneError
-from clsco.files.strict_json import strict_json
+from clsco.scene.text import key_name
 
 MOST_SHARDS = 10**6
 LARGEST_CARD = 2**26
+_IDENTITY = {
+    "distribution": str, "seed": range(2**63), "first": NUMBER, "shard_size": range(1, 2**40), "format": str,
+    "arrays": [str], "precision": str, "splits": [(str, float | int)], "version": str, "device_family": str,
+    "types": [(str, str)],
+}  # fmt: skip
+_CARD = {
+    "identity": _IDENTITY, "samples": (NUMBER, NUMBER), "license?": str, "recipe?": str, "function?": str,
+    "distribution?": dict, "arrays?": {str: ARRAY}, "files?": {str: [(str, NUMBER)]},
+}  # fmt: skip
 LATEST = 64  # number of shards whose times give the rate
 AT_ONCE = 16  # parts that are read at the same time
 
@@ -123,19 +133,16 @@ def open_set(storage: Storage) -> DataSet:
     try:
         if len(data) > LARGEST_CARD:
             raise ValueError(f"{len(data)} bytes")
-        card = strict_json(data)
-        about = dict(card["identity"])
-        texts = (card.get("license", ""), card.get("recipe", ""), about["format"])
-        if not all(isinstance(text, str) for text in texts):
-            raise TypeError("a license, recipe or format that is no text")
-        about["arrays"] = tuple(map(str, about["arrays"]))
-        about["splits"] = tuple((str(name), float(share)) for name, share in about["splits"])
-        about["types"] = tuple((str(name), str(kind)) for name, kind in about["types"])
-        samples, identity = range(*(int(number) for number in card["samples"])), Identity(**about)
-        if not samples or samples.start < 0 or len(manifest.shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
+        card = checked_json(data, _CARD)
+        about = card["identity"]
+        if unknown := about.keys() - _IDENTITY.keys():
+            raise ValueError(f"{key_name(('identity', min(unknown)))}, which is no known key")
+        pairs = {name: tuple(map(tuple, about[name])) for name in ("splits", "types")}
+        samples, identity = range(*card["samples"]), Identity(**about | pairs | {"arrays": tuple(about["arrays"])})
+        if not samples or len(manifest.shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
             raise ValueError(f"samples are {samples}")
-    except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError) as error:
-        raise FileError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
+    except ValueError as error:
+        raise FileError(f"{storage.where}/{CARD}: must describe a data set; got {error}") from None
     return DataSet(storage, identity, samples, card)
 
 

@@ -12,6 +12,7 @@ from clsco import __version__
 from clsco.data.build import located
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, ScriptedDistribution, scripted
+from clsco.data.fields import NUMBER, misfit
 from clsco.data.manifest import Merged, parsed_part, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
@@ -179,11 +180,9 @@ def _stored(data_set: DataSet, row: Mapping[str, Any]) -> Record:
     if row["offset"] >= len(reader):
         raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
     record = reader[row["offset"]]
-    kinds = {"scene": dict, "frames": list, "split": str, "attempts": int, "parameters": dict}
-    for name, kind in kinds.items():
-        if not isinstance(record.meta.get(name), kind):
-            rule = f"{row['file']}: sample {row['number']}: {name} must be there, as clsco dataset make writes it"
-            raise FileError(f"{rule}; got {shown(record.meta.get(name))}")
+    kinds = {"scene": dict, "frames": list, "split": str, "attempts": NUMBER, "parameters": dict}
+    if fault := misfit(record.meta, kinds):
+        raise FileError(f"{row['file']}: sample {row['number']}: must be as clsco dataset make writes it; got {fault}")
     return record
 
 

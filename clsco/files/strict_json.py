@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any, NoReturn
 
 MOST_DEEP = 64
@@ -11,7 +12,7 @@ MOST_DEEP = 64
 def strict_json(content: bytes | str) -> Any:
     """Parse JSON. Raises ValueError for invalid JSON, NaN, infinity, and more than `MOST_DEEP` levels."""
     try:
-        value = json.loads(content, parse_constant=_refuse_number)
+        value = json.loads(content, parse_constant=_refuse_number, parse_float=_finite)
     except RecursionError:
         raise ValueError("nested too deeply") from None
     text = content if isinstance(content, bytes) else content.encode(errors="replace")
@@ -22,6 +23,11 @@ def strict_json(content: bytes | str) -> Any:
 
 def _refuse_number(text: str) -> NoReturn:
     raise ValueError(f"{text}, which is no number in JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _refuse_number(text[:20])
 
 
 def _is_deep(value: Any) -> bool:
