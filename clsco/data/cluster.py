@@ -169,7 +169,7 @@ def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tup
             finally:
                 maker.storage.close()
         except Exception as error:  # any error is reported to the client
-            return failure_of(error)
+            return failure_of(error, pickle.loads(packed).where)
         return "done", ""
 
 

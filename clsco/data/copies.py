@@ -18,7 +18,6 @@ from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, 
 from clsco.data.storage import Storage, open_storage, remove_path
 from clsco.errors import FileError, SceneError
 from clsco.files.atomic import file_digests
-from clsco.scene.text import brief
 
 
 def remake(
@@ -73,7 +72,7 @@ def remake(
         made_by = original.about.get("distribution") if distribution is None else distribution
         if made_by is None:
             rule = "must be given for a set that a function made, as it is not run"
-            raise SceneError(f"distribution: {rule}; got {brief(original.about.get('function', 'none'))}")
+            raise SceneError(f"distribution: {rule}; got {original.about.get('function', 'none')}")
         target = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else os.fspath(out)
         make(
             made_by, target, only=original.samples, seed=identity.seed, truth=set(identity.arrays) - {"color"},

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import count, repeat
 from types import UnionType
 from typing import Any
 
 from clsco.files.strict_json import strict_json
 from clsco.scene.text import key_name, shown
 
+SHORT = 200  # characters of names and other texts that messages may show
 NUMBER = range(2**40)  # numbers of samples and shards, sizes in bytes
 ARRAY = {"dtype": str, "shape": [NUMBER], "unit": str, "convention": str, "transfer?": str}
 _NAMES: dict[Any, str] = {str: "text", dict: "table", list: "list", float | int: "number", dict | None: "table or null"}
@@ -24,33 +27,49 @@ def checked_json(content: bytes, kind: Any) -> Any:
 def misfit(value: Any, kind: Any, *location: str | int) -> str:
     """The first entry that is not of its kind, such as `seed "1", which is no number from 0 to 9`; "" if there is none.
 
-    kind: a type; a range of integers; [kind] for a list, (kind, kind) for a list of two; {"a": kind, "b?": kind} for a
-    table that must have `a` and may have `b`; {str: kind} for a table with any keys.
+    kind: a type; the largest length of a text; a range of integers; [kind] for a list, (kind, kind) for a list of two;
+    {"a": kind, "b?": kind} for a table that must have `a` and may have `b`; {length: kind} for a table with any keys.
     """
-    inner: list[tuple[str | int, Any, Any]] = []
-    if isinstance(kind, dict) and isinstance(value, dict):
-        if str in kind:
-            inner = [(name, each, kind[str]) for name, each in value.items()]
-        for key, own in kind.items() if str not in kind else ():
-            name = key.removesuffix("?")
-            if name == key or name in value:
-                inner.append((name, value.get(name, ...), own))
-    elif isinstance(value, list) and (isinstance(kind, list) or (isinstance(kind, tuple) and len(value) == len(kind))):
-        kinds = kind if isinstance(kind, tuple) else kind * len(value)
-        inner = [(place, each, own) for place, (each, own) in enumerate(zip(value, kinds, strict=True))]
-    elif not (type(value) is int and value in kind if isinstance(kind, range) else _is_a(value, kind)):
+    entries: Iterable[tuple[str | int, Any, Any]]
+    if _is_a(value, kind):
+        return ""
+    if kind.__class__ is tuple and isinstance(value, list) and len(value) == len(kind):
+        entries = zip(count(), value, kind, strict=False)
+    elif isinstance(kind, list) and isinstance(value, list):
+        entries = zip(count(), value, repeat(kind[0]), strict=False)
+    elif isinstance(kind, dict) and isinstance(value, dict):
+        entries = _of_table(value, kind)
+    else:
         named = key_name(location) if location else "content"
         return f"no {named}" if value is ... else f"{named} {shown(value)}, which is no {_name(kind)}"
-    return next(filter(None, (misfit(each, own, *location, name) for name, each, own in inner)), "")
+    for name, each, own in entries:
+        if not _is_a(each, own) and (fault := misfit(each, own, *location, name)):
+            return fault
+    return ""
 
 
 def _is_a(value: Any, kind: Any) -> bool:
+    """True if a value is of a kind that has no entries."""
+    if kind.__class__ is range:
+        return type(value) is int and value in kind
+    if kind.__class__ is int:
+        return isinstance(value, str) and len(value) <= kind
     return isinstance(kind, type | UnionType) and isinstance(value, kind)
+
+
+def _of_table(value: Mapping[str, Any], kind: Mapping[Any, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Name, value and kind of each entry of a table; the value is ... if the table does not have it."""
+    for key, own in kind.items():
+        if key == SHORT:
+            yield from ((name, name, SHORT) for name in value)
+            yield from ((name, each, own) for name, each in value.items())
+        elif (name := key.removesuffix("?")) == key or name in value:
+            yield name, value.get(name, ...), own
 
 
 def _name(kind: Any) -> str:
     if isinstance(kind, range):
         return f"number from {kind.start} to {kind.stop - 1}"
-    if isinstance(kind, tuple):
-        return f"list of {len(kind)}"
+    if isinstance(kind, int | tuple):
+        return f"text of at most {kind} characters" if isinstance(kind, int) else f"list of {len(kind)}"
     return _NAMES[kind if isinstance(kind, type | UnionType) else type(kind)]

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from clsco.data.fields import NUMBER, checked_json
+from clsco.data.fields import NUMBER, SHORT, checked_json
 from clsco.data.storage import Storage, checked_key
 from clsco.errors import FileError
 
@@ -22,9 +22,9 @@ CONFLICT = "conflict"  # folder of shards whose bytes differ from those of the s
 UNSPLIT = "data"  # folder of the shards of a set without splits
 _PART = {
     "shard": NUMBER, "identity": str, "first": NUMBER, "count": NUMBER, "made": NUMBER, "failed": NUMBER,
-    "files": {str: (NUMBER, str)}, "rows": str,
+    "files": {SHORT: (NUMBER, SHORT)}, "rows": str,
 }  # fmt: skip
-_ROW = {"number": NUMBER, "offset": NUMBER, "file": str, "split": str, "parameters": dict, "arrays": {str: str}}
+_ROW = {"number": NUMBER, "offset": NUMBER, "file": SHORT, "split": SHORT, "parameters": dict, "arrays": {SHORT: SHORT}}
 _FAILURE = {"number": NUMBER, "error": str, "scene": dict | None}
 
 

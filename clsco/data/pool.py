@@ -228,7 +228,7 @@ def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool
         while (task := pipe.recv()) is not None:
             pipe.send(_answer(maker, task, pipe))
     except (ClscoError, OSError) as error:
-        pipe.send(("fatal", str(error)))
+        pipe.send(("fatal", failure_of(error, job.where)[1]))
     finally:
         storage.close()
 
@@ -262,7 +262,7 @@ def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, 
     try:
         perform(maker, task, advance)
     except Exception as error:  # any error is reported to the parent, which continues
-        return failure_of(error)
+        return failure_of(error, maker.storage.where)
     return "done", resident_bytes()
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from clsco.data import manifest
 from clsco.data.card import CARD, write_card
-from clsco.data.fields import ARRAY, NUMBER, checked_json
+from clsco.data.fields import ARRAY, NUMBER, SHORT, checked_json
 from clsco.data.manifest import Identity, ManifestPart, Merged, part_key
 from clsco.data.storage import Storage
 from clsco.errors import FileError, SceneError
@@ -19,13 +19,13 @@ from clsco.scene.text import key_name
 MOST_SHARDS = 10**6
 LARGEST_CARD = 2**26
 _IDENTITY = {
-    "distribution": str, "seed": range(2**63), "first": NUMBER, "shard_size": range(1, 2**40), "format": str,
-    "arrays": [str], "precision": str, "splits": [(str, float | int)], "version": str, "device_family": str,
-    "types": [(str, str)],
+    "distribution": SHORT, "seed": range(2**63), "first": NUMBER, "shard_size": range(1, 2**40), "format": SHORT,
+    "arrays": [SHORT], "precision": SHORT, "splits": [(SHORT, float | int)], "version": SHORT, "device_family": SHORT,
+    "types": [(SHORT, SHORT)],
 }  # fmt: skip
 _CARD = {
-    "identity": _IDENTITY, "samples": (NUMBER, NUMBER), "license?": str, "recipe?": str, "function?": str,
-    "distribution?": dict, "arrays?": {str: ARRAY}, "files?": {str: [(str, NUMBER)]},
+    "identity": _IDENTITY, "samples": (NUMBER, NUMBER), "license?": str, "recipe?": str, "function?": SHORT,
+    "distribution?": dict, "arrays?": {SHORT: ARRAY}, "files?": {SHORT: [(SHORT, NUMBER)]},
 }  # fmt: skip
 LATEST = 64  # number of shards whose times give the rate
 AT_ONCE = 16  # parts that are read at the same time

@@ -19,6 +19,7 @@ from clsco.data.sets import DataSet
 from clsco.data.shards import SampleRenderer, device_family
 from clsco.errors import ClscoError, FileError, SceneError
 from clsco.files.atomic import sha256
+from clsco.frame.outputs import ATTRIBUTES
 from clsco.opencl.device import choose
 from clsco.scene.file import FILE_KEYS
 from clsco.scene.sweep import parse_sweep
@@ -93,6 +94,8 @@ def verify_samples(
         return [f"{rule}; got {device_family(chosen)}"]
     if numbers and data_set.identity.version != __version__:
         return [f"samples must be rendered again by clsco {data_set.identity.version}; got {__version__}"]
+    if unknown := set(data_set.identity.arrays) - ATTRIBUTES.keys():
+        return [f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {min(unknown)}"]
     renderer = SampleRenderer(chosen, data_set.identity.arrays, data_set.identity.precision)
     findings: list[str] = []
     for number in numbers:

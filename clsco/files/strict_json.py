@@ -18,6 +18,8 @@ def strict_json(content: bytes | str) -> Any:
     text = content if isinstance(content, bytes) else content.encode(errors="replace")
     if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(value):  # counting is fast, and rules out most
         raise ValueError("nested too deeply")
+    if b"\\ud" in text or b"\\uD" in text:  # an escape of half a character: UnicodeEncodeError, which is a ValueError
+        json.dumps(value, ensure_ascii=False).encode()
     return value
 
 

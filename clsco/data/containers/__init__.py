@@ -10,7 +10,6 @@ from clsco.data.containers.base import NEEDS
 from clsco.data.containers.base import Container as Container
 from clsco.data.containers.base import ShardReader as ShardReader
 from clsco.errors import MissingDependencyError, SceneError
-from clsco.scene.text import brief
 
 DEFAULT = "webdataset"
 # One row for each format; the commands take the names of formats from here. Formats with "+raw" compress nothing.
@@ -32,7 +31,7 @@ CONTAINERS = {
 def container_named(name: str) -> Container:
     """The container with a name. Raises SceneError for an unknown name, MissingDependencyError for a missing extra."""
     if name not in CONTAINERS:
-        raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {brief(name)}")
+        raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")
     container = CONTAINERS[name]
     if container.needs is not None and find_spec(container.needs[0]) is None:
         module, extra = container.needs
