@@ -7,20 +7,28 @@ from itertools import count, repeat
 from types import UnionType
 from typing import Any
 
+from clsco.errors import FileError
 from clsco.files.strict_json import strict_json
 from clsco.scene.text import key_name, shown
 
 SHORT = 200  # characters of names and other texts that messages may show
 NUMBER = range(2**40)  # numbers of samples and shards, sizes in bytes
 ARRAY = {"dtype": str, "shape": [NUMBER], "unit": str, "convention": str, "transfer?": str}
-_NAMES: dict[Any, str] = {str: "text", dict: "table", list: "list", float | int: "number", dict | None: "table or null"}
+_NAMES: dict[Any, str] = {
+    str: "text", dict: "table", list: "list", tuple: "list of this length", dict | None: "table or null",
+    float | int: "number", range: "number from {0.start} to below {0.stop}", int: "text of at most {} characters",
+}  # fmt: skip
 
 
-def checked_json(content: bytes, kind: Any) -> Any:
-    """Parse JSON. Raises ValueError, with a short text, for invalid JSON and for entries of another kind."""
-    value = strict_json(content)
-    if fault := misfit(value, kind):
-        raise ValueError(fault)
+def checked_json(content: bytes, kind: Any, rule: str) -> Any:
+    """Parse JSON. Raises FileError, which begins with `rule`, for invalid JSON, and for entries of another kind."""
+    try:
+        value = strict_json(content)
+        fault = misfit(value, kind)
+    except ValueError as error:
+        fault = str(error)
+    if fault:
+        raise FileError(f"{rule}; got {fault}")
     return value
 
 
@@ -40,8 +48,9 @@ def misfit(value: Any, kind: Any, *location: str | int) -> str:
     elif isinstance(kind, dict) and isinstance(value, dict):
         entries = _of_table(value, kind)
     else:
+        words = _NAMES[kind if isinstance(kind, type | UnionType) else type(kind)]
         named = key_name(location) if location else "content"
-        return f"no {named}" if value is ... else f"{named} {shown(value)}, which is no {_name(kind)}"
+        return f"no {named}" if value is ... else f"{named} {shown(value)}, which is no {words.format(kind)}"
     for name, each, own in entries:
         if not _is_a(each, own) and (fault := misfit(each, own, *location, name)):
             return fault
@@ -65,11 +74,3 @@ def _of_table(value: Mapping[str, Any], kind: Mapping[Any, Any]) -> Iterator[tup
             yield from ((name, each, own) for name, each in value.items())
         elif (name := key.removesuffix("?")) == key or name in value:
             yield name, value.get(name, ...), own
-
-
-def _name(kind: Any) -> str:
-    if isinstance(kind, range):
-        return f"number from {kind.start} to {kind.stop - 1}"
-    if isinstance(kind, int | tuple):
-        return f"text of at most {kind} characters" if isinstance(kind, int) else f"list of {len(kind)}"
-    return _NAMES[kind if isinstance(kind, type | UnionType) else type(kind)]

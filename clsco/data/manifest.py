@@ -16,6 +16,7 @@ from typing import Any
 from clsco.data.fields import NUMBER, SHORT, checked_json
 from clsco.data.storage import Storage, checked_key
 from clsco.errors import FileError
+from clsco.scene.text import brief
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
 CONFLICT = "conflict"  # folder of shards whose bytes differ from those of the same shard in the set
@@ -57,7 +58,7 @@ class Identity:
     def differences(self, record: Mapping[str, Any]) -> list[str]:
         """Messages on entries that differ in another record: "seed must be 1, as in the set; got 2"."""
         return [
-            f"{name.replace('_', ' ')} must be {_shortened(value)}, as in the set; got {_shortened(record.get(name))}"
+            f"{name.replace('_', ' ')} must be {_text(value)}, as in the set; got {_text(record.get(name))}"
             for name, value in self.record().items()
             if record.get(name) != value
         ]
@@ -78,7 +79,6 @@ class ManifestPart:
 
     @property
     def numbers(self) -> range:
-        """Numbers of the samples in the part."""
         return range(self.first, self.first + self.count)
 
 
@@ -106,10 +106,8 @@ def part_bytes(
 
 def parsed_part(data: bytes) -> ManifestPart:
     """The description of a shard from the first line of its part. Raises FileError if the line is invalid."""
-    try:
-        head = checked_json(data.partition(b"\n")[0], _PART)
-    except ValueError as error:
-        raise FileError(f"manifest: a part must begin with a line about its shard; got {error}") from None
+    rule = "manifest: a part must begin with a line about its shard"
+    head = checked_json(data.partition(b"\n")[0], _PART, rule)
     files = {checked_key(key): (size, digest) for key, (size, digest) in head["files"].items()}
     part = ManifestPart(**{name: head[name] for name in _PART} | {"files": files})
     if part.made + part.failed != part.count:
@@ -121,15 +119,11 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """The lines of a part on samples and on failed samples. Raises FileError if they contradict its first line."""
     part = parsed_part(data)
     require_rows(part, data)
-    lines = data.splitlines()[1:]
-    try:
-        if len(lines) != part.count:
-            raise ValueError(f"{len(lines)} of {part.count} lines")
-        rows = [checked_json(text, _ROW) for text in lines[: part.made]]
-        failures = [checked_json(text, _FAILURE) for text in lines[part.made :]]
-    except ValueError as error:
-        raise FileError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
-    return rows, failures
+    lines, rule = data.splitlines()[1:], f"{part_key(part.shard)}: each line must be about a sample"
+    if len(lines) != part.count:
+        raise FileError(f"{rule}; got {len(lines)} of {part.count} lines")
+    rows = [checked_json(text, _ROW, rule) for text in lines[: part.made]]
+    return rows, [checked_json(text, _FAILURE, rule) for text in lines[part.made :]]
 
 
 def require_rows(part: ManifestPart, data: bytes) -> None:
@@ -190,6 +184,5 @@ def files_by_split(files: Iterable[tuple[str, int]]) -> dict[str, list[tuple[str
     return {split: by_split[split] for split in sorted(by_split)}
 
 
-def _shortened(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= 64 else f"{text[:61]}..."
+def _text(value: Any) -> str:
+    return brief(value if isinstance(value, str) else json.dumps(value))

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 from clsco.data import manifest
@@ -42,11 +43,9 @@ class DataSet:
 
     @property
     def shards(self) -> range:
-        """Numbers of all shards."""
         return manifest.shard_numbers(self.samples, self.identity.shard_size)
 
     def numbers(self, shard: int) -> range:
-        """Numbers of the samples of a shard."""
         return manifest.numbers_of(shard, self.samples, self.identity.shard_size)
 
     def part_keys(self) -> list[str]:
@@ -130,19 +129,17 @@ def open_set(storage: Storage) -> DataSet:
     data = storage.read(CARD)
     if data is None:
         raise FileError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
-    try:
-        if len(data) > LARGEST_CARD:
-            raise ValueError(f"{len(data)} bytes")
-        card = checked_json(data, _CARD)
-        about = card["identity"]
-        if unknown := about.keys() - _IDENTITY.keys():
-            raise ValueError(f"{key_name(('identity', min(unknown)))}, which is no known key")
-        pairs = {name: tuple(map(tuple, about[name])) for name in ("splits", "types")}
-        samples, identity = range(*card["samples"]), Identity(**about | pairs | {"arrays": tuple(about["arrays"])})
-        if not samples or len(manifest.shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
-            raise ValueError(f"samples are {samples}")
-    except ValueError as error:
-        raise FileError(f"{storage.where}/{CARD}: must describe a data set; got {error}") from None
+    rule = f"{storage.where}/{CARD}: must describe a data set"
+    if len(data) > LARGEST_CARD:
+        raise FileError(f"{rule}; got {len(data)} bytes")
+    card = checked_json(data, _CARD, rule)
+    about = card["identity"]
+    if unknown := about.keys() - _IDENTITY.keys():
+        raise FileError(f"{rule}; got {key_name(('identity', min(unknown)))}, which is no known key")
+    pairs = {name: tuple(map(tuple, about[name])) for name in ("splits", "types")}
+    samples, identity = range(*card["samples"]), Identity(**about | pairs | {"arrays": tuple(about["arrays"])})
+    if not samples or len(manifest.shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
+        raise FileError(f"{rule}; got {samples} samples in shards of {identity.shard_size}")
     return DataSet(storage, identity, samples, card)
 
 
@@ -195,22 +192,18 @@ class Status:
 
     @property
     def is_whole(self) -> bool:
-        """True if all shards are done."""
         return len(self.done) == self.shards
 
     @property
     def made(self) -> int:
-        """Number of samples that were made."""
         return sum(part.made for part in self.done.values())
 
     @property
     def failed(self) -> int:
-        """Number of failed samples."""
         return sum(part.failed for part in self.done.values())
 
     @property
     def bytes(self) -> int:
-        """Size of all files of complete shards."""
         return sum(size for part in self.done.values() for size, _ in part.files.values())
 
     @property
@@ -263,10 +256,6 @@ def _rate(data_set: DataSet, done: Iterable[int]) -> float | None:
 
 def ranges(numbers: Iterable[int]) -> str:
     """Ranges of numbers as text: 3, 7-9."""
-    spans: list[list[int]] = []
-    for number in sorted(numbers):
-        if spans and number == spans[-1][1] + 1:
-            spans[-1][1] = number
-        else:
-            spans.append([number, number])
-    return ", ".join(f"{first}" if first == last else f"{first}-{last}" for first, last in spans)
+    runs = groupby(enumerate(sorted(numbers)), lambda pair: pair[1] - pair[0])
+    spans = [[number for _, number in run] for _, run in runs]
+    return ", ".join(f"{span[0]}-{span[-1]}" if len(span) > 1 else f"{span[0]}" for span in spans)

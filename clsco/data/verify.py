@@ -12,7 +12,7 @@ from clsco import __version__
 from clsco.data.build import located
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, ScriptedDistribution, scripted
-from clsco.data.fields import NUMBER, misfit
+from clsco.data.fields import NUMBER, SHORT, misfit
 from clsco.data.manifest import Merged, parsed_part, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
@@ -121,7 +121,9 @@ def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
     if number not in failures:
         raise SceneError(f"sample {number}: its shard must be made; got no part {part_key(shard)}")
     if (table := failures[number]["scene"]) is None:
-        raise SceneError(f"sample {number}: has no scene, as none could be drawn; got {failures[number]['error']}")
+        raise SceneError(
+            f"sample {number}: has no scene, as none could be drawn; got {failures[number]['error'][:SHORT]}"
+        )
     return dict(table)
 
 
@@ -136,18 +138,14 @@ def _verify_shard(data_set: DataSet, shard: int) -> Iterator[str]:
         try:
             reader = container_named(data_set.identity.format).read(data_set.storage.local(key))
             for row in (row for row in rows if row["file"] == key):
-                yield from _compared(f"{key}: sample {row['number']}", data_set, row, reader[row["offset"]])
+                where, record = f"{key}: sample {row['number']}", reader[row["offset"]]
+                got, seed = (record.meta.get("number"), record.meta.get("seed")), data_set.identity.seed
+                if got != (row["number"], seed):
+                    yield f"{where}: must be of seed {seed}; got sample {shown(got[0])} of seed {shown(got[1])}"
+                for name in _differing(record.sha256(), row["arrays"]):
+                    yield f"{where}: {name} must have the SHA-256 in the manifest; got another"
         except (ClscoError, IndexError) as error:
             yield f"{key}: must be read; got {error}"
-
-
-def _compared(where: str, data_set: DataSet, row: Mapping[str, Any], record: Record) -> Iterator[str]:
-    number, seed = record.meta.get("number"), record.meta.get("seed")
-    if number != row["number"] or seed != data_set.identity.seed:
-        got = f"sample {shown(number)} of seed {shown(seed)}"
-        yield f"{where}: must be of seed {data_set.identity.seed}; got {got}"
-    for name in _differing(record.sha256(), row["arrays"]):
-        yield f"{where}: {name} must have the SHA-256 in the manifest; got another"
 
 
 def _differing(hashes: Mapping[str, str], others: Mapping[str, str]) -> list[str]:

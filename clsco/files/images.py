@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -190,27 +191,10 @@ def write_exr(
     else:
         (planes,), (about,) = pixels, headers
         content = exr.File(about, planes)
+    buffer = io.BytesIO()  # OpenEXR ignores errors in its last write to a file, the table of lines
     with atomic_write(Path(path)) as file:
-        keeper = _ErrorKeeper(file)
-        content.write(keeper)
-        if keeper.error is not None:
-            raise keeper.error
-
-
-class _ErrorKeeper:
-    """A file that remembers a write error, because OpenEXR ignores errors in its last write, the table of lines."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self.file = file
-        self.error: OSError | None = None
-        self.seek, self.tell = file.seek, file.tell
-
-    def write(self, part: bytes) -> int:
-        try:
-            return self.file.write(part)
-        except OSError as error:
-            self.error = error
-            raise
+        content.write(buffer)
+        file.write(buffer.getbuffer())
 
 
 def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:

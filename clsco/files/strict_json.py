@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any, NoReturn
+from typing import Any
 
 MOST_DEEP = 64
 
@@ -12,7 +12,7 @@ MOST_DEEP = 64
 def strict_json(content: bytes | str) -> Any:
     """Parse JSON. Raises ValueError for invalid JSON, NaN, infinity, and more than `MOST_DEEP` levels."""
     try:
-        value = json.loads(content, parse_constant=_refuse_number, parse_float=_finite)
+        value = json.loads(content, parse_constant=_finite, parse_float=_finite)
     except RecursionError:
         raise ValueError("nested too deeply") from None
     text = content if isinstance(content, bytes) else content.encode(errors="replace")
@@ -23,13 +23,10 @@ def strict_json(content: bytes | str) -> Any:
     return value
 
 
-def _refuse_number(text: str) -> NoReturn:
-    raise ValueError(f"{text}, which is no number in JSON")
-
-
 def _finite(text: str) -> float:
-    value = float(text)
-    return value if math.isfinite(value) else _refuse_number(text[:20])
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text[:20]}, which is no number in JSON")
+    return value
 
 
 def _is_deep(value: Any) -> bool:

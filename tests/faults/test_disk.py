@@ -22,6 +22,7 @@ from clsco.opencl.device import choose
 from tests.cli.test_dataset import DISTRIBUTION
 from tests.command import clsco_
 from tests.data.test_shards import files
+from tests.faults import kills
 from tests.faults.opencl import counted
 from tests.faults.test_torn import Disk
 
@@ -100,3 +101,9 @@ def test_a_set_on_a_disk_that_fails(form: str, step: int, tmp_path: Path, monkey
         assert not list(out.glob(".*"))
         shutil.rmtree(out)
     assert faults >= 3
+
+
+@pytest.mark.parametrize(("seed", "count"), [(1, 2), pytest.param(2, 60, marks=pytest.mark.slow)])
+def test_commands_that_are_killed_go_on(seed: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kills, "COUNT", 24)
+    assert kills.main(["--kills", str(count), "--seed", str(seed), "--ways", "pool 2"]) == 0
