@@ -47,7 +47,6 @@ class Identity:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all fields."""
         return hashlib.sha256(line(self.record()).encode()).hexdigest()
 
     def record(self) -> dict[str, Any]:
@@ -147,14 +146,12 @@ class Merged:
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage
-        self.files: list[tuple[str, int]] = []
-        """Names of files, each with its number of samples."""
+        self.files: list[tuple[str, int]] = []  # names, each with its number of samples
         self.paths = {key: storage.scratch() / key for key in (MERGED, FAILED)}
         for path in self.paths.values():
             path.write_bytes(b"")
 
     def add(self, part: ManifestPart, data: bytes) -> None:
-        """Add a part."""
         lines = data.partition(b"\n")[2].splitlines(keepends=True)
         for key, own in ((MERGED, lines[: part.made]), (FAILED, lines[part.made :])):
             if own:
@@ -185,4 +182,4 @@ def files_by_split(files: Iterable[tuple[str, int]]) -> dict[str, list[tuple[str
 
 
 def _text(value: Any) -> str:
-    return brief(value if isinstance(value, str) else json.dumps(value))
+    return brief(value if isinstance(value, str) else json.dumps(value), 64)

@@ -168,7 +168,6 @@ class _Pool:
             self.workers.append(self._start(worker.place))
 
     def _end(self) -> None:
-        """Stop all processes, by force if necessary."""
         for worker in self.workers:
             if self.schedule.is_over:
                 worker.child.send(None)

@@ -146,7 +146,6 @@ class _Folder(_Storage):
 
     @_failing
     def write(self, key: str, data: bytes) -> None:
-        """Write bytes to a key."""
         path = self.scratch() / f"{secrets.token_hex(4)}.tmp"
         path.write_bytes(data)
         self.put(key, path)
@@ -183,7 +182,6 @@ class _Folder(_Storage):
 
     @_failing
     def remove(self, key: str) -> None:
-        """Remove a file or a folder, if it exists."""
         remove_path(self._path(key))
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -191,10 +191,19 @@ def write_exr(
     else:
         (planes,), (about,) = pixels, headers
         content = exr.File(about, planes)
-    buffer = io.BytesIO()  # OpenEXR ignores errors in its last write to a file, the table of lines
+    errors: list[OSError] = []  # as OpenEXR ignores errors in its last write, the table of lines
     with atomic_write(Path(path)) as file:
-        content.write(buffer)
-        file.write(buffer.getbuffer())
+
+        def write(part: bytes) -> int:
+            try:
+                return file.write(part)
+            except OSError as error:
+                errors.append(error)
+                raise
+
+        content.write(SimpleNamespace(write=write, seek=file.seek, tell=file.tell))
+        if errors:
+            raise errors[0]
 
 
 def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:
