@@ -67,8 +67,7 @@ def main(words: list[str] | None = None) -> int:
             turn += 1
             made = way if way == "render" else form
             if made not in undisturbed:
-                begun = time.monotonic()
-                whole = base / "whole"
+                begun, whole = time.monotonic(), base / "whole"
                 finish(start_render(base, whole) if way == "render" else start_make(base, whole, "--format", form))
                 undisturbed[made] = digests(whole), time.monotonic() - begun
                 shutil.rmtree(whole)
