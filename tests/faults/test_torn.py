@@ -184,7 +184,7 @@ def test_no_room_to_compile_is_reported_before_the_compiler_aborts(monkeypatch: 
     with pytest.raises(DeviceError, match=r"must have 16 MiB for kernels; got a full disk"):
         session.compiling()
     monkeypatch.undo()
-    monkeypatch.setattr(poclcache.resource, "getrlimit", lambda _: (2**16, 2**16))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (2**16, 2**16))
     with pytest.raises(DeviceError, match=r"got a limit of 65536 bytes a file \(ulimit -f\)") as caught:
         session.compiling()
     assert failure_of(caught.value, "DATA")[0] == "fatal"  # no failure of samples
