@@ -33,7 +33,7 @@ def checked_json(content: bytes, kind: Any, rule: str) -> Any:
 
 
 def misfit(value: Any, kind: Any, *location: str | int) -> str:
-    """The first entry that is not of its kind, such as `seed "1", which is no number from 0 to 9`; "" if there is none.
+    """The first entry of another kind, such as `seed "1", which is no number from 0 to below 9`; "" if there is none.
 
     kind: a type; the largest length of a text; a range of integers; [kind] for a list, (kind, kind) for a list of two;
     {"a": kind, "b?": kind} for a table that must have `a` and may have `b`; {length: kind} for a table with any keys.
@@ -69,8 +69,8 @@ def _is_a(value: Any, kind: Any) -> bool:
 def _of_table(value: Mapping[str, Any], kind: Mapping[Any, Any]) -> Iterator[tuple[str, Any, Any]]:
     """Name, value and kind of each entry of a table; the value is ... if the table does not have it."""
     for key, own in kind.items():
-        if key == SHORT:
-            yield from ((name, name, SHORT) for name in value)
+        if isinstance(key, int):
+            yield from ((name, name, key) for name in value)
             yield from ((name, each, own) for name, each in value.items())
         elif (name := key.removesuffix("?")) == key or name in value:
             yield name, value.get(name, ...), own
