@@ -58,7 +58,6 @@ def misfit(value: Any, kind: Any, *location: str | int) -> str:
 
 
 def _is_a(value: Any, kind: Any) -> bool:
-    """True if a value is of a kind that has no entries."""
     if kind.__class__ is range:
         return type(value) is int and value in kind
     if kind.__class__ is int:

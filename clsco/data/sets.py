@@ -71,8 +71,10 @@ class DataSet:
         hashes: True to compare the SHA-256 of files with the part, False to compare only their sizes. faults: gets a
         line for each part whose shard is not complete. merged: gets the parts of complete shards.
         """
-        present, whole, sizes = set(self.part_keys()), dict[int, ManifestPart](), dict[str, dict[str, int]]()
-        keys, digest = {key: shard for shard in shards if (key := part_key(shard)) in present}, self.identity.digest
+        whole, sizes = dict[int, ManifestPart](), dict[str, dict[str, int]]()
+        keys, digest = {part_key(shard): shard for shard in shards}, self.identity.digest
+        if len(keys) > 1:  # a list of the parts takes less time than attempts to read those that are missing
+            keys = {key: keys[key] for key in self.part_keys() if key in keys}
         for key, data in self.parts(list(keys)):
             shard, expected = keys[key], self.numbers(keys[key])
             try:
