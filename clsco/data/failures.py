@@ -13,7 +13,7 @@ _ERRNOS_OF_MACHINE = {
 
 
 def failure_of(error: BaseException, where: str) -> tuple[str, str]:
-    """Class and text of an error while a shard of a set is made: "fatal" if other shards would also fail, or "failed"."""
+    """Class and text of an error while a shard is made; "fatal" if other shards would also fail, else "failed"."""
     is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
     text = f"{where}: the disk must work, and memory must suffice" if is_fatal else "sample: must be made"
     got = (isinstance(error, OSError) and error.strerror) or repr(error)
