@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,6 +14,8 @@ from clsco.cli.output import echo
 from clsco.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from clsco.engine.batch import Job
     from clsco.plan.prepare import PreparedFile
 
@@ -46,7 +48,7 @@ def _rate(text: str) -> Fraction:
 def video(
     folder: Path, out: Path, preset: str | None, view: str, fps: Fraction | None, speed: Fraction | None, quiet: bool
 ) -> None:
-    """Make a clip of the frames in DIR, which clsco render wrote.
+    """Make a clip of the frames in DIR, which clsco render wrote; or, with --fps, of other images, by number and name.
 
     Each view of stereo pairs has a clip, such as clip_left.mp4 and clip_right.mp4. Depth, blur radius and flow are
     shown as colors, on one scale for the whole clip, which is reported; they need frames rendered with --truth all,
@@ -56,16 +58,38 @@ def video(
         raise click.UsageError("--speed: must be without --fps, which says how fast the clip is")
     from clsco.cli.progress import progress
     from clsco.files.video import preset_for, require_video
-    from clsco.frame.frame_folder import read_frame_folder
+    from clsco.frame.frame_folder import plain_images, read_frame_folder
     from clsco.frame.video import Playing, clip_path, write_folder_clip
 
     name = preset_for(out, preset)
     require_video(out)
+    if paths := plain_images(folder):
+        _write_images(out, paths, fps, view, name, quiet)
+        return
     frames, playing = read_frame_folder(folder), Playing(fps, speed or Fraction(1))
     with progress(len(frames.numbers) * len(frames.eyes), quiet) as advance:
         for eye in frames.eyes:
             target = clip_path(out, eye)
             _report(target, write_folder_clip(target, frames, eye, view, name, playing, advance))
+
+
+def _write_images(out: Path, paths: Sequence[Path], fps: Fraction | None, view: str, preset: str, quiet: bool) -> None:
+    """Write a clip of images that `clsco render` did not write, and that have no rate and no other arrays."""
+    from clsco.cli.progress import progress
+    from clsco.files.images import read_image
+    from clsco.frame.video import write_video
+
+    if fps is None or view != "color":
+        raise click.UsageError("--fps: images that clsco render did not write need it, and have only --view color")
+    with progress(len(paths), quiet, "images") as advance:
+
+        def pictures() -> Iterator[NDArray[Any]]:
+            for path in paths:
+                yield read_image(path).data
+                advance()
+
+        notes = write_video(out, pictures(), fps, preset=preset)
+    _report(out, [f"{len(paths)} images, {paths[0].name} to {paths[-1].name}, at {fps} per second", *notes])
 
 
 def _report(where: Path, facts: Sequence[str]) -> None:

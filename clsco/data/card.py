@@ -10,8 +10,10 @@ from typing import Any
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.containers.base import is_png
+from clsco.data.fields import ARRAY, SHORT, misfit
 from clsco.data.manifest import UNSPLIT, Identity, files_by_split
 from clsco.data.storage import Storage
+from clsco.errors import FileError
 
 CARD, README = "dataset.json", "README.md"
 # Licenses of https://huggingface.co/docs/hub/repositories-licenses that suit data; the hub shows others by their name.
@@ -32,7 +34,7 @@ def write_card(storage: Storage, identity: Identity, files: Iterable[tuple[str, 
     counts = {split: sum(count for _, count in own) for split, own in by_split.items()}
     samples = range(*card["samples"])
     total = sum(counts.values())
-    first = _describe_sample(storage, identity, _largest_first(by_split))
+    first = _describe_sample(storage, identity, by_split)
     source = f"distribution {identity.distribution[:16]}, seed {identity.seed}, clsco {identity.version}"
     card["license"] = card.get("license") or "unspecified"
     card |= {
@@ -61,25 +63,26 @@ def loading_lines(storage: Storage, identity: Identity, by_split: Mapping[str, S
 
     It is not taken from the card, which is untrusted, but made from names that are checked.
     """
-    first = _describe_sample(storage, identity, _largest_first(by_split))
+    first = _describe_sample(storage, identity, by_split)
     return [f"{package}: {code}" for package, code in _loading(identity.format, first).items()] if first.arrays else []
 
 
-def _largest_first(by_split: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
-    """Files that have samples, beginning with those of the largest split, which is usually the one to learn from."""
-    splits = sorted(by_split, key=lambda split: -sum(count for _, count in by_split[split]))
-    return [file for split in splits for file, count in by_split[split] if count]
-
-
-def _describe_sample(storage: Storage, identity: Identity, files: Sequence[str]) -> _SampleDescription:
-    if not files:
+def _describe_sample(
+    storage: Storage, identity: Identity, by_split: Mapping[str, Sequence[tuple[str, int]]]
+) -> _SampleDescription:
+    """The first sample of the largest split, which is usually the one to learn from."""
+    largest = max(by_split.values(), key=lambda files: sum(count for _, count in files), default=())
+    file = next((file for file, count in largest if count), None)
+    if file is None:
         return _SampleDescription()
-    reader = CONTAINERS[identity.format].read(storage.local(files[0]))
+    reader = CONTAINERS[identity.format].read(storage.local(file))
     arrays = reader.record(0, ()).meta["arrays"]
+    if fault := misfit(arrays, {SHORT: ARRAY}):
+        raise FileError(f"{file}: arrays must be described as clsco dataset make does it; got {fault}")
     for about in arrays.values():
         about.pop("clipped", None)  # it differs between samples
         about["encoding"] = _encoding(identity.format, about)
-    return _SampleDescription(files[0], reader.keys[0], arrays)
+    return _SampleDescription(file, reader.keys[0], arrays)
 
 
 def _encoding(form: str, about: Mapping[str, Any]) -> str:

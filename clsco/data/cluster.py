@@ -8,7 +8,7 @@ import pickle
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from clsco import __version__
@@ -164,12 +164,10 @@ def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tup
     with _lock:
         try:
             maker = _maker(packed, per_host)
-            try:
+            with closing(maker.storage):
                 perform(maker, task)
-            finally:
-                maker.storage.close()
         except Exception as error:  # any error is reported to the client
-            return failure_of(error)
+            return failure_of(error, pickle.loads(packed).where)
         return "done", ""
 
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from clsco.data.card import CARD
 from clsco.data.containers import CONTAINERS, container_named
 from clsco.data.creation import DistributionLike, Progress, make
 from clsco.data.manifest import part_bytes, part_key
@@ -19,7 +18,6 @@ from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, 
 from clsco.data.storage import Storage, open_storage, remove_path
 from clsco.errors import FileError, SceneError
 from clsco.files.atomic import file_digests
-from clsco.files.strict_json import strict_json
 
 
 def remake(
@@ -73,16 +71,14 @@ def remake(
         identity = original.identity
         made_by = original.about.get("distribution") if distribution is None else distribution
         if made_by is None:
-            name = original.about.get("function", "none")
-            raise SceneError(
-                f"distribution: must be given for a set that a function made, as it is not run; got {name}"
-            )
+            rule = "must be given for a set that a function made, as it is not run"
+            raise SceneError(f"distribution: {rule}; got {original.about.get('function', 'none')}")
         target = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else os.fspath(out)
         make(
             made_by, target, only=original.samples, seed=identity.seed, truth=set(identity.arrays) - {"color"},
             color="color" in identity.arrays, types=dict(identity.types), splits=identity.splits or None,
             format=identity.format, shard_size=identity.shard_size, precision=identity.precision, devices=devices,
-            workers=workers, folder=folder, license=str(original.about.get("license", "")), progress=progress,
+            workers=workers, folder=folder, license=original.about.get("license", ""), progress=progress,
             allow_failures=len(original.samples),
         )  # fmt: skip
         remade = open_storage(target)
@@ -126,8 +122,7 @@ def convert(
         raise FileError(f"{source.where}: all {status.shards} shards must be whole; got {got}")
     new_set = DataSet(target, replace(source_set.identity, format=form), source_set.samples)
     check_resumable(new_set, resume)
-    card = strict_json(source.read(CARD) or b"{}")
-    new_set.write({name: value for name, value in card.items() if name not in OWN})
+    new_set.write({name: value for name, value in source_set.about.items() if name not in OWN})
     done = new_set.done(new_set.shards, target.is_local, [])
     left = [shard for shard in new_set.shards if shard not in done]
     advance = begin(len(left))

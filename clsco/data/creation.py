@@ -32,10 +32,7 @@ TRUTH = ("sharp", "depth", "coc")
 MOST_SAMPLES = 10**12
 
 DistributionLike = str | os.PathLike[str] | Mapping[str, Any] | DrawScene
-"""A distribution file, its content, or a function that draws scenes."""
 Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
-"""Takes the number of samples to make, and returns a context manager. The manager returns a function that is called
-with the number of samples made since its last call."""
 
 
 class FailedSamplesError(ClscoError):
@@ -168,7 +165,14 @@ def make(  # noqa: PLR0913, a parameter for each option
 
     container_named(format)
     samples, arrays = sample_numbers(count, only), stored_arrays(truth, color)
-    drawn = _distribution_of(distribution, overrides, splits, None if folder is None else Path(folder))
+    base = None if folder is None else Path(folder)
+    drawn: Distribution | ScriptedDistribution
+    if not callable(distribution):
+        drawn = load_distribution(distribution, overrides, splits, base)
+    elif overrides:
+        raise SceneError(f"overrides: are for files and their content, not for a function; got {overrides[0]}")
+    else:
+        drawn = scripted(distribution, splits, base)
     text = types if isinstance(types, str) else ",".join(f"{name}={each}" for name, each in types.items())
     stored = tuple(sorted(parse_stored(text).items()))
     if scheduler:
@@ -197,16 +201,6 @@ def make(  # noqa: PLR0913, a parameter for each option
         of = sum(len(job.numbers(shard)) for shard in shards)
         raise FailedSamplesError(f"{os.fspath(data)}: {rule}; got {len(failures)} of {of} that failed; {first}", status)
     return status
-
-
-def _distribution_of(
-    distribution: DistributionLike, overrides: Sequence[str], splits: SplitsLike, folder: Path | None
-) -> Distribution | ScriptedDistribution:
-    if not callable(distribution):
-        return load_distribution(distribution, overrides, splits, folder)
-    if overrides:
-        raise SceneError(f"overrides: are for files and their content, not for a function; got {overrides[0]}")
-    return scripted(distribution, splits, folder)
 
 
 def stored_arrays(truth: str | Iterable[str], color: bool = True) -> tuple[str, ...]:

@@ -17,9 +17,10 @@ import numpy as np
 from clsco.data.card import CARD
 from clsco.data.containers import ShardReader, container_named
 from clsco.data.draws import shuffled
+from clsco.data.fields import SHORT
 from clsco.data.manifest import files_by_split, files_of, parsed_part
 from clsco.data.record import PICTURES, Record, is_named
-from clsco.data.sets import DataSet, open_set
+from clsco.data.sets import open_set
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
 from clsco.errors import MissingDependencyError, SceneError
 from clsco.files.atomic import raise_file_error
@@ -27,7 +28,7 @@ from clsco.frame.contact_sheet import contact_sheet, split_into_rows
 from clsco.frame.notebook import html_to_show
 from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES
 from clsco.frame.views import Picture
-from clsco.scene.text import meant
+from clsco.scene.text import brief, meant
 
 MOST_COPIES = 16  # local copies of shards of an object store at a time
 
@@ -314,10 +315,12 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     storage = open_storage(data)
     data_set = open_set(storage)
     container_named(data_set.identity.format)
-    card = _card_with_files(data_set)
-    files = card["files"]
+    listed = data_set.about.get("files")  # which the card of an unfinished set does not have
+    if listed is None:
+        listed = files_by_split(each for _, data in data_set.parts() for each in files_of(parsed_part(data), data))
+    files = {split: [(checked_key(file), count) for file, count in each] for split, each in listed.items()}
     if split is not None and split not in files:
-        raise SceneError(f"split: must be one of {', '.join(files)}; got {split}")
+        raise SceneError(f"split: must be one of {brief(', '.join(files), SHORT)}; got {split}")
     chosen = [each for name, listed in files.items() if split in (None, name) for each in listed]
     names = None if arrays is None else frozenset(map(_in_files, [arrays] if isinstance(arrays, str) else arrays))
     if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ATTRIBUTES):
@@ -325,38 +328,13 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
         raise SceneError(f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {unknown[0]}{hint}")
     by_number = sorted(chosen, key=lambda file: file[0].partition("/")[::-1])  # by shard number, then by split
     shards = _Shards(storage.where, data_set.identity.format, by_number)
-    return Dataset(card, shards, names, range(sum(count for _, count in chosen)))
+    return Dataset({**data_set.about, "files": files}, shards, names, range(sum(count for _, count in chosen)))
 
 
 def _in_files(name: str) -> str:
     """The name that an array has in files, such as "v01.coc" for "v01.blur_radius"."""
     prefix, dot, kind = name.rpartition(".")
     return f"{prefix}{dot}{FILE_NAMES.get(kind, kind)}"
-
-
-def _card_with_files(data_set: DataSet) -> dict[str, Any]:
-    """The card with the checked files of each split as `files`. Raises FileError.
-
-    Files of an unfinished set, whose card does not list them yet, are read from its parts of the manifest.
-    """
-    try:
-        if "files" in data_set.about:
-            listed = dict(data_set.about["files"])
-        else:
-            listed = files_by_split(each for _, data in data_set.parts() for each in files_of(parsed_part(data), data))
-        files = {
-            str(split): [(checked_key(str(file)), _count(count)) for file, count in each]
-            for split, each in listed.items()
-        }
-    except (ValueError, TypeError) as error:
-        raise_file_error(f"{data_set.storage.where}/{CARD}", "must list the files of a data set", repr(error), error)
-    return {**data_set.about, "files": files}
-
-
-def _count(value: Any) -> int:
-    if type(value) is not int or not 0 <= value <= 2**40:
-        raise ValueError(f"{value!r} samples")
-    return value
 
 
 TILE = 200  # px, the longer side of a picture

@@ -21,7 +21,7 @@ from clsco.data.build import Builder, corner_faults
 from clsco.data.compile import Parameter, Reader, VariedKeys
 from clsco.data.draws import MAX_SEED, Splits, SplitsLike, split_of, splits_of, stream_words
 from clsco.data.folder import Folder
-from clsco.data.tables import DistributionTables, read_tables
+from clsco.data.tables import DistributionTables, as_json, read_tables
 from clsco.errors import ClscoError, SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import MAX_VARIANTS, VARIANT, dump, table_at
@@ -158,14 +158,10 @@ def load_distribution(
         faults = _not_analytic(parts)
     if faults:
         raise SceneError(at_most(where, dict.fromkeys(faults)))
-    digest, recipe = _digest(tables, shares, inside), _recipe(where, content, tables, overrides)
-    return Distribution(where, inside.path, shares, digest, parts, accept, tables, recipe)
-
-
-def _recipe(where: str, content: Mapping[str, Any] | None, tables: DistributionTables, overrides: Sequence[str]) -> str:
+    digest, recipe = _digest(tables, shares, inside), toml_text(tables.content())
     if content is None and not overrides and not tables.is_joined:
-        return read_regular(where, MAX_FILE_BYTES, follow=True).decode("utf-8-sig")
-    return toml_text(tables.content())
+        recipe = read_regular(where, MAX_FILE_BYTES, follow=True).decode("utf-8-sig")
+    return Distribution(where, inside.path, shares, digest, parts, accept, tables, recipe)
 
 
 def _not_analytic(parts: VariedKeys) -> list[str]:
@@ -212,7 +208,8 @@ class ScriptedDistribution(_Distribution):
             content, parameters = drawn if isinstance(drawn, tuple) and len(drawn) == 2 else (drawn, {})
             sweep = _sweep_of(content, noise_seed)
             tables = [self._table(scene) for scene in sweep.scenes]
-            parameters = _as_json(parameters)
+            rule = "parameters: must be a mapping of numbers, texts, lists and mappings"
+            parameters = as_json(parameters, rule, _of_numpy, allow_nan=False)
         except ClscoError:
             raise
         except Exception as error:
@@ -237,19 +234,10 @@ class ScriptedDistribution(_Distribution):
         return whole.relative_to(self.folder).as_posix()
 
 
-def _as_json(parameters: Any) -> dict[str, Any]:
-    """The parameters that a function returns, in types that JSON has. Raises SceneError."""
-
-    def plain(value: Any) -> Any:
-        converted = as_python(value)
-        if converted is value:
-            raise TypeError(f"a value of type {type(value).__name__}")
-        return converted
-
-    try:
-        return dict(json.loads(json.dumps(dict(parameters), default=plain, allow_nan=False)))
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"parameters: must be a mapping of numbers, texts, lists and mappings; got {error}") from error
+def _of_numpy(value: Any) -> Any:
+    if (converted := as_python(value)) is value:
+        raise TypeError(f"a value of type {type(value).__name__}")
+    return converted
 
 
 def _sweep_of(content: Any, noise_seed: int) -> Sweep:

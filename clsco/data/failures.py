@@ -12,11 +12,12 @@ _ERRNOS_OF_MACHINE = {
 }  # fmt: skip
 
 
-def failure_of(error: BaseException) -> tuple[str, str]:
-    """Class of an error, and its text. The class is "fatal" if other shards would also fail, else "failed"."""
-    text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
+def failure_of(error: BaseException, where: str) -> tuple[str, str]:
+    """Class and text of an error while a shard is made; "fatal" if other shards would also fail, else "failed"."""
     is_fatal = is_of_machine(error) or any(isinstance(cause, OSError) for cause in _causes(error))
-    return "fatal" if is_fatal else "failed", text
+    text = f"{where}: the disk must work, and memory must suffice" if is_fatal else "sample: must be made"
+    got = (isinstance(error, OSError) and error.strerror) or repr(error)
+    return "fatal" if is_fatal else "failed", str(error) if isinstance(error, ClscoError) else f"{text}; got {got}"
 
 
 def is_of_machine(error: BaseException) -> bool:

@@ -186,7 +186,6 @@ class ChoiceForm(Form):
 
     @classmethod
     def parse(cls, table: Table, *_: Any) -> Form:
-        """Read the distribution from its table in the file. Raises RefusedError."""
         entries = _at("choice", table, _entries)
         weights = table.get("weights", [1.0] * len(entries))
         if not isinstance(weights, list) or len(weights) != len(entries):

@@ -13,13 +13,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from clsco.data.fields import NUMBER, SHORT, checked_json
 from clsco.data.storage import Storage, checked_key
 from clsco.errors import FileError
-from clsco.files.strict_json import strict_json
+from clsco.scene.text import brief
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
 CONFLICT = "conflict"  # folder of shards whose bytes differ from those of the same shard in the set
 UNSPLIT = "data"  # folder of the shards of a set without splits
+_PART = {
+    "shard": NUMBER, "identity": str, "first": NUMBER, "count": NUMBER, "made": NUMBER, "failed": NUMBER,
+    "files": {SHORT: (NUMBER, SHORT)}, "rows": str,
+}  # fmt: skip
+_ROW = {"number": NUMBER, "offset": NUMBER, "file": SHORT, "split": SHORT, "parameters": dict, "arrays": {SHORT: SHORT}}
+_FAILURE = {"number": NUMBER, "error": str, "scene": dict | None}
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,6 @@ class Identity:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all fields."""
         return hashlib.sha256(line(self.record()).encode()).hexdigest()
 
     def record(self) -> dict[str, Any]:
@@ -51,7 +57,7 @@ class Identity:
     def differences(self, record: Mapping[str, Any]) -> list[str]:
         """Messages on entries that differ in another record: "seed must be 1, as in the set; got 2"."""
         return [
-            f"{name.replace('_', ' ')} must be {_shortened(value)}, as in the set; got {_shortened(record.get(name))}"
+            f"{name.replace('_', ' ')} must be {_text(value)}, as in the set; got {_text(record.get(name))}"
             for name, value in self.record().items()
             if record.get(name) != value
         ]
@@ -72,7 +78,6 @@ class ManifestPart:
 
     @property
     def numbers(self) -> range:
-        """Numbers of the samples in the part."""
         return range(self.first, self.first + self.count)
 
 
@@ -100,15 +105,11 @@ def part_bytes(
 
 def parsed_part(data: bytes) -> ManifestPart:
     """The description of a shard from the first line of its part. Raises FileError if the line is invalid."""
-    try:
-        head = strict_json(data.partition(b"\n")[0])
-        files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in head.pop("files").items()}
-        numbers = {name: int(head.pop(name)) for name in ("shard", "first", "count", "made", "failed")}
-        part = ManifestPart(**numbers, files=files, identity=str(head.pop("identity")), rows=str(head.pop("rows")))
-        counts_agree = min(numbers.values()) >= 0 and part.made + part.failed == part.count
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FileError(f"manifest: a part must begin with a line about its shard; got {error!r}") from None
-    if head or not counts_agree:
+    rule = "manifest: a part must begin with a line about its shard"
+    head = checked_json(data.partition(b"\n")[0], _PART, rule)
+    files = {checked_key(key): (size, digest) for key, (size, digest) in head["files"].items()}
+    part = ManifestPart(**{name: head[name] for name in _PART} | {"files": files})
+    if part.made + part.failed != part.count:
         raise FileError(f"manifest: samples made and failed must add up; got {part.made} + {part.failed}")
     return part
 
@@ -117,28 +118,11 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """The lines of a part on samples and on failed samples. Raises FileError if they contradict its first line."""
     part = parsed_part(data)
     require_rows(part, data)
-    try:
-        lines = [strict_json(text) for text in data.splitlines()[1:]]
-        rows, failures = lines[: part.made], lines[part.made :]
-        fit = [_fits(row, _ROW) and all(isinstance(digest, str) for digest in row["arrays"].values()) for row in rows]
-        fit += [_fits(row, _FAILURE) for row in failures]
-        if len(lines) != part.count or not all(fit):
-            raise ValueError("other values, or fewer lines")
-    except ValueError as error:
-        raise FileError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
-    return rows, failures
-
-
-_ROW = {"number": int, "offset": int, "file": str, "split": str, "parameters": dict, "arrays": dict}
-_FAILURE = {"number": int, "error": str, "scene": dict | None}
-
-
-def _fits(row: Any, types: Mapping[str, Any]) -> bool:
-    """True if a row has entries of these types. Integers must be 0 to 10^12, as they are sample numbers or offsets."""
-    if not isinstance(row, dict) or not all(isinstance(row.get(name, ...), kind) for name, kind in types.items()):
-        return False
-    numbers = [row[name] for name, kind in types.items() if kind is int]
-    return all(type(number) is int and 0 <= number <= 10**12 for number in numbers)
+    lines, rule = data.splitlines()[1:], f"{part_key(part.shard)}: each line must be about a sample"
+    if len(lines) != part.count:
+        raise FileError(f"{rule}; got {len(lines)} of {part.count} lines")
+    rows = [checked_json(text, _ROW, rule) for text in lines[: part.made]]
+    return rows, [checked_json(text, _FAILURE, rule) for text in lines[part.made :]]
 
 
 def require_rows(part: ManifestPart, data: bytes) -> None:
@@ -162,14 +146,12 @@ class Merged:
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage
-        self.files: list[tuple[str, int]] = []
-        """Names of files, each with its number of samples."""
+        self.files: list[tuple[str, int]] = []  # names, each with its number of samples
         self.paths = {key: storage.scratch() / key for key in (MERGED, FAILED)}
         for path in self.paths.values():
             path.write_bytes(b"")
 
     def add(self, part: ManifestPart, data: bytes) -> None:
-        """Add a part."""
         lines = data.partition(b"\n")[2].splitlines(keepends=True)
         for key, own in ((MERGED, lines[: part.made]), (FAILED, lines[part.made :])):
             if own:
@@ -199,6 +181,5 @@ def files_by_split(files: Iterable[tuple[str, int]]) -> dict[str, list[tuple[str
     return {split: by_split[split] for split in sorted(by_split)}
 
 
-def _shortened(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= 64 else f"{text[:61]}..."
+def _text(value: Any) -> str:
+    return brief(value if isinstance(value, str) else json.dumps(value), 64)

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from clsco.data.failures import failure_of
-from clsco.data.storage import open_storage
+from clsco.data.storage import open_storage, remove_path
 from clsco.engine.child import Child, at_forced_end, how_ended
 from clsco.errors import ClscoError
 from clsco.resources import processors, resident_bytes
@@ -42,8 +42,7 @@ class Place:
     threads: int = 0
 
 
-Advance = Callable[[int], object]
-"""A function that is called with the number of samples made since its last call."""
+Advance = Callable[[int], object]  # called with the number of samples made since its last call
 
 
 @dataclass
@@ -169,7 +168,6 @@ class _Pool:
             self.workers.append(self._start(worker.place))
 
     def _end(self) -> None:
-        """Stop all processes, by force if necessary."""
         for worker in self.workers:
             if self.schedule.is_over:
                 worker.child.send(None)
@@ -228,7 +226,7 @@ def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool
         while (task := pipe.recv()) is not None:
             pipe.send(_answer(maker, task, pipe))
     except (ClscoError, OSError) as error:
-        pipe.send(("fatal", str(error)))
+        pipe.send(("fatal", failure_of(error, job.where)[1]))
     finally:
         storage.close()
 
@@ -246,7 +244,8 @@ def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> 
     if task.tried is None:
         maker.deliver(made, {"pid": os.getpid(), "device": str(maker.renderer.device), "rss": resident_bytes()})
     else:
-        maker.drop(made)
+        for path in made.files.values():
+            remove_path(path)
 
 
 def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, ...]:
@@ -262,7 +261,7 @@ def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, 
     try:
         perform(maker, task, advance)
     except Exception as error:  # any error is reported to the parent, which continues
-        return failure_of(error)
+        return failure_of(error, maker.storage.where)
     return "done", resident_bytes()
 
 
@@ -300,11 +299,9 @@ class Schedule:
 
     @property
     def is_over(self) -> bool:
-        """True if all shards are made."""
         return self._left == 0
 
     def done(self, task: ShardTask) -> None:
-        """Record that a task succeeded."""
         if task.tried is None:
             self._left -= 1
         else:

@@ -6,17 +6,28 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 from clsco.data import manifest
 from clsco.data.card import CARD, write_card
+from clsco.data.fields import ARRAY, NUMBER, SHORT, checked_json
 from clsco.data.manifest import Identity, ManifestPart, Merged, part_key
 from clsco.data.storage import Storage
 from clsco.errors import FileError, SceneError
-from clsco.files.strict_json import strict_json
+from clsco.scene.text import key_name
 
 MOST_SHARDS = 10**6
 LARGEST_CARD = 2**26
+_IDENTITY = {
+    "distribution": SHORT, "seed": range(2**63), "first": NUMBER, "shard_size": range(1, 2**40), "format": SHORT,
+    "arrays": [SHORT], "precision": SHORT, "splits": [(SHORT, float | int)], "version": SHORT, "device_family": SHORT,
+    "types": [(SHORT, SHORT)],
+}  # fmt: skip
+_CARD = {
+    "identity": _IDENTITY, "samples": (NUMBER, NUMBER), "license?": str, "recipe?": str, "function?": SHORT,
+    "distribution?": dict, "arrays?": {SHORT: ARRAY}, "files?": {SHORT: [(SHORT, NUMBER)]},
+}  # fmt: skip
 LATEST = 64  # number of shards whose times give the rate
 AT_ONCE = 16  # parts that are read at the same time
 
@@ -32,11 +43,9 @@ class DataSet:
 
     @property
     def shards(self) -> range:
-        """Numbers of all shards."""
         return manifest.shard_numbers(self.samples, self.identity.shard_size)
 
     def numbers(self, shard: int) -> range:
-        """Numbers of the samples of a shard."""
         return manifest.numbers_of(shard, self.samples, self.identity.shard_size)
 
     def part_keys(self) -> list[str]:
@@ -62,8 +71,10 @@ class DataSet:
         hashes: True to compare the SHA-256 of files with the part, False to compare only their sizes. faults: gets a
         line for each part whose shard is not complete. merged: gets the parts of complete shards.
         """
-        present, whole, sizes = set(self.part_keys()), dict[int, ManifestPart](), dict[str, dict[str, int]]()
-        keys, digest = {key: shard for shard in shards if (key := part_key(shard)) in present}, self.identity.digest
+        whole, sizes = dict[int, ManifestPart](), dict[str, dict[str, int]]()
+        keys, digest = {part_key(shard): shard for shard in shards}, self.identity.digest
+        if len(keys) > 1:  # a list of the parts takes less time than attempts to read those that are missing
+            keys = {key: keys[key] for key in self.part_keys() if key in keys}
         for key, data in self.parts(list(keys)):
             shard, expected = keys[key], self.numbers(keys[key])
             try:
@@ -120,22 +131,17 @@ def open_set(storage: Storage) -> DataSet:
     data = storage.read(CARD)
     if data is None:
         raise FileError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
-    try:
-        if len(data) > LARGEST_CARD:
-            raise ValueError(f"{len(data)} bytes")
-        card = strict_json(data)
-        about = dict(card["identity"])
-        texts = (card.get("license", ""), card.get("recipe", ""), about["format"])
-        if not all(isinstance(text, str) for text in texts):
-            raise TypeError("a license, recipe or format that is no text")
-        about["arrays"] = tuple(map(str, about["arrays"]))
-        about["splits"] = tuple((str(name), float(share)) for name, share in about["splits"])
-        about["types"] = tuple((str(name), str(kind)) for name, kind in about["types"])
-        samples, identity = range(*(int(number) for number in card["samples"])), Identity(**about)
-        if not samples or samples.start < 0 or len(manifest.shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
-            raise ValueError(f"samples are {samples}")
-    except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError) as error:
-        raise FileError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
+    rule = f"{storage.where}/{CARD}: must describe a data set"
+    if len(data) > LARGEST_CARD:
+        raise FileError(f"{rule}; got {len(data)} bytes")
+    card = checked_json(data, _CARD, rule)
+    about = card["identity"]
+    if unknown := about.keys() - _IDENTITY.keys():
+        raise FileError(f"{rule}; got {key_name(('identity', min(unknown)))}, which is no known key")
+    pairs = {name: tuple(map(tuple, about[name])) for name in ("splits", "types")}
+    samples, identity = range(*card["samples"]), Identity(**about | pairs | {"arrays": tuple(about["arrays"])})
+    if not samples or len(manifest.shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
+        raise FileError(f"{rule}; got {samples} samples in shards of {identity.shard_size}")
     return DataSet(storage, identity, samples, card)
 
 
@@ -188,22 +194,18 @@ class Status:
 
     @property
     def is_whole(self) -> bool:
-        """True if all shards are done."""
         return len(self.done) == self.shards
 
     @property
     def made(self) -> int:
-        """Number of samples that were made."""
         return sum(part.made for part in self.done.values())
 
     @property
     def failed(self) -> int:
-        """Number of failed samples."""
         return sum(part.failed for part in self.done.values())
 
     @property
     def bytes(self) -> int:
-        """Size of all files of complete shards."""
         return sum(size for part in self.done.values() for size, _ in part.files.values())
 
     @property
@@ -256,10 +258,6 @@ def _rate(data_set: DataSet, done: Iterable[int]) -> float | None:
 
 def ranges(numbers: Iterable[int]) -> str:
     """Ranges of numbers as text: 3, 7-9."""
-    spans: list[list[int]] = []
-    for number in sorted(numbers):
-        if spans and number == spans[-1][1] + 1:
-            spans[-1][1] = number
-        else:
-            spans.append([number, number])
-    return ", ".join(f"{first}" if first == last else f"{first}-{last}" for first, last in spans)
+    runs = groupby(enumerate(sorted(numbers)), lambda pair: pair[1] - pair[0])
+    spans = [[number for _, number in run] for _, run in runs]
+    return ", ".join(f"{span[0]}-{span[-1]}" if len(span) > 1 else f"{span[0]}" for span in spans)

@@ -53,7 +53,6 @@ class SetJob:
     where: str
 
     def numbers(self, shard: int) -> range:
-        """Numbers of the samples of a shard."""
         return numbers_of(shard, self.samples, self.identity.shard_size)
 
 
@@ -224,11 +223,6 @@ class ShardMaker:
         log: dict[str, Any] = {"shard": made.shard, "samples": made.samples, "failed": made.failed}
         log |= {"began": round(made.began, 3), "ended": round(time.time(), 3), "seconds": took, **about}
         self.storage.write(f"{LOG}/{made.shard:06d}.jsonl", f"{line(log)}\n".encode())
-
-    def drop(self, made: MadeShard) -> None:
-        """Remove the files of a shard from the scratch folder."""
-        for path in made.files.values():
-            remove_path(path)
 
 
 def _failure(sample: Sample, error: str) -> dict[str, Any]:

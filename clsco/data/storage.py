@@ -17,8 +17,10 @@ from typing import Any, TypeVar
 from clsco.errors import ClscoError, FileError, import_extra
 from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular, read_regular, remove_left, work_name
+from clsco.scene.text import brief
 
 MOST_BYTES = 2**30  # largest size of a card or a part of a manifest
+LONGEST = 200  # characters of a key
 _MISSING = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
 Call = TypeVar("Call", bound=Callable[..., Any])
 
@@ -34,8 +36,8 @@ def remove_path(path: Path) -> None:
 def checked_key(key: str) -> str:
     """Return a key that is inside its storage. Raises FileError for other keys, which untrusted files may contain."""
     parts = key.split("/")
-    if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
-        raise FileError(f"{key!a}: a file of a data set must lie in its folder; got another place")
+    if len(key) > LONGEST or not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
+        raise FileError(f"{brief(key)!a}: a file of a data set must lie in its folder; got another place")
     return key
 
 
@@ -144,7 +146,6 @@ class _Folder(_Storage):
 
     @_failing
     def write(self, key: str, data: bytes) -> None:
-        """Write bytes to a key."""
         path = self.scratch() / f"{secrets.token_hex(4)}.tmp"
         path.write_bytes(data)
         self.put(key, path)
@@ -181,7 +182,6 @@ class _Folder(_Storage):
 
     @_failing
     def remove(self, key: str) -> None:
-        """Remove a file or a folder, if it exists."""
         remove_path(self._path(key))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,8 @@ def read_tables(
     where: str, overrides: Sequence[str], folder: Folder, content: Mapping[str, Any] | None = None
 ) -> DistributionTables:
     """Read a distribution file, or its `content`; join it with its bases, and apply overrides. Raises SceneError."""
-    data = read_mapping(where, ()) if content is None else _plain(content, where)
+    rule = f"{where}: must hold tables, lists, numbers and texts"
+    data = read_mapping(where, ()) if content is None else as_json(content, rule, _of_json)
     is_joined = "base" in data
     data = _with_base(data, where, where, folder, [])
     if deep := [key for key, value in data.items() if _is_deeper(value, MAX_DEPTH - 1)]:
@@ -87,13 +88,12 @@ def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, name
     return joined(_with_base(read_mapping(base, ()), base, where, folder, [*names, path_of_base.name]), data)
 
 
-def _plain(content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Content with types that files have: arrays and tuples become lists, and NumPy numbers become Python numbers."""
+def as_json(content: Any, rule: str, default: Callable[[Any], Any], **options: bool) -> dict[str, Any]:
+    """A mapping in types that JSON has; default, options: as for `json.dumps`. Raises SceneError, which begins so."""
     try:
-        plain: dict[str, Any] = json.loads(json.dumps(dict(content), default=_of_json))
+        return dict(json.loads(json.dumps(dict(content), default=default, **options)))  # type: ignore[arg-type]
     except (TypeError, ValueError, RecursionError) as error:
-        raise SceneError(f"{where}: must hold tables, lists, numbers and texts; got {error}") from None
-    return plain
+        raise SceneError(f"{rule}; got {error}") from error
 
 
 def _of_json(value: Any) -> Any:

@@ -12,12 +12,14 @@ from clsco import __version__
 from clsco.data.build import located
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, ScriptedDistribution, scripted
+from clsco.data.fields import NUMBER, SHORT, misfit
 from clsco.data.manifest import Merged, parsed_part, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
 from clsco.data.shards import SampleRenderer, device_family
 from clsco.errors import ClscoError, FileError, SceneError
 from clsco.files.atomic import sha256
+from clsco.frame.outputs import ATTRIBUTES
 from clsco.opencl.device import choose
 from clsco.scene.file import FILE_KEYS
 from clsco.scene.sweep import parse_sweep
@@ -92,6 +94,8 @@ def verify_samples(
         return [f"{rule}; got {device_family(chosen)}"]
     if numbers and data_set.identity.version != __version__:
         return [f"samples must be rendered again by clsco {data_set.identity.version}; got {__version__}"]
+    if unknown := set(data_set.identity.arrays) - ATTRIBUTES.keys():
+        return [f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {min(unknown)}"]
     renderer = SampleRenderer(chosen, data_set.identity.arrays, data_set.identity.precision)
     findings: list[str] = []
     for number in numbers:
@@ -117,7 +121,9 @@ def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
     if number not in failures:
         raise SceneError(f"sample {number}: its shard must be made; got no part {part_key(shard)}")
     if (table := failures[number]["scene"]) is None:
-        raise SceneError(f"sample {number}: has no scene, as none could be drawn; got {failures[number]['error']}")
+        raise SceneError(
+            f"sample {number}: has no scene, as none could be drawn; got {failures[number]['error'][:SHORT]}"
+        )
     return dict(table)
 
 
@@ -132,18 +138,14 @@ def _verify_shard(data_set: DataSet, shard: int) -> Iterator[str]:
         try:
             reader = container_named(data_set.identity.format).read(data_set.storage.local(key))
             for row in (row for row in rows if row["file"] == key):
-                yield from _compared(f"{key}: sample {row['number']}", data_set, row, reader[row["offset"]])
+                where, record = f"{key}: sample {row['number']}", reader[row["offset"]]
+                got, seed = (record.meta.get("number"), record.meta.get("seed")), data_set.identity.seed
+                if got != (row["number"], seed):
+                    yield f"{where}: must be of seed {seed}; got sample {shown(got[0])} of seed {shown(got[1])}"
+                for name in _differing(record.sha256(), row["arrays"]):
+                    yield f"{where}: {name} must have the SHA-256 in the manifest; got another"
         except (ClscoError, IndexError) as error:
             yield f"{key}: must be read; got {error}"
-
-
-def _compared(where: str, data_set: DataSet, row: Mapping[str, Any], record: Record) -> Iterator[str]:
-    number, seed = record.meta.get("number"), record.meta.get("seed")
-    if number != row["number"] or seed != data_set.identity.seed:
-        got = f"sample {shown(number)} of seed {shown(seed)}"
-        yield f"{where}: must be of seed {data_set.identity.seed}; got {got}"
-    for name in _differing(record.sha256(), row["arrays"]):
-        yield f"{where}: {name} must have the SHA-256 in the manifest; got another"
 
 
 def _differing(hashes: Mapping[str, str], others: Mapping[str, str]) -> list[str]:
@@ -179,11 +181,9 @@ def _stored(data_set: DataSet, row: Mapping[str, Any]) -> Record:
     if row["offset"] >= len(reader):
         raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
     record = reader[row["offset"]]
-    kinds = {"scene": dict, "frames": list, "split": str, "attempts": int, "parameters": dict}
-    for name, kind in kinds.items():
-        if not isinstance(record.meta.get(name), kind):
-            rule = f"{row['file']}: sample {row['number']}: {name} must be there, as clsco dataset make writes it"
-            raise FileError(f"{rule}; got {shown(record.meta.get(name))}")
+    kinds = {"scene": dict, "frames": list, "split": str, "attempts": NUMBER, "parameters": dict}
+    if fault := misfit(record.meta, kinds):
+        raise FileError(f"{row['file']}: sample {row['number']}: must be as clsco dataset make writes it; got {fault}")
     return record
 
 

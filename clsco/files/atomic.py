@@ -16,8 +16,6 @@ from clsco.resources import open_regular, work_name
 
 AnyPath = str | os.PathLike[str]
 
-_BLOCK = 2**18  # bytes that are read at once
-
 
 def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
     """Raise FileError with the line `path: rule; got value`. If `got` is an OSError, only its reason is shown."""
@@ -102,7 +100,7 @@ def is_same_place(path: AnyPath, other: AnyPath) -> bool:
 def sha256(path: Path) -> str:
     """SHA-256 of a file's content in hexadecimal. Raises OSError if it cannot be read."""
     with open_regular(path, follow=True) as file:
-        return file_sha256(file)
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
@@ -110,15 +108,6 @@ def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
     inside = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     keys = (key if each == path else f"{key}/{each.relative_to(path).as_posix()}" for each in inside)
     return {name: (each.stat().st_size, sha256(each)) for name, each in zip(keys, inside, strict=True)}
-
-
-def file_sha256(file: BinaryIO) -> str:
-    """SHA-256 of the bytes that an open file has now; bytes appended meanwhile are ignored."""
-    digest, left = hashlib.sha256(), os.fstat(file.fileno()).st_size
-    while left > 0 and (block := file.read(min(left, _BLOCK))):
-        digest.update(block)
-        left -= len(block)
-    return digest.hexdigest()
 
 
 def _temporary(path: Path) -> Path:

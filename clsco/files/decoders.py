@@ -78,11 +78,9 @@ def open_format(path: AnyPath, formats: Mapping[str, str] = IMAGE_FORMATS) -> It
             yield file, kind
     except ClscoError:
         raise
-    except IsADirectoryError:
-        raise_file_error(path, "must be an image file", "a folder")
     except OSError as error:
-        if error.strerror == DEVICE:
-            raise_file_error(path, "must be an image file", DEVICE)
+        if error.strerror == DEVICE or isinstance(error, IsADirectoryError):
+            raise_file_error(path, "must be an image file", DEVICE if error.strerror == DEVICE else "a folder")
         rule = "must be a file that can be read" if error.errno else f"must be a whole {kind}"
         raise_file_error(path, rule, error, error)
     except Exception as error:  # damage: each codec has exceptions of its own, and none documents them all

@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -190,27 +191,19 @@ def write_exr(
     else:
         (planes,), (about,) = pixels, headers
         content = exr.File(about, planes)
+    errors: list[OSError] = []  # as OpenEXR ignores errors in its last write, the table of lines
     with atomic_write(Path(path)) as file:
-        keeper = _ErrorKeeper(file)
-        content.write(keeper)
-        if keeper.error is not None:
-            raise keeper.error
 
+        def write(part: bytes) -> int:
+            try:
+                return file.write(part)
+            except OSError as error:
+                errors.append(error)
+                raise
 
-class _ErrorKeeper:
-    """A file that remembers a write error, because OpenEXR ignores errors in its last write, the table of lines."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self.file = file
-        self.error: OSError | None = None
-        self.seek, self.tell = file.seek, file.tell
-
-    def write(self, part: bytes) -> int:
-        try:
-            return self.file.write(part)
-        except OSError as error:
-            self.error = error
-            raise
+        content.write(SimpleNamespace(write=write, seek=file.seek, tell=file.tell))
+        if errors:
+            raise errors[0]
 
 
 def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clsco.errors import FileError, SceneError
 from clsco.files.arrays import read_exr, read_npz
 from clsco.files.atomic import raise_file_error
+from clsco.files.decoders import IMAGE_FORMATS
 from clsco.files.images import read_image
 from clsco.files.transfer import TRANSFERS
 from clsco.frame.channels import channel_names
@@ -132,6 +133,15 @@ def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
     eyes = ("left", "right") if is_stereo else ("",)
     whole = range(numbers[0], numbers[-1] + 1)
     return FrameFolder(folder, whole, eyes, interval, transfer, count, frozenset(scenes))
+
+
+def plain_images(folder: Path) -> list[Path]:
+    """Images of a folder without frames of `clsco render`, in natural order, such as a2.png before a10.png."""
+    if not folder.is_dir() or any(folder.glob("frame_*.json")):
+        return []
+    paths = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_FORMATS and path.name[0] != "."]
+    pieces = {path: re.split("([0-9]+)", path.name) for path in paths}  # every second one is a number
+    return sorted(paths, key=lambda path: ([int(each) if each.isdecimal() else each for each in pieces[path]], path))
 
 
 def _numbers(folder: Path) -> Iterator[int]:

@@ -24,6 +24,7 @@ from clsco.resources import ExposedFolderError, private_folder, read_regular, te
 
 try:
     import fcntl
+    import resource
 except ImportError:  # Windows, where PoCL is not shipped
     fcntl = None  # type: ignore[assignment]
 
@@ -81,6 +82,14 @@ def has_room(folder: Path | None = None) -> bool:
         return shutil.disk_usage(folder or _folder()).free >= ROOM
     except OSError:  # the user has set a folder that does not exist yet
         return True
+
+
+def shortage() -> str:
+    """Text on why PoCL would abort the process when it compiles: no disk space, or a limit of file sizes; else ""."""
+    if not has_room():
+        return "a full disk"
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0] if os.name == "posix" else -1
+    return f"a limit of {limit} bytes a file (ulimit -f)" if 0 <= limit < ROOM else ""
 
 
 def check() -> int:

@@ -63,7 +63,7 @@ def _is_nameless(device: cl.Device) -> bool:
 @lru_cache
 def _builds_nothing(device: cl.Device) -> bool:
     """True if a trial build of an empty kernel fails; takes 3 ms if it fails, 30 ms if it succeeds."""
-    if not pocl_cache.has_room():  # PoCL writes a successful build to the cache, and aborts on a full disk
+    if pocl_cache.shortage():  # PoCL writes a successful build to the cache, and aborts on a full disk
         return False
     with pocl_cache.exclusive(), warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)

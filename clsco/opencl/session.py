@@ -118,15 +118,16 @@ class Session:
         """
         if not self.device.is_pocl:
             return nullcontext()
+        folder, where, got = os.environ.get(poclcache.VARIABLE, "none"), f"device {self.device}", ""
         if not poclcache.is_on_disk():
-            folder = os.environ[poclcache.VARIABLE]
-            raise DeviceError(f"{poclcache.VARIABLE}: must be a folder on a disk, for kernels; got {folder}")
-        if not poclcache.has_room():
-            rule = f"the folder {os.environ[poclcache.VARIABLE]} must have {poclcache.ROOM >> 20} MiB for kernels"
-            raise DeviceError(f"device {self.device}: {rule}; got a full disk")
-        if "PoCL 3." in self.device.platform_version and which("ld") is None:
+            where, rule, got = poclcache.VARIABLE, "must be a folder on a disk, for kernels", folder
+        elif got := poclcache.shortage():
+            rule = f"the folder {folder} must have {poclcache.ROOM >> 20} MiB for kernels"
+        elif "PoCL 3." in self.device.platform_version and which("ld") is None:
             rule = "kernels are linked by ld, which must be in a folder of PATH; Debian and Ubuntu have it in binutils"
-            raise DeviceError(f"device {self.device}: {rule}; got no such program")
+            got = "no such program"
+        if got:
+            raise DeviceError(f"{where}: {rule}; got {got}") from OSError(got)  # so that it ends the making of a set
         return poclcache.exclusive()
 
     def close(self) -> None:

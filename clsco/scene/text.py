@@ -62,6 +62,6 @@ def any_of(words: Iterable[str]) -> str:
     return " or ".join(filter(None, (", ".join(others), last)))
 
 
-def brief(text: str) -> str:
-    """A text, shortened to 60 characters."""
-    return text if len(text) <= 60 else text[:57] + "..."
+def brief(text: str, most: int = 60) -> str:
+    """A text, shortened to a number of characters."""
+    return text if len(text) <= most else text[: most - 3] + "..."

@@ -15,7 +15,7 @@ from click.testing import Result
 import clsco
 from clsco.cli import video
 from clsco.errors import ArgumentError
-from clsco.files.images import read_image
+from clsco.files.images import read_image, save_image
 from clsco.files.video import PRESETS
 from tests.command import clsco_
 from tests.scenes import scene_file
@@ -181,6 +181,21 @@ def test_wrong_use_is_one_line(
     assert message in said[-1]
     assert status == 2 or len(said) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_plain_images_are_played_in_natural_order(tmp_path: Path) -> None:
+    for number in (10, 9, 2):
+        save_image(tmp_path / f"a{number}.{'exr' if number == 9 else 'png'}", np.full((2, 4, 3), number / 10, "f4"))
+    for path in tmp_path.glob("*.exr"):
+        (line,) = lines(clsco_("video", tmp_path, "-o", tmp_path / "a.mkv", "--fps", "5"), 1)
+        assert "frame 1: size and type must be those of frame 0, 4 x 2 px, color, uint16; got 4 x 2" in line
+        path.unlink()
+    said = lines(clsco_("video", tmp_path, "-o", tmp_path / "a.mkv"), 2)
+    assert said[-1].startswith("Error: --fps: images that clsco render did not write need it")
+    (line, *_) = lines(clsco_("video", tmp_path, "-o", tmp_path / "a.mkv", "--fps", "5"), 0)
+    assert line.endswith("a.mkv: 2 images, a2.png to a10.png, at 5 per second")
+    pictures = decoded(tmp_path / "a.mkv")[2]
+    assert [picture.max() for picture in pictures] == [124, 255]
 
 
 def test_frames_without_arrays_have_no_views(ball: Path, tmp_path: Path) -> None:

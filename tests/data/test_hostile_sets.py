@@ -181,11 +181,18 @@ def test_what_json_cannot_hold_is_not_written(tmp_path: Path) -> None:
     [
         ({"files": {"train": [["../../etc/passwd", 1]]}}, "must lie in its folder"),
         ({"files": {"train": [["/etc/passwd", 1]]}}, "must lie in its folder"),
-        ({"files": {"train": [["train/000000.tar", -1]]}}, "must list the files of a data set"),
-        ({"files": {"train": [["train/000000.tar", 10**30]]}}, "must list the files of a data set"),
-        ({"files": ["train"]}, "must list the files of a data set"),
+        ({"files": {"train": [["train/000000.tar", -1]]}}, r"must describe a data set; got files\.train\[0\]\[1\] -1"),
+        (
+            {"files": {"train": [["train/000000.tar", 10**30]]}},
+            r"must describe a data set; got files\.train\[0\]\[1\] 1",
+        ),
+        ({"files": ["train"]}, "must describe a data set; got files"),
         ({"files": {"train": [["train/000000.tar", 2]]}}, r"\.tar: must hold 2 samples, as dataset.json says; got"),
-        ({"identity": {"format": ["webdataset"]}}, "must describe a data set"),
+        ({"identity": {"format": ["webdataset"]}}, "must describe a data set; got no identity.distribution"),
+        (
+            {"distribution": "/etc/passwd"},
+            'must describe a data set; got distribution "/etc/passwd", which is no table',
+        ),
     ],
 )
 def test_cards_of_strangers(values: dict[str, Any], rule: str, tmp_path: Path) -> None:
@@ -193,3 +200,11 @@ def test_cards_of_strangers(values: dict[str, Any], rule: str, tmp_path: Path) -
     (tmp_path / "set/dataset.json").write_text(json.dumps(card | values))
     with pytest.raises(FileError, match=rule):
         clsco.data.open(tmp_path / "set", "train")[0]
+
+
+def test_a_card_that_is_no_text_is_not_shown(tmp_path: Path) -> None:
+    card = make_set(tmp_path / "set") / "dataset.json"
+    card.write_bytes(card.read_bytes()[:-2] + b"\xff" * 10**6)
+    with pytest.raises(FileError, match="must describe a data set; got 'utf-8' codec") as caught:
+        clsco.data.open(tmp_path / "set")
+    assert len(str(caught.value)) < 200 + len(str(tmp_path))

@@ -44,7 +44,7 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
     with pytest.raises(FileError, match="lines must have the SHA-256"):
         rows_of(data.replace(b'"number":9', b'"number":7'))
     for row, failure in (({"number": 8}, failures[0]), (rows[0], {"number": 10}), ({**rows[0], "offset": -1}, {})):
-        with pytest.raises(FileError, match="each line must be about a sample; got other values"):
+        with pytest.raises(FileError, match=r"each line must be about a sample; got (no offset|no error|offset -1)"):
             rows_of(part_bytes(2, "id", range(8, 10), {}, [row], [failure]))
     forged = data.replace(b'"made":2', b'"made":3'), data.replace(b"data/", b"../a/")
     for damaged in (b"", b"{}", b"[]", data[:20], *forged):

@@ -239,7 +239,9 @@ def test_a_fault_of_the_machine_is_no_failure_of_a_sample(
 ) -> None:
     with pytest.raises(type(error)) as caught:
         broken_maker(error, tmp_path, monkeypatch, overlapped).make(0)
-    assert failure_of(caught.value)[0] == kind
+    found, text = failure_of(caught.value, "DATA")
+    assert found == kind
+    assert "sample" not in text
 
 
 @pytest.mark.parametrize("error", [SceneError("R"), caused(FileError("a.png: must exist"), errno.ENOENT)])

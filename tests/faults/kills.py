@@ -1,11 +1,12 @@
 """kill -9 at random moments of a batch, and resume: python -m tests.faults.kills --kills 100
 
 Frames are rendered with ground truth by `clsco render`, and a data set is made by processes of one machine (1, 2 and 4
-of them), by two parts of an array job at the same time, and by workers of a dask cluster. A worker, the command, all of
-its processes at once, or the scheduler of the cluster is killed after a random time, a few times in a row; after each
-kill every frame and every shard that says it is there must be whole, and a frame that was whole stays as it is. Then
---resume makes the rest: files must have the bytes of a batch that nobody disturbed, and there must be no other file.
-Only log/ and the JSON files of frames are not compared, which say how long something took.
+of them), by two parts of an array job at the same time, and by workers of a dask cluster, in all formats in turn. A
+worker, the command (also by SIGTERM and SIGINT), all of its processes at once, or the scheduler of the cluster is
+killed after a random time, a few times in a row; after each kill every frame and every shard that says it is there must
+be whole, and a frame that was whole stays as it is. Then --resume makes the rest: files must have the bytes of a batch
+that nobody disturbed, and there must be no other file. Only log/ and the JSON files of frames are not compared, which
+say how long something took.
 """
 
 from __future__ import annotations
@@ -41,36 +42,37 @@ distance = 250.0
 motion.velocity = [3.0, 0.0, 0.0]
 """
 WAYS = ("render", "pool 1", "pool 2", "pool 4", "parts", "dask")
+FORMATS = ("webdataset", "npz", "hdf5", "zarr")
 STUCK_S = 180.0
 SETTLED_S = 10.0  # for tasks that a killed command had given to a cluster
 
 
-def main() -> int:
+def main(words: list[str] | None = None) -> int:
     """Kill and resume, print what was found; 1 where anything is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--ways", default=",".join(WAYS), help="some of " + ", ".join(WAYS))
-    given = parser.parse_args()
+    given = parser.parse_args(words)
     ways = [way for way in given.ways.split(",") if way != "dask" or find_spec("distributed")]
     start, counts, problems = time.monotonic(), Counter[str](), list[str]()
     with tempfile.TemporaryDirectory(prefix="clsco-kills-") as name:
         base, rng = Path(name), random.Random(given.seed)
         (base / "set.toml").write_text(DISTRIBUTION)
         (base / "scene.toml").write_text(SCENE)
-        undisturbed: dict[bool, tuple[dict[str, str], float]] = {}
+        undisturbed: dict[str, tuple[dict[str, str], float]] = {}
         turn = 0
         while counts["kills"] < given.kills:
-            way = ways[turn % len(ways)]
+            way, form = ways[turn % len(ways)], FORMATS[(turn + given.seed) % len(FORMATS)]
             turn += 1
-            is_render = way == "render"
-            if is_render not in undisturbed:
-                begun = time.monotonic()
-                finish(start_render(base, base / "whole") if is_render else start_make(base, base / "whole"))
-                undisturbed[is_render] = digests(base / "whole"), time.monotonic() - begun
-                shutil.rmtree(base / "whole")
-            expected, seconds = undisturbed[is_render]
-            trial = Trial(base, way, rng, seconds, counts, problems)
+            made = way if way == "render" else form
+            if made not in undisturbed:
+                begun, whole = time.monotonic(), base / "whole"
+                finish(start_render(base, whole) if way == "render" else start_make(base, whole, "--format", form))
+                undisturbed[made] = digests(whole), time.monotonic() - begun
+                shutil.rmtree(whole)
+            expected, seconds = undisturbed[made]
+            trial = Trial(base, way, form, rng, seconds, counts, problems)
             try:
                 trial.run(min(rng.randint(1, 4), given.kills - counts["kills"]))
             finally:
@@ -115,10 +117,11 @@ class Trial:
     """A batch that is made while what makes it is killed."""
 
     def __init__(
-        self, base: Path, way: str, rng: random.Random, seconds: float, counts: Counter[str], problems: list[str]
-    ) -> None:
+        self, base: Path, way: str, form: str, rng: random.Random, seconds: float, counts: Counter[str],
+        problems: list[str],
+    ) -> None:  # fmt: skip
         """Prepare a batch that takes so many seconds where nobody disturbs it."""
-        self.base, self.way, self.rng, self.seconds = base, way, rng, seconds
+        self.base, self.way, self.rng, self.seconds, self.form = base, way, rng, seconds, ("--format", form)
         self.counts, self.problems = counts, problems
         self.out = base / "out"
         self.cluster: list[subprocess.Popen[bytes]] = []  # the scheduler, then the workers
@@ -137,7 +140,7 @@ class Trial:
         for process in self.start():
             finish(process)
         if self.way == "parts":  # the one that ended first saw a set that was not whole
-            finish(start_make(self.base, self.out))
+            finish(start_make(self.base, self.out, *self.form))
 
     def start(self) -> list[subprocess.Popen[bytes]]:
         """Start the commands that make the batch together."""
@@ -145,11 +148,11 @@ class Trial:
             return [start_render(self.base, self.out)]
         if self.way == "parts":
             parts = (("--part", f"{k}/2", "--workers", "1") for k in range(2))
-            return [start_make(self.base, self.out, *options) for options in parts]
+            return [start_make(self.base, self.out, *self.form, *options) for options in parts]
         if self.way == "dask":
             self.start_cluster()
-            return [start_make(self.base, self.out, "--scheduler", f"tcp://127.0.0.1:{self.port}")]
-        return [start_make(self.base, self.out, "--workers", self.way.split()[1])]
+            return [start_make(self.base, self.out, *self.form, "--scheduler", f"tcp://127.0.0.1:{self.port}")]
+        return [start_make(self.base, self.out, *self.form, "--workers", self.way.split()[1])]
 
     def start_cluster(self) -> None:
         """Start what of the cluster is not alive: a scheduler, and two workers."""
@@ -181,7 +184,7 @@ class Trial:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.rng.choice(children(process.pid) or [process.pid]), signal.SIGKILL)
         elif victim == "command":
-            process.kill()
+            process.send_signal(self.rng.choice((signal.SIGKILL, signal.SIGTERM, signal.SIGINT)))
         else:
             for each in running:
                 with contextlib.suppress(ProcessLookupError):

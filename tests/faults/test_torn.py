@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsco.cli.main import main
+from clsco.data.failures import failure_of
 from clsco.errors import DeviceError, FileError
 from clsco.files import atomic as files
 from clsco.files.images import write_exr
@@ -182,6 +183,11 @@ def test_no_room_to_compile_is_reported_before_the_compiler_aborts(monkeypatch: 
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
     with pytest.raises(DeviceError, match=r"must have 16 MiB for kernels; got a full disk"):
         session.compiling()
+    monkeypatch.undo()
+    monkeypatch.setattr("resource.getrlimit", lambda _: (2**16, 2**16))
+    with pytest.raises(DeviceError, match=r"got a limit of 65536 bytes a file \(ulimit -f\)") as caught:
+        session.compiling()
+    assert failure_of(caught.value, "DATA")[0] == "fatal"  # no failure of samples
     environ = {"XDG_CACHE_HOME": os.devnull + "/none"}
     poclcache.prepare(environ)
     assert Path(environ["POCL_CACHE_DIR"]).is_dir()

@@ -24,6 +24,8 @@ from clsco.files.decoder_process import run_decoder
 from clsco.files.decoders import unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 from clsco.files.strict_json import strict_json
+from clsco.files.transfer import TRANSFERS
+from clsco.scene.text import any_of, shown
 
 
 class ShardReader(ABC):
@@ -169,14 +171,16 @@ def parsed_meta(path: Path, content: bytes | str) -> tuple[dict[str, Any], Layou
 def _layout_of(path: Path, name: str, about: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
     """Type and shape of an array from its entry in meta.json. Raises FileError if they are invalid or too large."""
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
-        raise_file_error(path, "arrays must have plain names and be described in meta.json", repr(name))
+        raise_file_error(path, "arrays must have plain names and be described in meta.json", shown(name))
     dtype = _DTYPES.get(str(about.get("dtype")))
     shape: Any = about.get("shape")
     if dtype is None:
-        raise_file_error(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", repr(about.get("dtype")))
+        raise_file_error(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", shown(about.get("dtype")))
+    if about.get("transfer", "linear") not in TRANSFERS:
+        raise_file_error(path, f"transfer of {name} must be {any_of(TRANSFERS)}", shown(about["transfer"]))
     plain = isinstance(shape, list) and 1 <= len(shape) <= 5 and all(type(size) is int and size > 0 for size in shape)
     if not plain or prod(shape) * dtype.itemsize > LARGEST:
-        raise_file_error(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", shape)
+        raise_file_error(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", shown(shape))
     return dtype, tuple(shape)
 
 

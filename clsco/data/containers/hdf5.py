@@ -47,7 +47,6 @@ class Hdf5Reader(base.ShardReader):
         super().__init__(path, about["keys"])
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read the datasets of the selected arrays."""
         key = self.keys[index]
         with base.translate_errors(self.path, "HDF5 file"), open_regular(self.path) as file:
             _, (text,) = run_decoder(f"{_FILE}:meta", file, base.LARGEST_META, key=key)

@@ -12,7 +12,6 @@ from clsco.files.decoder_process import Output
 
 
 def keys(file: BinaryIO) -> Output:
-    """Keys of all records."""
     with _opened(file) as opened:
         return {"keys": sorted(opened)}, []
 

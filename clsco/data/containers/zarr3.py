@@ -104,7 +104,6 @@ class ZarrReader(base.ShardReader):
         super().__init__(path, [f"{number:09d}" for number in numbers.tolist()])
 
     def record(self, index: int, names: Collection[str] | None = None) -> Record:
-        """Read one record: a chunk of each selected array."""
         with base.translate_errors(self.path, "Zarr group"), open_regular(self.path / "zarr.json") as file:
             meta, layout = base.parsed_meta(self.path, self._texts[self._ends[index] : self._ends[index + 1]])
             selected = base.chosen(layout, names)
