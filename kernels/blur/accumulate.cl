@@ -13,8 +13,7 @@
 __kernel void accumulate(const int begins, const int rows, const int columns, const int channels,
                          __global const float *restrict plane, const int apart, const int start, const int pitch,
                          __global const float *restrict weights, const int top, const int height,
-                         __global float *restrict sum, __global float *restrict lost)
-{
+                         __global float *restrict sum, __global float *restrict lost) {
     const int first = get_global_id(0) * SUMMED_PIXELS, row = get_global_id(1);
     if (first >= columns || row >= rows)
         return;

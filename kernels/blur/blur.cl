@@ -45,8 +45,7 @@ typedef struct {
 // there is none.
 INLINE pixel_source_t source_in(const psf_t psf, __global const float *value, __global const int2 *intervals,
                                 __global const float *coefficients, float4 own, int n, int plane, int at, int row,
-                                int column SUBPIXEL_ARGUMENTS OF_ELLIPSES)
-{
+                                int column SUBPIXEL_ARGUMENTS OF_ELLIPSES) {
     pixel_source_t source = {.record = own, .id = at, .apart = plane, .light = value + at};
 #if SUBPIXELS
     if (as_int(own.w) >= 0) {
@@ -71,8 +70,7 @@ INLINE pixel_source_t source_in(const psf_t psf, __global const float *value, __
 // them, and for those of the pixel, which points share; looked: True if the latter are there.
 INLINE const visibility_t *occluders_of(const grid_t grid, const psf_t psf, float4 own, int at, int row, int column,
                                         pixel_source_t *source, visibility_t *seen, bool *looked SUBPIXEL_ARGUMENTS
-                                        OCCLUSION_ARGUMENTS)
-{
+                                        OCCLUSION_ARGUMENTS) {
     const real source_row = row + source->spread.oy, source_column = column + source->spread.ox;
     real w = depth[at], width = 1;
 #if SUBPIXELS
@@ -106,8 +104,7 @@ INLINE const visibility_t *occluders_of(const grid_t grid, const psf_t psf, floa
 #endif
 
 #if OCCLUDED
-static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t s)
-{
+static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t s) {
     if (!visibility->wide)
 #if WAVES || ELLIPSES
         return narrow_share(visibility, dx, dy);
@@ -121,8 +118,7 @@ static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t 
 
 // Adds one channel of a source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, 0 for none.
 static void scatter_source(const grid_t grid, spread_t spread, const visibility_t *visibility, float4 source, float v,
-                           float scale, int row, int column, __global fixed_t *sums)
-{
+                           float scale, int row, int column, __global fixed_t *sums) {
     const int half_width = spread.half_width;
     for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, grid.rows - 1 - row); ++dy)
         for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, grid.columns - 1 - column); ++dx) {
@@ -139,8 +135,7 @@ static void scatter_source(const grid_t grid, spread_t spread, const visibility_
 __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *source,
                       __global const float *value, __global const int2 *intervals,
                       __global const float *coefficients, const float scale, __global fixed_t *sums
-                      SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES)
-{
+                      SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -169,8 +164,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 
 // Fixed point to float: sums / scale, in the layout of total.
 __kernel void resolve(const grid_t grid, const float scale, const int pitch, const int pad,
-                      __global const fixed_t *sums, __global float *total)
-{
+                      __global const fixed_t *sums, __global float *total) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;
@@ -182,8 +176,7 @@ __kernel void resolve(const grid_t grid, const float scale, const int pitch, con
 
 #if RENORMALIZE
 // Share of a source's radiance that falls inside of the frame.
-static float share_inside(const grid_t grid, spread_t spread, float4 source, int row, int column)
-{
+static float share_inside(const grid_t grid, spread_t spread, float4 source, int row, int column) {
     const int half_width = spread.half_width;
     float sum = 0;
     for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, grid.frame_rows - 1 - row); ++dy)
@@ -201,8 +194,7 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
                           , __global const float4 *sub_source, __global float *sub_value, const int capacity,
                           __global const int2 *sub_intervals, __global const float *sub_coefficients
 #endif
-                          OF_ELLIPSES)
-{
+                          OF_ELLIPSES) {
     const int column = get_global_id(0), y = get_global_id(1), row = FRAME_ROW(grid, y);
     if (column >= grid.columns || y >= grid.height)
         return;
@@ -232,8 +224,7 @@ typedef real map_t;
 #define ALL_THERE(at) (PREPARE == 2 || LOAD_EIGHT_BYTES(valid + (at)) == 0x0101010101010101ul)
 
 // Difference of the radius per px along one axis: central, one-sided at an edge, 0 without neighbors.
-static real difference(MAPS, int at, int step, bool before, bool after)
-{
+static real difference(MAPS, int at, int step, bool before, bool after) {
     before = before && IS_THERE(at - step);
     after = after && IS_THERE(at + step);
     if (before && after)
@@ -249,8 +240,7 @@ static real difference(MAPS, int at, int step, bool before, bool after)
 // Share of the lens's light that rims let through to each pixel of the frame from its point in focus, whatever the
 // scene has there. For depth layers. In: lens_cells. Out: open float (rows, columns).
 __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, __constant float *lens_cells,
-                         __global float *open)
-{
+                         __global float *open) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;
@@ -289,8 +279,7 @@ __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, 
 
 // One source from a map of signed radii. Rims mark it if they cut its light, and make its coordinate negative if they
 // block it. Out: depth.
-static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y OF_RIMS)
-{
+static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y OF_RIMS) {
     const int w = grid.width, at = y * w + x;
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (!IS_THERE(at))
@@ -317,8 +306,7 @@ static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y O
 // Makes sources from a map of signed radii, px, instead of surfaces. In: coc real, valid uchar (0 or 1), both (height,
 // width); with PREPARE = 2, for an image without gaps, coc float and valid 0. Out: source, and with rims depth.
 // TAP_LANES at a time, in loops that compilers vectorize if all of them and their neighbors are valid.
-__kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source OF_RIMS)
-{
+__kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source OF_RIMS) {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;

@@ -41,8 +41,7 @@ typedef uint16 sums_t;
 // Sums along each row: radiance of a pixel and of all pixels to the left of it, in units of 1 / scale. Sums of 32 bits
 // omit lower bits: sums are rounded and not pixels, so that no error adds up along a row.
 __kernel void sum_across(const int height, const int width, __global const float *value, const int start,
-                         const float scale, __global sum_t *sums)
-{
+                         const float scale, __global sum_t *sums) {
     const int y = get_global_id(0);
     if (y >= height)
         return;
@@ -62,8 +61,7 @@ __kernel void sum_across(const int height, const int width, __global const float
 }
 
 // Sums of these down each column: over all pixels up to the row and the column of a pixel.
-__kernel void sum_down(const int height, const int width, __global sum_t *sums)
-{
+__kernel void sum_down(const int height, const int width, __global sum_t *sums) {
     const int x = get_global_id(0) * CONVOLVED_VECTORS * WIDE_LANES;
     if (x >= width)
         return;
@@ -91,8 +89,7 @@ __kernel void sum_down(const int height, const int width, __global sum_t *sums)
 // sources that the first weight meets in the first row, dx columns to either side. Loops end at a constant, or the
 // compiler keeps the arrays in memory.
 INLINE void add_run(const int count, __global const float *weights, __global const float *left,
-                    __global const float *right, const int pitch, int rows, float16 *part)
-{
+                    __global const float *right, const int pitch, int rows, float16 *part) {
     float weight[LONGEST_RUN];
     float16 both[LONGEST_RUN];
     #pragma unroll
@@ -122,8 +119,7 @@ INLINE void add_run(const int count, __global const float *weights, __global con
 
 // Radiance of the rectangles for one row of a tile. pairs: positions (dy, dx) of a sum to add and of a sum to subtract.
 INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t *sums, int pitch, float share,
-                           float16 *row)
-{
+                           float16 *row) {
     sums_t inside[CONVOLVED_VECTORS];
     #pragma unroll
     for (int v = 0; v < CONVOLVED_VECTORS; ++v)
@@ -142,8 +138,7 @@ INLINE void add_rectangles(__global const int4 *pairs, int count, __global sum_t
 
 // Prefetches the first reads of the next tile to the right, which otherwise wait for memory line by line.
 INLINE void prefetch_tile(__global const float *value, __global const sum_t *sums, bool summed, int pitch, int rows,
-                          int vectors)
-{
+                          int vectors) {
     for (int y = 0; y < rows; ++y)
         for (int v = 0; v < vectors; ++v) {
             *(volatile __global const float *)(value + y * pitch + v * WIDE_LANES);
@@ -163,8 +158,7 @@ __kernel void convolve(const int rows, const int columns, __global const float *
                        const int origin, const int pitch, __global const int4 *runs, const int run_count,
                        __global const float *weights, __global sum_t *sums, __global const int4 *pairs,
                        const int pair_count, const float share, const int half_width, const int half_height,
-                       __global float *target, const int target_start, const int target_pitch)
-{
+                       __global float *target, const int target_start, const int target_pitch) {
     const int first = get_global_id(1) * CONVOLVED_ROWS, tile = get_global_id(2) * TILES_ABREAST + get_global_id(0);
     const int x0 = tile * CONVOLVED_VECTORS * WIDE_LANES;
     if (get_global_id(0) >= TILES_ABREAST || first >= rows || x0 >= columns)

@@ -39,8 +39,7 @@ typedef struct {
 // Stores source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
 static void note_source(const grid_t grid, const psf_t psf, __global const float *source,
                         __global const float *value, __global const int2 *intervals, __global const float *coefficients,
-                        tile_t tile, int x, int y, int i, __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
-{
+                        tile_t tile, int x, int y, int i, __local chunk_t *chunk SUBPIXEL_ARGUMENTS) {
     const int at = y * grid.width + x, plane = grid.width * grid.height;
     const float4 s = get_source(source, plane, at);
     int far = -1;
@@ -73,8 +72,7 @@ static void note_source(const grid_t grid, const psf_t psf, __global const float
 }
 
 // Adds the radiance of one source to the pixel (dx, dy) from it.
-static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const float *light, float *sum)
-{
+static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const float *light, float *sum) {
     if (MAX(ABS(dx), ABS(dy)) > spread.half_width)
         return;
     const float weight = tap(spread, dx, dy, source);
@@ -84,8 +82,7 @@ static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const
 
 // Adds the radiance of the i-th source of a chunk to pixel (x, y) of the grid.
 static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, __local const chunk_t *chunk,
-                       float *sum SUBPIXEL_ARGUMENTS)
-{
+                       float *sum SUBPIXEL_ARGUMENTS) {
     const int dx = x - chunk->x[i], dy = y - chunk->y[i];
     float light[CHANNELS];
 #if SUBPIXELS
@@ -118,8 +115,7 @@ static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, 
 __attribute__((reqd_work_group_size(GROUP_COLUMNS, GROUP_ROWS, 1)))
 __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *source, __global const float *value,
                     __global const int2 *intervals, __global const float *coefficients, const int pitch, const int pad,
-                    __global float *total SUBPIXEL_ARGUMENTS)
-{
+                    __global float *total SUBPIXEL_ARGUMENTS) {
     __local chunk_t chunk;
     const int column = get_global_id(0), row = get_global_id(1);
     const int item = get_local_id(1) * GROUP_COLUMNS + get_local_id(0);

@@ -7,8 +7,7 @@
 // row `top` is the first of the plane. In and out: plane.
 __kernel void vignette(const int rows, const int columns, const int channels, __global float *restrict plane,
                        const int apart, const int start, const int pitch, __global const float *restrict share,
-                       const int top)
-{
+                       const int top) {
     const int first = get_global_id(0) * SUMMED_PIXELS, row = get_global_id(1);
     if (first >= columns || row >= rows)
         return;

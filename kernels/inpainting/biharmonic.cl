@@ -8,20 +8,17 @@
 __constant int STEP_Y[4] = {-1, 1, 0, 0}, STEP_X[4] = {0, 0, -1, 1};
 
 // Value of an unknown pixel of `vector`, or of a known one of `image`; image: 0 if known pixels are 0.
-static inline real value_at(__global const float *image, __global const real *vector, int place, int at, int c)
-{
+static inline real value_at(__global const float *image, __global const real *vector, int place, int at, int c) {
     return place >= 0 ? vector[place * CHANNELS + c] : image ? image[at * CHANNELS + c] : 0;
 }
 
-static inline bool is_inside(int rows, int columns, int y, int x)
-{
+static inline bool is_inside(int rows, int columns, int y, int x) {
     return y >= 0 && y < rows && x >= 0 && x < columns;
 }
 
 // Adds the five-point Laplacian to `result`; nothing flows over the border of the image.
 static void add_laplacian(const int rows, const int columns, __global const float *image, __global const real *vector,
-                          __global const int *index, int y, int x, real *result)
-{
+                          __global const int *index, int y, int x, real *result) {
     const int at = y * columns + x;
     for (int k = 0; k < 4; ++k) {
         const int i = y + STEP_Y[k], j = x + STEP_X[k], near = i * columns + j;
@@ -37,8 +34,7 @@ static void add_laplacian(const int rows, const int columns, __global const floa
 // applied, with image negated.
 __kernel void apply_biharmonic(const int rows, const int columns, __global const float *image,
                                __global const real *vector, __global const int *index, __global const int *list,
-                               const int count, __global real *applied)
-{
+                               const int count, __global real *applied) {
     const int entry = get_global_id(0);
     if (entry >= count)
         return;
@@ -60,8 +56,7 @@ __kernel void apply_biharmonic(const int rows, const int columns, __global const
 
 // Sums of products of DOT_SEGMENT entries each, one work-item per sum. Out: partial (ceil(count / DOT_SEGMENT),
 // CHANNELS).
-__kernel void add_products(__global const real *a, __global const real *b, const int count, __global real *partial)
-{
+__kernel void add_products(__global const real *a, __global const real *b, const int count, __global real *partial) {
     const int first = get_global_id(0) * DOT_SEGMENT;
     if (first >= count)
         return;
@@ -74,8 +69,7 @@ __kernel void add_products(__global const real *a, __global const real *b, const
 }
 
 // Adds up these sums, one work-item per channel. Out: row `slot` of sums (3, CHANNELS).
-__kernel void add_partials(__global const real *partial, const int count, const int slot, __global real *sums)
-{
+__kernel void add_partials(__global const real *partial, const int count, const int slot, __global real *sums) {
     const int c = get_global_id(0);
     if (c >= CHANNELS)
         return;
@@ -89,8 +83,7 @@ __kernel void add_partials(__global const real *partial, const int count, const 
 // `now`, of direction x applied in row 2; a solved channel does not change. In and out: solution, residual.
 __kernel void take_step(__global const real *sums, const int now, __global const real *direction,
                         __global const real *applied, const int count, __global real *solution,
-                        __global real *residual)
-{
+                        __global real *residual) {
     const int entry = get_global_id(0);
     if (entry >= count)
         return;
@@ -105,8 +98,7 @@ __kernel void take_step(__global const real *sums, const int now, __global const
 // The next direction, conjugate to all former ones. In: sums of residual x preconditioned residual, the former one in
 // row `now` and that of this step in the other of rows 0 and 1; preconditioned. In and out: direction.
 __kernel void turn_direction(__global const real *sums, const int now, __global const real *preconditioned,
-                             const int count, __global real *direction)
-{
+                             const int count, __global real *direction) {
     const int entry = get_global_id(0);
     if (entry >= count)
         return;
@@ -120,8 +112,7 @@ __kernel void turn_direction(__global const real *sums, const int now, __global 
 
 // Weight of a coarse pixel's spline at fine pixel i, along an axis of `size` fine pixels: quadratic B-splines are
 // refined by 1/4, 3/4, 3/4, 1/4, and mirrored at the border.
-static inline real refinement(int coarse, int i, int size)
-{
+static inline real refinement(int coarse, int i, int size) {
     const bool mirrored = i == 0 || (i == size - 1 && size % 2 == 0);
     return (i / 2 == coarse ? (real)0.75 : (real)0.25) + (mirrored ? (real)0.25 : 0);
 }
@@ -129,8 +120,7 @@ static inline real refinement(int coarse, int i, int size)
 // Residuals of the splines of twice the size, times `gain`; one work-item per coarse unknown. In: fine vector of an
 // image (rows, columns) and its index; list of coarse pixels. Out: coarse vector.
 __kernel void coarser(const int rows, const int columns, __global const real *fine, __global const int *index,
-                      __global const int *list, const int count, const real gain, __global real *coarse)
-{
+                      __global const int *list, const int count, const real gain, __global real *coarse) {
     const int entry = get_global_id(0);
     if (entry >= count)
         return;
@@ -149,8 +139,8 @@ __kernel void coarser(const int rows, const int columns, __global const real *fi
 // A fine vector plus the splines of twice the size; one work-item per fine unknown. In: fine, of an image (rows,
 // columns), its list, and coarse with its index. Out: sum, which may be fine itself.
 __kernel void finer(const int rows, const int columns, __global const real *fine, __global const int *list,
-                    const int count, __global const real *coarse, __global const int *coarse_index, __global real *sum)
-{
+                    const int count, __global const real *coarse, __global const int *coarse_index,
+                    __global real *sum) {
     const int entry = get_global_id(0);
     if (entry >= count)
         return;

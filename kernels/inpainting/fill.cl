@@ -28,15 +28,13 @@
 
 #define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
-static bool in_frame(const grid_t grid, int x, int y)
-{
+static bool in_frame(const grid_t grid, int x, int y) {
     const int column = x - grid.guard, row = y - grid.guard;
     return column >= 0 && column < grid.columns && row >= 0 && row < grid.rows;
 }
 
 // True if the fill domain contains a pixel: with "surface" its ray has to meet one of the moved surfaces.
-static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, int count, int x, int y)
-{
+static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, int count, int x, int y) {
 #if DOMAIN_SURFACE
     const group_t everything = {~(ulong)0, 0, count, -1, 0};
     const real3 ray = pixel_ray(grid, y - grid.guard, x - grid.guard);
@@ -52,8 +50,7 @@ static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, in
 // Bound on the inverse depth of neighbors that a missing pixel may be filled from. It is determined by the line (row,
 // column or diagonal) that has valid pixels on both sides within the fewest steps; in a wide hole with equally deep
 // sides by the line whose depth, interpolated at the pixel, is the farthest.
-static float far_bound(const grid_t grid, __global const uchar *valid, __global const real *w, int x, int y)
-{
+static float far_bound(const grid_t grid, __global const uchar *valid, __global const real *w, int x, int y) {
     int ends[8], steps[8];
     for (int k = 0; k < 8; ++k)
         ends[k] = -1;
@@ -87,22 +84,19 @@ static float far_bound(const grid_t grid, __global const uchar *valid, __global 
 }
 
 // True if a pixel is valid, and with FILL_FAR not nearer than a bound.
-static bool serves(__global const uchar *valid, __global const real *w, int at, float bound)
-{
+static bool serves(__global const uchar *valid, __global const real *w, int at, float bound) {
     return FILL_FAR ? valid[at] && (float)w[at] <= bound : valid[at];
 }
 
 // The bound of a missing pixel; minimum: 0 for none.
-static float bound_of(__global const float *far, int at, int minimum)
-{
+static float bound_of(__global const float *far, int at, int minimum) {
     return FILL_FAR && minimum > 0 ? far[at] : INFINITY;
 }
 
 // Lists a pixel as missing if the fill domain contains it.
 static void list_missing(const grid_t grid, __constant surface_t *surfaces, int count, __global const uchar *valid,
                          __global const real *w, int x, int y, __global float *far, __global uchar *status,
-                         __global int *list, __global int *counters)
-{
+                         __global int *list, __global int *counters) {
     if (!may_be_missing(grid, surfaces, count, x, y))
         return;
     const int at = y * grid.width + x;
@@ -116,8 +110,7 @@ static void list_missing(const grid_t grid, __constant surface_t *surfaces, int 
 
 // First and last valid pixel of each line. In: valid. Out: spans, grown.
 __kernel void find_spans(const grid_t grid, __global const uchar *valid, __global int2 *spans,
-                         __global int2 *grown)
-{
+                         __global int2 *grown) {
     const int line = get_global_id(0);
     if (line >= grid.height + grid.width)
         return;
@@ -137,8 +130,7 @@ __kernel void find_spans(const grid_t grid, __global const uchar *valid, __globa
 // COUNTER_LEFT and COUNTER_LEFT_INSIDE.
 __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, const int count,
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
-                           __global int *list, __global int *counters, __global const real *w, __global float *far)
-{
+                           __global int *list, __global int *counters, __global const real *w, __global float *far) {
     const int begin = get_global_id(0) * FILL_CHUNK, y = get_global_id(1);
     if (begin >= grid.width || y >= grid.height)
         return;
@@ -151,8 +143,7 @@ __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, co
 }
 
 // Extends a line in `grown` to the pixel at `index` on it.
-static void reach(__global int2 *grown, __global const int2 *spans, int line, int index)
-{
+static void reach(__global int2 *grown, __global const int2 *spans, int line, int index) {
     const int2 span = spans[line];
     if (index < span.x)
         atomic_min((__global int *)(grown + line), index);
@@ -164,8 +155,7 @@ static void reach(__global int2 *grown, __global const int2 *spans, int line, in
 // Out: valid, grown, left (as list), counters, with FILL_MEAN_MEDIAN done (list of what all sweeps filled).
 __kernel void settle_sweep(const grid_t grid, __global const int *list, const int count,
                            __global const int2 *spans, __global int2 *grown, __global const uchar *status,
-                           __global uchar *valid, __global int *left, __global int *counters, __global int *done)
-{
+                           __global uchar *valid, __global int *left, __global int *counters, __global int *done) {
     const int i = get_global_id(0);
     if (i >= count)
         return;
@@ -191,8 +181,7 @@ __kernel void settle_sweep(const grid_t grid, __global const int *list, const in
 __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, const int count,
                          __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
                          __global uchar *status, __global int *list, __global int *counters, __global const real *w,
-                         __global float *far)
-{
+                         __global float *far) {
     const int line = get_global_id(0);
     if (line >= grid.height + grid.width)
         return;
@@ -214,8 +203,7 @@ __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, cons
 
 #if FILL_AIT
 // Nearest valid pixel from `at` in steps of `step`, at most `most`; -1 for none.
-static int nearest_valid(__global const uchar *valid, int at, int step, int most)
-{
+static int nearest_valid(__global const uchar *valid, int at, int step, int most) {
     for (int i = 1; i <= most; ++i)
         if (valid[at + i * step])
             return at + i * step;
@@ -223,8 +211,7 @@ static int nearest_valid(__global const uchar *valid, int at, int step, int most
 }
 
 // The valid pixels on both sides of a pixel of a line; x is the first, y the second, negative for none.
-static int2 between_valid(__global const uchar *valid, int at, int step, int index, int length)
-{
+static int2 between_valid(__global const uchar *valid, int at, int step, int index, int length) {
     const int before = nearest_valid(valid, at, -step, index);
     return (int2)(before, before < 0 ? -1 : nearest_valid(valid, at, step, length - 1 - index));
 }
@@ -237,8 +224,7 @@ static int2 between_valid(__global const uchar *valid, int at, int step, int ind
 __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int *list, const int count,
                        const int minimum, __global const float *far, __global const uchar *valid,
                        __global float *value, __global real *w, __global real *coc, __global uchar *status,
-                       __global uchar *object)
-{
+                       __global uchar *object) {
     const int id = get_global_id(0);
     if (id >= count)
         return;

@@ -12,8 +12,7 @@ typedef struct {
 
 // Looks around pixels of a list; minimum: 0 to ignore `far`.
 static around_t look_around(const grid_t grid, __global const uchar *valid, __global const int *list, int entries,
-                            __global const real *w, __global const float *far, int minimum)
-{
+                            __global const real *w, __global const float *far, int minimum) {
     around_t around;
     for (int lane = 0; lane < FILL_LANES; ++lane) {
         // The last vector is filled up with the last pixel.
@@ -49,8 +48,7 @@ static around_t look_around(const grid_t grid, __global const uchar *valid, __gl
 // Writes the estimates of all planes; lanes with fewer than `minimum` neighbors get what they have.
 static void write_estimates(const grid_t grid, const lens_t lens, const around_t around, int median_wins, int minimum,
                             __global const float *value_in, __global const real *w_in, __global float *value_out,
-                            __global real *w_out, __global real *coc)
-{
+                            __global real *w_out, __global real *coc) {
     const estimator_t estimator = choose_estimator(around.count, median_wins);
     const int *count = (const int *)&around.count;
     real8 near[8], result;
@@ -80,8 +78,7 @@ static void write_estimates(const grid_t grid, const lens_t lens, const around_t
 __kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global const int *list, const int count,
                                const int median_wins, const int minimum, __global const float *far,
                                __global const uchar *valid, __global float *value, __global real *w,
-                               __global real *coc, __global uchar *status, __global uchar *object)
-{
+                               __global real *coc, __global uchar *status, __global uchar *object) {
     if (get_global_id(0) * FILL_LANES >= count)
         return;
     const around_t around = look_around(grid, valid, list, count, w, far, minimum);
@@ -105,8 +102,7 @@ __kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global co
 __kernel void smooth_median(const grid_t grid, const lens_t lens, __global const int *done, const int count,
                             __global const float *far, __global const uchar *valid, __global const float *value_in,
                             __global const real *w_in, __global float *value_out, __global real *w_out,
-                            __global real *coc)
-{
+                            __global real *coc) {
     if (get_global_id(0) * FILL_LANES >= count)
         return;
     const around_t around = look_around(grid, valid, done, count, w_in, far, 1);

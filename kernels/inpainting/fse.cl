@@ -18,8 +18,7 @@
 // Spectrum (FSE_SIDE, HALF) of a real window (FSE_SIDE, FSE_SIDE), columns 0 to HALF - 1, and column HALF as `middle`.
 // cosines, sines: (FSE_SIDE, HALF) of 2 pi a v / FSE_SIDE.
 static void transform(const float *window, __global const float *cosines, __global const float *sines, float *re,
-                      float *im, float *middle_re, float *middle_im)
-{
+                      float *im, float *middle_re, float *middle_im) {
     float row_re[FSE_SIDE * HALF], row_im[FSE_SIDE * HALF], middle[FSE_SIDE];
     for (int i = 0; i < FSE_SIDE; ++i) {
         float8 re_low = 0, re_high = 0, im_low = 0, im_high = 0;
@@ -74,8 +73,7 @@ static void transform(const float *window, __global const float *cosines, __glob
 
 // The same spectrum with its columns -HALF to FSE_SIDE - 1, (FSE_SIDE, PITCH): that of a real window is its own mirror.
 static void unfold(const float *re, const float *im, const float *middle_re, const float *middle_im, float *all_re,
-                   float *all_im)
-{
+                   float *all_im) {
     for (int a = 0; a < FSE_SIDE; ++a) {
         const int mirror = (FSE_SIDE - a) % FSE_SIDE;
         for (int k = 0; k < PITCH; ++k) {
@@ -101,8 +99,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
                                  __global const float *preference, __global const float *cosines,
                                  __global const float *sines, __global const int2 *list, const int count,
                                  const float step, const float waves_per_contrast, const int fewest, const int most,
-                                 __global float *filled)
-{
+                                 __global float *filled) {
     const int entry = get_global_id(0);
     if (entry >= count)
         return;
@@ -207,8 +204,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
 // Copies the values of the blocks of a list, filled (count, PIXELS, CHANNELS), to pixels that are not known, and sets
 // their weight to `trust`. In and out: value (rows, columns, CHANNELS), weight (rows, columns), 1 where known.
 __kernel void settle_blocks(const int rows, const int columns, __global const float *filled, __global const int2 *list,
-                            const int count, const float trust, __global float *value, __global float *weight)
-{
+                            const int count, const float trust, __global float *value, __global float *weight) {
     const int entry = get_global_id(0);
     if (entry >= count)
         return;

@@ -37,16 +37,14 @@
             near[k] = (real8)EACH(in_row[1 + NEIGHBOR_Y[k]][1 + NEIGHBOR_X[k]]); \
     }
 
-static void rows_of(int row[3], int at, __global const int2 *beside)
-{
+static void rows_of(int row[3], int at, __global const int2 *beside) {
     row[0] = beside[at].x;
     row[1] = at;
     row[2] = beside[at].y;
 }
 
 // Chooses mean or median by the numbers of valid neighbors of all lanes.
-static estimator_t estimator_of(const real8 *near, int median_wins)
-{
+static estimator_t estimator_of(const real8 *near, int median_wins) {
     int8 count = 0;
     for (int k = 0; k < 8; ++k)
         count -= INTS(near[k] < (real)INFINITY);
@@ -56,8 +54,7 @@ static estimator_t estimator_of(const real8 *near, int median_wins)
 // Finds values for FILL_LANES missing pixels of a list, from `first` on and before `end`; the last pixel fills up the
 // vector.
 static void fill_vector(const int slots, __global const int *list, int first, int end, int median_wins,
-                        __global const int2 *beside, __global const float *value, __global float *found)
-{
+                        __global const int2 *beside, __global const float *value, __global float *found) {
     int row[FILL_LANES][3], open = 0;
     for (int lane = 0; lane < FILL_LANES; ++lane) {
         rows_of(row[lane], list[MIN(first + lane, end - 1)], beside);
@@ -80,8 +77,7 @@ static void fill_vector(const int slots, __global const int *list, int first, in
 // Settles an entry of a sweep: the pixel gets its value, and its missing neighbors are added to their next lists.
 static void settle_entry(const int slots, int at, __global const int2 *beside, int missing, int minimum,
                          __global const float *found, __global float *value, __global int *near, __global int *lists,
-                         __global int *state)
-{
+                         __global int *state) {
     if (!UNKNOWN(value[at]))
         return;
     for (int c = 0; c < CHANNELS; ++c)
@@ -101,8 +97,7 @@ static void settle_entry(const int slots, int at, __global const int2 *beside, i
 // neighbors the median is the better estimator. In: lists, beside, value. Out: found.
 __kernel void fill_holes(const int slots, const int begin, const int end, const int median_wins,
                          __global const int *lists, __global const int2 *beside, __global const float *value,
-                         __global float *found)
-{
+                         __global float *found) {
     const int first = begin + get_global_id(0) * FILL_LANES;
     if (first < end)
         fill_vector(slots, lists, first, end, median_wins, beside, value, found);
@@ -112,8 +107,7 @@ __kernel void fill_holes(const int slots, const int begin, const int end, const 
 // out: value, near, lists, state.
 __kernel void settle_holes(const int slots, const int begin, const int end, __global const int2 *beside,
                            const int missing, const int minimum, __global const float *found, __global float *value,
-                           __global int *near, __global int *lists, __global int *state)
-{
+                           __global int *near, __global int *lists, __global int *state) {
     for (int i = begin + get_global_id(0); i < end; i += ALONE ? 1 : end - begin)
         settle_entry(slots, lists[i], beside, missing, minimum, found, value, near, lists, state);
 }
@@ -122,8 +116,7 @@ __kernel void settle_holes(const int slots, const int begin, const int end, __gl
 // have more than `most` entries, or there have been `limit` sweeps. Buffers as above.
 __kernel void sweep_holes(const int slots, const int most, const int limit, const int median_wins,
                           __global const int2 *beside, const int missing, const int minimum, __global float *found,
-                          __global float *value, __global int *near, __global int *lists, __global int *state)
-{
+                          __global float *value, __global int *near, __global int *lists, __global int *state) {
     const int item = get_local_id(0), items = get_local_size(0);
     while (true) {
         int k = minimum;
@@ -149,8 +142,7 @@ __kernel void sweep_holes(const int slots, const int most, const int limit, cons
 }
 
 // The median of the neighbors that are not infinite; sorts them.
-static real8 median_of(real8 *near)
-{
+static real8 median_of(real8 *near) {
     SORT(real8, near)
     if (any(UNKNOWN(near[7]))) {  // at the border of the image
         const estimator_t estimator = estimator_of(near, ~0);
@@ -164,8 +156,7 @@ static real8 median_of(real8 *near)
 // Smooths number `id` of the runs of missing pixels, or of the vectors of single ones: see smooth_holes.
 static void smooth_vector(const int slots, int id, __global const int2 *run, int runs, __global const int *single,
                           int singles, __global const int2 *beside, __global const float *value,
-                          __global float *found)
-{
+                          __global float *found) {
     real8 near[8];
     if (id < runs) {
         const int count = run[id].y;
@@ -207,8 +198,7 @@ static void smooth_vector(const int slots, int id, __global const int2 *run, int
 // In and out: value, found, written in turn; the first round writes `found`.
 __kernel void smooth_holes(const int slots, const int rounds, __global const int2 *run, const int runs,
                            __global const int *single, const int singles, __global const int2 *beside,
-                           __global float *value, __global float *found)
-{
+                           __global float *value, __global float *found) {
     const int items = runs + (singles + FILL_LANES - 1) / FILL_LANES;
     for (int n = 0; n < rounds; ++n)
         for (int id = get_global_id(0); id < items; id += rounds > 1 ? 1 : items)
@@ -227,8 +217,7 @@ __kernel void smooth_holes(const int slots, const int rounds, __global const int
 // of which are known or filled. Out: steepness (count), the largest square of a gradient's magnitude among the
 // channels; blended (count, CHANNELS), the medians.
 __kernel void blend_border(const grid_t grid, __global const int *list, const int count,
-                           __global const float *value, __global float *steepness, __global float *blended)
-{
+                           __global const float *value, __global float *steepness, __global float *blended) {
     const int first = get_global_id(0) * FILL_LANES;
     if (first >= count)
         return;

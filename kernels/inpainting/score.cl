@@ -66,8 +66,7 @@ typedef parts_t sums_t;
 // beyond their end. Out: sums (height, segments, SCORE_SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j
 // over i < j for m = 1, 2, 3; number of pixels times channels.
 __kernel void score_mean_median(const grid_t grid, const float scale, __global const element_t *value,
-                                __global const uchar *valid, __global long *sums)
-{
+                                __global const uchar *valid, __global long *sums) {
     const int width = grid.width, segments = (width + SCORED_COLUMNS - 1) / SCORED_COLUMNS;
     const int segment = get_global_id(0) % segments, y = get_global_id(0) / segments;
     if (y >= grid.height)

@@ -35,8 +35,7 @@ __constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
 #define EVEN(v) (v).s0246
 #define ODD(v) (v).s1357
 
-static int bin_of(real coc, real low, int bins)
-{
+static int bin_of(real coc, real low, int bins) {
     const real at = FLOOR((coc - low) / LAYER_BIN);
     return at < 0 ? 0 : at < bins ? (int)at : bins - 1;
 }
@@ -45,8 +44,7 @@ static int bin_of(real coc, real low, int bins)
 // k, larger than DISCONTINUITY 2^k, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after
 // it the largest sum of the two |radii| at a discontinuity, px, rounded up.
 __kernel void find_discontinuities(const grid_t grid, const real low, const int bins, const int far,
-                                   __global const real *coc, __global const uchar *valid, __global int *latest)
-{
+                                   __global const real *coc, __global const uchar *valid, __global int *latest) {
     const int line = get_global_id(0);
     if (line >= grid.height + grid.width)
         return;
@@ -80,8 +78,7 @@ __kernel void find_discontinuities(const grid_t grid, const real low, const int 
 // bounds: first bins of the second and each further layer, `count` of them. Out: layer.
 __kernel void label_depth_layers(const grid_t grid, const real low, const int bins, const int count,
                                  const int8 bounds, __global const real *coc, __global const uchar *valid,
-                                 __global uchar *layer)
-{
+                                 __global uchar *layer) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -94,8 +91,7 @@ __kernel void label_depth_layers(const grid_t grid, const real low, const int bi
 
 // In: coc, layer. Out: seed.
 __kernel void seed_hidden(const grid_t grid, __global const real *coc, __global const uchar *layer,
-                          __global uchar *seed)
-{
+                          __global uchar *seed) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -113,8 +109,7 @@ __kernel void seed_hidden(const grid_t grid, __global const real *coc, __global 
 
 // Offsets to seeds for `count` columns from x on, up to SEED_COLUMNS.
 static inline void seeds_of(const grid_t grid, __global const uchar *seed, __global int *offset, int x,
-                            const int count)
-{
+                            const int count) {
     int last[SEED_COLUMNS];
     for (int k = 0; k < count; ++k)
         last[k] = -NEVER;
@@ -135,8 +130,7 @@ static inline void seeds_of(const grid_t grid, __global const uchar *seed, __glo
 }
 
 // SEED_COLUMNS columns per work-item; of two seeds at the same distance the upper one counts. In: seed. Out: offset.
-__kernel void column_seeds(const grid_t grid, __global const uchar *restrict seed, __global int *restrict offset)
-{
+__kernel void column_seeds(const grid_t grid, __global const uchar *restrict seed, __global int *restrict offset) {
     const int x = get_global_id(0) * SEED_COLUMNS;
     if (x + SEED_COLUMNS <= grid.width)
         seeds_of(grid, seed, offset, x, SEED_COLUMNS);
@@ -146,8 +140,7 @@ __kernel void column_seeds(const grid_t grid, __global const uchar *restrict see
 
 // Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately. Returns False if
 // no seed is near the run.
-static bool flag_near(__global const int *offset, int begin, int end, int width, int far, __global uchar *flags)
-{
+static bool flag_near(__global const int *offset, int begin, int end, int width, int far, __global uchar *flags) {
     const int first = MAX(begin - far, 0), stop = MIN(end + far, width);
     int nearest = NO_SEED;
     for (int x = first; x < stop; ++x)
@@ -174,8 +167,7 @@ static bool flag_near(__global const int *offset, int begin, int end, int width,
 // Squared distance of each pixel of a run to the nearest seed (best), deep^2 + 1 for none within `deep` px, and the
 // number of columns to it (away). Of two at the same distance the one in the nearer column counts, of two such columns
 // the left one. offset: of the run's first pixel; columns up to `deep` px beyond the run must exist.
-static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away)
-{
+static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away) {
     for (int i = 0; i < REACH_PIXELS; ++i) {
         best[i] = deep * deep + 1;
         away[i] = 0;
@@ -196,8 +188,7 @@ static inline void nearest_seeds(__global const int *offset, int deep, int *rest
 }
 
 // The same for pixel x of a row, near the row's left or right end.
-static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
-{
+static int2 nearest_seed(__global const int *offset, int x, int width, int deep) {
     int2 found = {deep * deep + 1, 0};
     for (int dx = 0; dx * dx < found.x; ++dx)
         for (int side = -dx; side <= dx; side += MAX(2 * dx, 1)) {
@@ -210,8 +201,7 @@ static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
 // A run of a row per work-item. deep: px, largest distance of a seed. In: layer, seed, offset. Out: hidden, edge.
 __kernel void reach_hidden(const grid_t grid, const int deep, __global const uchar *layer,
                            __global const uchar *seed, __global const int *offset, __global uchar *hidden,
-                           __global uchar *edge)
-{
+                           __global uchar *edge) {
     const int begin = get_global_id(0) * REACH_PIXELS, y = get_global_id(1);
     if (begin >= grid.width || y >= grid.height)
         return;
@@ -241,8 +231,7 @@ __kernel void reach_hidden(const grid_t grid, const int deep, __global const uch
 
 // Out: the finest level of the pyramid, of the pixels of layer `which`.
 __kernel void open_depth_layer(const grid_t grid, const int which, __global const float *value,
-                               __global const real *coc, __global const uchar *layer, __global float *pyramid)
-{
+                               __global const real *coc, __global const uchar *layer, __global float *pyramid) {
     const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
     if (x >= grid.width || y >= grid.height)
         return;
@@ -257,8 +246,7 @@ __kernel void open_depth_layer(const grid_t grid, const int which, __global cons
 // `push` for PUSH_PIXELS pixels of row y of the coarser level that are not at the row's ends; plane: px of that level.
 // from: in the finer level's first row, one pixel before the first one under them.
 static inline void push_some(__global const float *from, int fine_rows, int fine_columns, int y, int plane, int last,
-                             __global float *to)
-{
+                             __global float *to) {
     const int fine_plane = fine_rows * fine_columns;
     float4 total = 0, sum[CHANNELS];
     for (int c = 0; c < CHANNELS; ++c)
@@ -285,8 +273,7 @@ static inline void push_some(__global const float *from, int fine_rows, int fine
 // pixels of the finer level (fine_rows, fine_columns). fine, coarse: places of the levels in the pyramid; last: 1 for
 // the coarsest level, where partly known pixels count as known.
 __kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
-                   const int coarse, const int last, __global float *pyramid)
-{
+                   const int coarse, const int last, __global float *pyramid) {
     const int begin = get_global_id(0) * PUSH_PIXELS, y = get_global_id(1);
     if (begin >= columns || y >= rows)
         return;
@@ -327,8 +314,7 @@ typedef struct {
 } around_t;
 
 // Pixels of the coarser level (rows, columns) around pixel (y, x) of the finer one; known: plane of the coarser level.
-static around_t around(__global const float *known, int rows, int columns, int y, int x)
-{
+static around_t around(__global const float *known, int rows, int columns, int y, int x) {
     const int row = y / 2, other_row = y % 2 ? MIN(row + 1, rows - 1) : MAX(row - 1, 0);
     const int column = x / 2, other_column = x % 2 ? MIN(column + 1, columns - 1) : MAX(column - 1, 0);
     around_t near;
@@ -340,8 +326,7 @@ static around_t around(__global const float *known, int rows, int columns, int y
 }
 
 // Weighted mean of the known pixels in `near`; 0 if there are none.
-static float between(__global const float *plane, around_t near)
-{
+static float between(__global const float *plane, around_t near) {
     const float4 radiance = {plane[near.place.x], plane[near.place.y], plane[near.place.z], plane[near.place.w]};
     return near.sum > 0 ? dot(near.share, radiance) / near.sum : 0;
 }
@@ -349,8 +334,7 @@ static float between(__global const float *plane, around_t near)
 // One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser level,
 // which is pulled before, or the last one. Arguments as for push.
 __kernel void pull(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
-                   const int coarse, __global float *pyramid)
-{
+                   const int coarse, __global float *pyramid) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= fine_columns || y >= fine_rows)
         return;
@@ -370,8 +354,7 @@ __kernel void take_depth_layer(const grid_t grid, const int which, const int row
                                const int coarse, __global const float *value, __global const real *coc,
                                __global const uchar *layer, __global const uchar *hidden,
                                        __global const float *pyramid, __global float *layer_value,
-                                       __global real *layer_coc, __global uchar *layer_valid)
-{
+                                       __global real *layer_coc, __global uchar *layer_valid) {
     const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
     if (x >= grid.width || y >= grid.height)
         return;
@@ -394,8 +377,7 @@ __kernel void take_depth_layer(const grid_t grid, const int which, const int row
 
 // Keeps only the sources near edges (near_edges = 1), or only the others. In: edge. In and out: source.
 __kernel void keep_sources(const grid_t grid, const int near_edges, __global const uchar *edge,
-                           __global float *source)
-{
+                           __global float *source) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -418,8 +400,7 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
 #else
                         const int pitch, const int pad, __global float *total
 #endif
-)
-{
+) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;

@@ -11,8 +11,7 @@
 #include "sensor/noise.clh"
 
 // Vector of the first n floats at p, and 0 in further lanes.
-static inline float16 first_lanes(__global const float *p, int n)
-{
+static inline float16 first_lanes(__global const float *p, int n) {
     if (n >= NOISE_LANES)
         return LOAD(float, 16, p);
     float16 v = 0.0f;
@@ -27,8 +26,7 @@ static inline float16 first_lanes(__global const float *p, int n)
 __kernel void sense(const int rows, const int columns, const int top, const int padded, const uint camera,
                     __global const float *restrict plane, const int apart, const int start, const int pitch,
                     const sensor_t sensor, __global const float *restrict reciprocals,
-                    __global ushort *restrict code, __global uchar *restrict saturated)
-{
+                    __global ushort *restrict code, __global uchar *restrict saturated) {
     const int first = get_global_id(0) * SENSED_PIXELS, row = get_global_id(1), k = get_global_id(2);
     if (first >= columns || row >= rows || k >= sensor.planes)
         return;

@@ -15,8 +15,7 @@ __kernel void bend(const grid_t grid, const lens_t lens, __global float *bends
 #if CURVED & CURVED_IMAGE
                    , __global real2 *slopes
 #endif
-)
-{
+) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;

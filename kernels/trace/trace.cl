@@ -31,8 +31,7 @@
 // subpixel: 1 for one of SUBPIXELS^2 sources; small: True on a small surface. In and out: label, statistics.
 static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t *surfaces, const group_t group,
                             const psf_t psf, real3 ray, bend_t bend, real w, real3 seen_ray, bend_t seen_bend,
-                            real seen_w, int subpixel, bool small, uchar *label, __global int *statistics)
-{
+                            real seen_w, int subpixel, bool small, uchar *label, __global int *statistics) {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
         return record;
@@ -76,8 +75,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
 static float take_radiance(const grid_t grid, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
                            int column, int sources, float share, float part,
                            __global const float *texture, __constant texture_map_t *maps, __global float *values,
-                           int plane)
-{
+                           int plane) {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
 #if TEXTURED
@@ -99,8 +97,7 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
 // depth, label. With textures on surfaces, value has one more plane: the result of `surface_texture`.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                    __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __global float *value,
-                   __global real *depth, __global uchar *label OF_SLOPES)
-{
+                   __global real *depth, __global uchar *label OF_SLOPES) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -119,8 +116,7 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
 }
 
 // True if a hit is outside an object's extent: low and high x and y of rays, and inverse depth.
-static bool is_beyond(__constant real *extent, real3 ray, real w)
-{
+static bool is_beyond(__constant real *extent, real3 ray, real w) {
     return !(ray.x >= extent[0] && ray.x <= extent[1] && ray.y >= extent[2] && ray.y <= extent[3] &&
              w >= extent[4] && w <= extent[5]);
 }
@@ -131,8 +127,7 @@ static bool is_beyond(__constant real *extent, real3 ray, real w)
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
                   __global int *statistics, __constant real *extents, __global const float *value,
-                  __constant texture_map_t *maps, __global float *share OF_SLOPES OF_BENDS)
-{
+                  __constant texture_map_t *maps, __global float *share OF_SLOPES OF_BENDS) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -166,8 +161,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 // contents do not. A pixel that got slots in a launch with less capacity keeps them. In: label. Out: marks of source;
 // pixels (slots), index p of the pixel, or -1 - 2 p if it is only DETAILED, -2 - 2 p if only FINE; statistics.
 __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, const int capacity,
-                               __global float *source, __global int *pixels, __global int *statistics)
-{
+                               __global float *source, __global int *pixels, __global int *statistics) {
     const int begin = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (begin >= grid.width || y >= grid.height)
         return;
@@ -198,8 +192,7 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
 // small. Out, per slot and cell in row-major order: sub_label uchar, without EDGE; sub_depth real.
 __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                               __global const int *pixels, const int capacity, __global uchar *sub_label,
-                              __global real *sub_depth, __global const int *statistics)
-{
+                              __global real *sub_depth, __global const int *statistics) {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
@@ -225,8 +218,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                               const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                               __global const int *pixels, const int capacity, __global const float *source,
                               __global float4 *sub_source, __global float *sub_value, __global const uchar *sub_label,
-                              __global real *sub_depth, __global int *statistics)
-{
+                              __global real *sub_depth, __global int *statistics) {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
@@ -289,8 +281,7 @@ __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surfa
                           const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                           __global const int *pixels, const int capacity, __global const float *source,
                           __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
-                          __global int *statistics)
-{
+                          __global int *statistics) {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
@@ -331,8 +322,7 @@ __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surfa
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                            const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
-                           __global float *sub_value, __global real *sub_depth, __global int *statistics)
-{
+                           __global float *sub_value, __global real *sub_depth, __global int *statistics) {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
         return;
@@ -405,8 +395,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
 // surfaces, see footprint.clh. Only pixels with one source take part, which are at least 2 px from other objects. In:
 // value, share, marks of source. Out: sharper, as value.
 __kernel void sharpen(const grid_t grid, __global const float *value, __global const float *share,
-                      __global float *source, __global float *sharper)
-{
+                      __global float *source, __global float *sharper) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -437,8 +426,7 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
 // px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                       __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __global float *value,
-                          __global real *coc, __global uchar *valid, __global int *statistics OF_SLOPES OF_BENDS)
-{
+                          __global real *coc, __global uchar *valid, __global int *statistics OF_SLOPES OF_BENDS) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;

@@ -8,37 +8,32 @@
 
 // Image position of a hit in the pose `other`: column, row, and the hit's depth there over its depth here.
 static NOINLINE real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other,
-                                  real3 ray, real w)
-{
+                                  real3 ray, real w) {
     const real3 rest = load3(surface->rest) + load3(other->shift);
     const real3 turned_point = turned(other->rotation, body_point(surface, ray, w));
     return project(grid, other->step, rest * w + turned_point);
 }
 
 // Writes the way from a pixel to an image position, px right and down; 0 if that is none.
-static void put_flow(__global float *flow, bool there, real3 to, int row, int column)
-{
+static void put_flow(__global float *flow, bool there, real3 to, int row, int column) {
     flow[0] = there && to.z > 0 ? (float)(to.x - column) : 0;
     flow[1] = there && to.z > 0 ? (float)(to.y - row) : 0;
 }
 
-static bool outside_frame(const grid_t grid, real3 at)
-{
+static bool outside_frame(const grid_t grid, real3 at) {
     return !(at.z > 0 && at.x >= (real)-0.5 && at.x < grid.columns - (real)0.5 && at.y >= (real)-0.5 &&
              at.y < grid.frame_rows - (real)0.5);
 }
 
 // True if a surface at inverse depth `seen` hides a point whose inverse depth is w here and w / ratio there.
-static bool covered(real seen, real ratio, real w)
-{
+static bool covered(real seen, real ratio, real w) {
     return w * (1 + (REAL_IS_DOUBLE ? (real)1e-6 : (real)1e-5)) < seen * ratio;
 }
 
 // True if surfaces hide a point, or if it is outside of the frame. there: its image position and depth ratio; w: its
 // inverse depth; step: slope between neighboring rays.
 static NOINLINE bool occluded_among(__constant surface_t *surfaces, const grid_t grid, real step,
-                                    const group_t group, real3 there, real w)
-{
+                                    const group_t group, real3 there, real w) {
     uchar any;
     int nearest;
     const real3 ray = ray_through(grid, step, there.y, there.x);
@@ -61,8 +56,7 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
                            __global float *sharp, __global float *depth, __global float *coc, __global int *object_id,
                            __global float *normal, __global float *flow, __global uchar *hidden,
                            __global float *flow_backward, __global uchar *flow_occluded, __global float *uv,
-                           __global float *disparity, __global uchar *occluded)
-{
+                           __global float *disparity, __global uchar *occluded) {
     const int column = get_global_id(0), row = grid.top + get_global_id(1);
     if (column >= grid.columns || row >= grid.top + grid.rows)
         return;

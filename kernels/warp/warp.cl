@@ -33,8 +33,7 @@
 // Inverse depth and object of every source; `surfaces` are in the reference pose; maps real (depth maps, rows,
 // columns): inverse depths in the reference pose. Of equally near objects the first counts. Out: rest, object.
 __kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, const int count, const ulong members,
-                             __global const real *maps, __global real *rest, __global uchar *object)
-{
+                             __global const real *maps, __global real *rest, __global uchar *object) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;
@@ -60,8 +59,7 @@ __kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, 
 // reference pose. Returns the lowest and highest target, (INT_MAX, -1) for none.
 static inline int2 move_sources(const grid_t grid, __constant surface_t *surface, __constant pose_t *pose, int row,
                                 int begin, int end, __global const real *restrict rest, __global int *restrict target,
-                                __global real *restrict moved, __global const uchar *restrict object, int k)
-{
+                                __global real *restrict moved, __global const uchar *restrict object, int k) {
     // For a ray r, R r + w (across, up, away) is the moved point times w. Computed by components, and with few
     // divisions: PoCL vectorizes no loop that computes with vectors.
     __constant real *R = pose->rotation, *center = surface->rest;
@@ -117,8 +115,7 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
 __kernel void reproject_targets(const grid_t grid, __constant surface_t *surfaces, __constant pose_t *poses,
                                 __global const real *restrict rest, __global int *restrict target,
                                 __global real *restrict moved, __global const uchar *restrict object,
-                                __global int2 *restrict bounds)
-{
+                                __global int2 *restrict bounds) {
     const int id = get_global_id(0), each = (grid.columns + ITEM_PIXELS - 1) / ITEM_PIXELS, row = id / each;
     if (row >= grid.rows)
         return;
@@ -142,8 +139,7 @@ __kernel void reproject_targets(const grid_t grid, __constant surface_t *surface
 // with FILL_FAR depth, as by reproject_depth.
 __kernel void reproject_nearest(const grid_t grid, __global const int *target, __global const real *moved,
                                 __global const int2 *bounds, const int band, __global int *winner,
-                                __global int *depth)
-{
+                                __global int *depth) {
     const int first = get_global_id(0) * band;
     if (first >= grid.height)
         return;
@@ -173,8 +169,7 @@ __kernel void reproject_nearest(const grid_t grid, __global const int *target, _
 // Largest inverse depth of all sources moved to each pixel. In: target, moved. In and out: depth, bits of a float per
 // pixel of the padded grid, 0 to begin with; floats > 0 keep their order as ints.
 __kernel void reproject_depth(const grid_t grid, __global const int *target, __global const real *moved,
-                              __global int *depth)
-{
+                              __global int *depth) {
     const int i = get_global_id(0);
     if (i >= grid.rows * grid.columns)
         return;
@@ -184,8 +179,7 @@ __kernel void reproject_depth(const grid_t grid, __global const int *target, __g
 
 // Lowest source with that inverse depth. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
 __kernel void reproject_winner(const grid_t grid, __global const int *target, __global const real *moved,
-                               __global const int *depth, __global int *winner)
-{
+                               __global const int *depth, __global int *winner) {
     const int i = get_global_id(0);
     if (i >= grid.rows * grid.columns)
         return;
@@ -198,8 +192,7 @@ __kernel void reproject_winner(const grid_t grid, __global const int *target, __
 #if FILL_FAR
 // First pixel in steps of (right, down) from a pixel whose winner is nearer than `bound`; -1 for none.
 static int nearer_pixel(const grid_t grid, __global const int *depth, int x, int y, int right, int down,
-                        float bound)
-{
+                        float bound) {
     for (int step = 1; step <= WIDEST_GAP; ++step) {
         x += right;
         y += down;
@@ -213,8 +206,7 @@ static int nearer_pixel(const grid_t grid, __global const int *depth, int x, int
 
 // True if a winner is visible only through a gap in a surface that has grown: nearer winners on opposite sides were
 // neighbors on one surface in the reference pose, which had no gap between them.
-static bool shows_through(const grid_t grid, __global const int *depth, __global const int *winner, int x, int y)
-{
+static bool shows_through(const grid_t grid, __global const int *depth, __global const int *winner, int x, int y) {
     const float bound = SAME_DEPTH * as_float(depth[y * grid.width + x]);
     for (int k = 0; k < 4; ++k) {
         const int right = k == 1 ? 0 : 1, down = k == 0 ? 0 : k == 3 ? -1 : 1;
@@ -234,8 +226,7 @@ static bool shows_through(const grid_t grid, __global const int *depth, __global
 // Discards winners that only show through another surface, ITEM_PIXELS pixels per work-item. In: depth, winner. Out:
 // valid uchar per pixel of the padded grid, 1 if known.
 __kernel void reproject_gaps(const grid_t grid, __global const int *restrict depth, __global const int *winner,
-                             __global uchar *restrict valid)
-{
+                             __global uchar *restrict valid) {
     const int begin = get_global_id(0) * ITEM_PIXELS, y = get_global_id(1);
     if (begin >= grid.width || y >= grid.height)
         return;
@@ -268,8 +259,7 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global co
                                __global const real *moved, __global const int *winner,
                                __constant surface_t *surfaces, __global const uchar *object, __global float *value,
                                __global real *w, __global real *coc, __global uchar *valid, __global uchar *status,
-                               __global uchar *seen)
-{
+                               __global uchar *seen) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -290,15 +280,13 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global co
 
 #if MAPPED
 // Number of the pixel of the padded grid where a line of the frame begins, a row or, from grid.rows on, a column.
-static int line_start(const grid_t grid, int line)
-{
+static int line_start(const grid_t grid, int line) {
     const int first = grid.guard * grid.width + grid.guard;
     return first + (line < grid.rows ? line * grid.width : line - grid.rows);
 }
 
 // Number of the source in a pixel of the frame if that is valid, or else in the nearest valid pixel of its row.
-static int outermost_source(const grid_t grid, __global const int *winner, __global const uchar *valid, int at)
-{
+static int outermost_source(const grid_t grid, __global const int *winner, __global const uchar *valid, int at) {
     const int column = at % grid.width - grid.guard;
     for (int i = 0; i < grid.columns; ++i) {
         if (i <= column && valid[at - i])
@@ -314,8 +302,7 @@ static int outermost_source(const grid_t grid, __global const int *winner, __glo
 // all columns; for columns marked pixels count as known, with the source of their row's nearest valid pixel. In:
 // winner, valid. Out: status 1, or 2 if nothing is filled; it begins with 0.
 __kernel void mark_entered(const grid_t grid, const int first, const int end, __global const int *winner,
-                           __global const uchar *valid, __global uchar *status)
-{
+                           __global const uchar *valid, __global uchar *status) {
     const int line = first + get_global_id(0);
     if (line >= end)
         return;
@@ -339,8 +326,7 @@ __kernel void mark_entered(const grid_t grid, const int first, const int end, __
 
 // Copies pixel `from` of the padded grid to pixel `at`.
 static void copy_pixel(const grid_t grid, const lens_t lens, __global float *value, __global real *w,
-                       __global real *coc, __global uchar *valid, int at, int from)
-{
+                       __global real *coc, __global uchar *valid, int at, int from) {
     for (int c = 0; c < CHANNELS; ++c)
         value[c * grid.width * grid.height + at] = value[c * grid.width * grid.height + from];
     w[at] = w[from];
@@ -353,8 +339,7 @@ static void copy_pixel(const grid_t grid, const lens_t lens, __global float *val
 // pixels that no line reaches have status 2.
 __kernel void fill_entered(const grid_t grid, const int first, const int end, const lens_t lens,
                            __global float *value, __global real *w, __global real *coc, __global uchar *valid,
-                           __global uchar *status, __global uchar *seen)
-{
+                           __global uchar *status, __global uchar *seen) {
     const int line = first + get_global_id(0);
     if (line >= end)
         return;
@@ -385,8 +370,7 @@ __kernel void fill_entered(const grid_t grid, const int first, const int end, co
 // are. In and out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that
 // are not valid get the values of their mirror image.
 __kernel void extend_border(const grid_t grid, const lens_t lens, __global float *value, __global real *w,
-                            __global real *coc, __global uchar *valid)
-{
+                            __global real *coc, __global uchar *valid) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -402,8 +386,7 @@ __kernel void extend_border(const grid_t grid, const lens_t lens, __global float
 // Extends the range of |radii| in statistics by those of a time sample. In: coc, valid, as in reproject_gather. In and
 // out: statistics.
 __kernel void note_radii(const grid_t grid, __global const real *coc, __global const uchar *valid,
-                         __global int *statistics)
-{
+                         __global int *statistics) {
     const int begin = get_global_id(0) * ITEM_PIXELS, y = get_global_id(1);
     if (begin >= grid.width || y >= grid.height)
         return;

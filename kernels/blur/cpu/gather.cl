@@ -28,8 +28,7 @@
 
 #if OCCLUDED
 // Share of the lens that is free as seen from TAP_LANES taps of a row, the first one `first` px right of the source.
-INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, int dy)
-{
+INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, int dy) {
 #if WAVES || ELLIPSES
     float8 share;
     if (visibility->wide)
@@ -46,8 +45,7 @@ INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, i
 // Adds rows -up..down of one source with all channels, `planes` apart, to `out`, the address of its first tap in its
 // own row. visibility: its occluders, 0 for none; light: radiance of each channel.
 INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int down, const float *light, float4 source,
-                     __global float *out, int planes, int pitch)
-{
+                     __global float *out, int planes, int pitch) {
 #if ELLIPSES
     const opening_t opening = s.opening;
     const float around = opening.size + chord_margin(opening), over = 1 / opening.shape.x;
@@ -84,8 +82,7 @@ INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int dow
 // Moves rows first..last from part to total. apart: distance between planes of part; shift: from a row's place in total
 // to that in part.
 static void settle(int first, int last, int apart, int shift, int plane, int pitch, __global float *part,
-                   __global float *total)
-{
+                   __global float *total) {
     for (int k = 0; k < CHANNELS; ++k)
         for (int at = first * pitch; at < (last + 1) * pitch; at += TAP_LANES) {
             ADD_TAPS(total + k * plane + at, TAPS_OF(part + k * apart + shift + at));
@@ -111,8 +108,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                                int end, int walked, int2 budget, int part_rows, __global float *part, int apart,
                                int shift, __global scratch_t *ends,
                                int pitch, int pad, __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS
-                               OF_ELLIPSES)
-{
+                               OF_ELLIPSES) {
     const bool cut = budget.x > 0;
     const int plane = grid.width * grid.height, total_plane = grid.rows * pitch;
     const int from = MAX(first - psf.reach, -grid.above), to = MIN(end + psf.reach, grid.height - grid.above);
@@ -200,8 +196,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
                      const int start, const int2 budget, __global int *position,
                      const int part_rows, __global float *part, __global scratch_t *ends,
                      const int pitch, const int pad,
-                     __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES)
-{
+                     __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES) {
     const int own = get_global_id(0), first = (start + own) * BAND;
     if (first >= grid.rows)
         return;
