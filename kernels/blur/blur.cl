@@ -103,19 +103,6 @@ INLINE const visibility_t *occluders_of(const grid_t grid, const psf_t psf, floa
 #define ADD_FIXED(p, v) atomic_add(p, v)
 #endif
 
-#if OCCLUDED
-static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t s) {
-    if (!visibility->wide)
-#if WAVES || ELLIPSES
-        return narrow_share(visibility, dx, dy);
-#else
-        return visibility->share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
-#endif
-    const bool several = visibility->count > 1;
-    return FIRST_LANE(free_share(visibility, several, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
-}
-#endif
-
 // Adds one channel of a source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, 0 for none.
 static void scatter_source(const grid_t grid, spread_t spread, const visibility_t *visibility, float4 source, float v,
                            float scale, int row, int column, __global fixed_t *sums) {
@@ -125,7 +112,7 @@ static void scatter_source(const grid_t grid, spread_t spread, const visibility_
             float light = v * tap(spread, dx, dy, source) * scale;
 #if OCCLUDED
             if (visibility)
-                light *= tap_share(visibility, dx, dy, spread);
+                light *= FIRST_LANE(free_taps(visibility, spread, dx, dy));
 #endif
             ADD_FIXED(sums + (row + dy) * grid.columns + column + dx, (fixed_t)floor(light + 0.5f));
         }
@@ -311,14 +298,11 @@ __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global
     if (x >= grid.width || y >= grid.height)
         return;
     const int w = grid.width, at = y * w + x, plane = w * grid.height;
-    bool whole = x + TAP_LANES <= w && ALL_THERE(at);
-#if RIMS && OCCLUDED
-    whole = false;
-#endif
-#if TILT
-    whole &= x > 0 && x + TAP_LANES < w && y > 0 && y + 1 < grid.height;
-    whole = whole && ALL_THERE(at - 1) && ALL_THERE(at + 1) && ALL_THERE(at - w) && ALL_THERE(at + w);
-#endif
+    bool whole = !((RIMS > 0) & (OCCLUDED > 0)) && x + TAP_LANES <= w && ALL_THERE(at);
+    if (TILT) {
+        whole &= x > 0 && x + TAP_LANES < w && y > 0 && y + 1 < grid.height;
+        whole = whole && ALL_THERE(at - 1) && ALL_THERE(at + 1) && ALL_THERE(at - w) && ALL_THERE(at + w);
+    }
     if (!whole) {
         for (int i = 0; i < MIN(TAP_LANES, w - x); ++i)
             put_source(source, plane, at + i, record_of(grid, psf, coc, valid, x + i, y RIM_VALUES));
@@ -342,10 +326,8 @@ __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global
         down[i] = tilt_slope((real2)(0, along), RADIUS(at + i)).y;
     }
 #endif
-#if SUBPIXELS || OCCLUDED
-    for (int i = 0; i < TAP_LANES; ++i)
+    for (int i = 0; i < (SUBPIXELS | OCCLUDED ? TAP_LANES : 0); ++i)
         MARKS(source, plane)[at + i] = as_float(WHOLE);
-#endif
 }
 #endif
 

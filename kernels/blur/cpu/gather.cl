@@ -26,22 +26,6 @@
 
 #pragma OPENCL FP_CONTRACT ON
 
-#if OCCLUDED
-// Share of the lens that is free as seen from TAP_LANES taps of a row, the first one `first` px right of the source.
-INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, int dy) {
-#if WAVES || ELLIPSES
-    float8 share;
-    if (visibility->wide)
-        return free_share(visibility, visibility->count > 1, LANE_OFFSETS + (first - s.ox), (float8)(dy - s.oy));
-    for (int k = 0; k < TAP_LANES; ++k)
-        ((float *)&share)[k] = narrow_share(visibility, first + k, dy);
-    return share;
-#else
-    return *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
-#endif
-}
-#endif
-
 // Adds rows -up..down of one source with all channels, `planes` apart, to `out`, the address of its first tap in its
 // own row. visibility: its occluders, 0 for none; light: radiance of each channel.
 INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int down, const float *light, float4 source,
@@ -63,11 +47,7 @@ INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int dow
 #endif
         for (int b = from; b < to; b += TAP_LANES) {
             const float8 x = LANE_OFFSETS + (b - s.half_width - s.ox);
-#if ELLIPSES
-            float8 w = opening_weight(opening, x, (float8)y);
-#else
             float8 w = own_weights(s, dy, b);
-#endif
 #if OCCLUDED
             if (visibility)
                 w *= free_taps(visibility, s, b - s.half_width, dy);
@@ -119,9 +99,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
     const int line = (y + grid.above) * grid.width, place = shift + y * pitch - grid.guard + pad;
     __global scratch_t *own_ends = ends + (long)(y - first) * (grid.columns + 1) * END_PLANES;
     for (int block = block_first * SOURCE_BLOCK; block < grid.width; block += SOURCE_BLOCK) {
-    if (cut && left <= 0) {
+    if (cut && left <= 0)
         return (y - from) * blocks + block / SOURCE_BLOCK;
-    }
     left -= BLOCK_WORK;
     int single = (1 << MIN(SOURCE_BLOCK, grid.width - block)) - 1;
 #if BY_COLUMNS
