@@ -273,11 +273,9 @@ static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y O
         return record;
     const real radius = RADIUS(at);
     record.x = table_coordinate(psf, radius, 0);
-#if TILT
-    const real2 gradient = (real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
-                                   difference(coc, valid, at, w, y > 0, y + 1 < grid.height));
-    record.yz = tilt_slope(gradient, radius);
-#endif
+    if (TILT)
+        record.yz = tilt_slope((real2)(difference(coc, valid, at, 1, x > 0, x + 1 < w),
+                                       difference(coc, valid, at, w, y > 0, y + 1 < grid.height)), radius);
 #if RIMS && OCCLUDED
     const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
     const lens_t here = lens_along(grid, lens, ray);

@@ -33,7 +33,6 @@ typedef uint16 sums_t;
 #define AS_RADIANCE(v) CONVERT16(float, as_int16(v))
 #endif
 #define FLOATS(p) LOAD(float, 16, p)
-#define INLINE static inline __attribute__((always_inline))
 
 // Contraction changes no bit from run to run.
 #pragma OPENCL FP_CONTRACT ON
@@ -163,8 +162,7 @@ __kernel void convolve(const int rows, const int columns, __global const float *
     const int x0 = tile * CONVOLVED_VECTORS * WIDE_LANES;
     if (get_global_id(0) >= TILES_ABREAST || first >= rows || x0 >= columns)
         return;
-    const int end = MIN(rows, first + CONVOLVED_ROWS);
-    const int next = x0 + CONVOLVED_VECTORS * WIDE_LANES;
+    const int end = MIN(rows, first + CONVOLVED_ROWS), next = x0 + CONVOLVED_VECTORS * WIDE_LANES;
     const int ahead = origin + (first + half_height) * pitch + next + half_width;
     prefetch_tile(value + start + ahead, sums + ahead, pair_count > 0, pitch, end - first,
             MIN(CONVOLVED_VECTORS, (columns - next) / WIDE_LANES));
