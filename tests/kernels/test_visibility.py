@@ -75,13 +75,13 @@ __kernel void see_taps(const grid_t grid, const lens_t lens, __constant surface_
                                          : visibility.share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
     }
 #if GATHER
-#if LIMITED
     conics_t conics[OCCLUDED];
+#if LIMITED
     find_conics(&visibility, 20, conics);
 #endif
     for (int t = 0; t < taps && visibility.wide; ++t) {
         const float x = tap[t].x - place[i].z, y = tap[t].y - place[i].w;
-        const blocks_t block = classify_blocks(&visibility, x, y, 1, 1, 0 CONICS_VALUE);
+        const blocks_t block = classify_blocks(&visibility, x, y, 1, 1, 0, conics);
         blocks[i * taps + t] = block.hidden & 1 ? 0 : block.free & 1 ? 1 : 0.5f;
     }
 #endif
