@@ -21,24 +21,18 @@ static void transform(const float *window, __global const float *cosines, __glob
                       float *im, float *middle_re, float *middle_im) {
     float row_re[FSE_SIDE * HALF], row_im[FSE_SIDE * HALF], middle[FSE_SIDE];
     for (int i = 0; i < FSE_SIDE; ++i) {
-        float8 re_low = 0, re_high = 0, im_low = 0, im_high = 0;
-        float alternating = 0;
-        for (int j = 0; j < FSE_SIDE; j += 2) {
-            for (int odd = 0; odd < 2; ++odd) {
-                const float8 g = window[i * FSE_SIDE + j + odd];
-                __global const float *c = cosines + (j + odd) * HALF, *s = sines + (j + odd) * HALF;
-                re_low += g * TABLE(c);
-                re_high += g * TABLE(c + FILL_LANES);
-                im_low -= g * TABLE(s);
-                im_high -= g * TABLE(s + FILL_LANES);
+        for (int h = 0; h < HALF; h += FILL_LANES) {
+            float8 sum_re = 0, sum_im = 0;
+            for (int j = 0; j < FSE_SIDE; ++j) {
+                sum_re += window[i * FSE_SIDE + j] * TABLE(cosines + j * HALF + h);
+                sum_im -= window[i * FSE_SIDE + j] * TABLE(sines + j * HALF + h);
             }
-            alternating += window[i * FSE_SIDE + j] - window[i * FSE_SIDE + j + 1];
+            STORE_PRIVATE(sum_re, row_re + i * HALF + h);
+            STORE_PRIVATE(sum_im, row_im + i * HALF + h);
         }
-        STORE_PRIVATE(re_low, row_re + i * HALF);
-        STORE_PRIVATE(re_high, row_re + i * HALF + FILL_LANES);
-        STORE_PRIVATE(im_low, row_im + i * HALF);
-        STORE_PRIVATE(im_high, row_im + i * HALF + FILL_LANES);
-        middle[i] = alternating;
+        middle[i] = 0;
+        for (int j = 0; j < FSE_SIDE; j += 2)
+            middle[i] += window[i * FSE_SIDE + j] - window[i * FSE_SIDE + j + 1];
     }
     // Rows a and a + HALF: the sum of the even terms, plus and minus that of the odd ones.
     for (int a = 0; a < HALF; ++a) {
@@ -57,17 +51,15 @@ static void transform(const float *window, __global const float *cosines, __glob
             STORE_PRIVATE(sum_re[0] - sum_re[1], re + (a + HALF) * HALF + h);
             STORE_PRIVATE(sum_im[0] - sum_im[1], im + (a + HALF) * HALF + h);
         }
-        float even_re = 0, even_im = 0, odd_re = 0, odd_im = 0;
-        for (int i = 0; i < FSE_SIDE; i += 2) {
-            even_re += middle[i] * cosines[i * HALF + a];
-            even_im -= middle[i] * sines[i * HALF + a];
-            odd_re += middle[i + 1] * cosines[(i + 1) * HALF + a];
-            odd_im -= middle[i + 1] * sines[(i + 1) * HALF + a];
+        float sum_re[2] = {0}, sum_im[2] = {0};
+        for (int i = 0; i < FSE_SIDE; ++i) {
+            sum_re[i % 2] += middle[i] * cosines[i * HALF + a];
+            sum_im[i % 2] -= middle[i] * sines[i * HALF + a];
         }
-        middle_re[a] = even_re + odd_re;
-        middle_im[a] = even_im + odd_im;
-        middle_re[a + HALF] = even_re - odd_re;
-        middle_im[a + HALF] = even_im - odd_im;
+        middle_re[a] = sum_re[0] + sum_re[1];
+        middle_im[a] = sum_im[0] + sum_im[1];
+        middle_re[a + HALF] = sum_re[0] - sum_re[1];
+        middle_im[a + HALF] = sum_im[0] - sum_im[1];
     }
 }
 
@@ -107,9 +99,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
 
     // What is in the window, and how much it varies.
     float weights[FSE_SIDE * FSE_SIDE], weighted[CHANNELS * FSE_SIDE * FSE_SIDE];
-    float sums[CHANNELS], squares[CHANNELS], total = 0;
-    for (int c = 0; c < CHANNELS; ++c)
-        sums[c] = squares[c] = 0;
+    float sums[CHANNELS] = {0}, squares[CHANNELS] = {0}, total = 0;
     for (int i = 0; i < FSE_SIDE; ++i)
         for (int j = 0; j < FSE_SIDE; ++j) {
             const int y = top + i, x = left + j, k = i * FSE_SIDE + j;
@@ -140,11 +130,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
         transform(weighted + c * FSE_SIDE * FSE_SIDE, cosines, sines, R_re + c * FSE_SIDE * HALF,
                   R_im + c * FSE_SIDE * HALF, middle_re, middle_im);
 
-    float block[CHANNELS * PIXELS], q_re[CHANNELS], q_im[CHANNELS];
-    for (int k = 0; k < CHANNELS * PIXELS; ++k)
-        block[k] = 0;
-    for (int c = 0; c < CHANNELS; ++c)
-        q_re[c] = q_im[c] = 0;
+    float block[CHANNELS * PIXELS] = {0}, q_re[CHANNELS] = {0}, q_im[CHANNELS] = {0};
     int u = 0, v = 0;
     for (int wave = 0; wave < waves; ++wave) {
         // Subtract the wave (u, v) and its mirror from the residual, and find the strongest that is left.
