@@ -350,7 +350,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
     visibility_t visibility;
     const int seen = check_visibility(here, surfaces, group, ray, w, division, SHARED ? &visibility : 0, &edge);
-    // All sources see the lens as the middle of the pixel does if their radius changes little, and the lens is not wide.
+    // All sources see the lens as the pixel's middle does if their radius changes little, and the lens is not wide.
     const real most = ABS(middle) + (real)0.5 * (ABS(gradient.x) + ABS(gradient.y));
     const bool shared = SHARED && most * psf.lens_extent < WIDE_LENS && visibility.nearest >= SHARED_PLACE &&
                         size2(gradient.x, gradient.y) * psf.lens_extent <= 1;
