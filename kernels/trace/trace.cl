@@ -119,6 +119,17 @@ static bool is_beyond(__constant real *extent, real3 ray, real w) {
              w >= extent[4] && w <= extent[5]);
 }
 
+// Mark of a pixel: DETAILED or FINE if one source cannot stand for it, else WHOLE. texels: squared number of texels;
+// radius: signed, px.
+static int detail_of(__constant texture_map_t *map, float texels, real radius) {
+    const float r = (float)(map->spread * ABS(radius));
+    const bool finer = texels > (float)FINE_TEXELS * (float)FINE_TEXELS;
+    const float most = finer ? (float)FINE_MOST : (float)DETAILED_MOST;
+    if (texels <= (float)DETAILED_TEXELS * (float)DETAILED_TEXELS || r <= (float)map->least || r >= most)
+        return WHOLE;
+    return finer || r < (float)NEAR_FOCUS ? FINE : DETAILED;
+}
+
 // Makes the sources of all hits for one lens. In: depth, label, and with textures on surfaces value, from `cast`;
 // extents, as predicted for each object. Out: source, a null pointer if the blur needs none; statistics; with textures
 // on surfaces share; the bit EDGE of labels.
