@@ -21,18 +21,24 @@ static void transform(const float *window, __global const float *cosines, __glob
                       float *im, float *middle_re, float *middle_im) {
     float row_re[FSE_SIDE * HALF], row_im[FSE_SIDE * HALF], middle[FSE_SIDE];
     for (int i = 0; i < FSE_SIDE; ++i) {
-        for (int h = 0; h < HALF; h += FILL_LANES) {
-            float8 sum_re = 0, sum_im = 0;
-            for (int j = 0; j < FSE_SIDE; ++j) {
-                sum_re += window[i * FSE_SIDE + j] * TABLE(cosines + j * HALF + h);
-                sum_im -= window[i * FSE_SIDE + j] * TABLE(sines + j * HALF + h);
+        float8 re_low = 0, re_high = 0, im_low = 0, im_high = 0;
+        float alternating = 0;
+        for (int j = 0; j < FSE_SIDE; j += 2) {
+            for (int odd = 0; odd < 2; ++odd) {
+                const float8 g = window[i * FSE_SIDE + j + odd];
+                __global const float *c = cosines + (j + odd) * HALF, *s = sines + (j + odd) * HALF;
+                re_low += g * TABLE(c);
+                re_high += g * TABLE(c + FILL_LANES);
+                im_low -= g * TABLE(s);
+                im_high -= g * TABLE(s + FILL_LANES);
             }
-            STORE_PRIVATE(sum_re, row_re + i * HALF + h);
-            STORE_PRIVATE(sum_im, row_im + i * HALF + h);
+            alternating += window[i * FSE_SIDE + j] - window[i * FSE_SIDE + j + 1];
         }
-        middle[i] = 0;
-        for (int j = 0; j < FSE_SIDE; j += 2)
-            middle[i] += window[i * FSE_SIDE + j] - window[i * FSE_SIDE + j + 1];
+        STORE_PRIVATE(re_low, row_re + i * HALF);
+        STORE_PRIVATE(re_high, row_re + i * HALF + FILL_LANES);
+        STORE_PRIVATE(im_low, row_im + i * HALF);
+        STORE_PRIVATE(im_high, row_im + i * HALF + FILL_LANES);
+        middle[i] = alternating;
     }
     // Rows a and a + HALF: the sum of the even terms, plus and minus that of the odd ones.
     for (int a = 0; a < HALF; ++a) {
@@ -51,15 +57,17 @@ static void transform(const float *window, __global const float *cosines, __glob
             STORE_PRIVATE(sum_re[0] - sum_re[1], re + (a + HALF) * HALF + h);
             STORE_PRIVATE(sum_im[0] - sum_im[1], im + (a + HALF) * HALF + h);
         }
-        float sum_re[2] = {0}, sum_im[2] = {0};
-        for (int i = 0; i < FSE_SIDE; ++i) {
-            sum_re[i % 2] += middle[i] * cosines[i * HALF + a];
-            sum_im[i % 2] -= middle[i] * sines[i * HALF + a];
+        float even_re = 0, even_im = 0, odd_re = 0, odd_im = 0;
+        for (int i = 0; i < FSE_SIDE; i += 2) {
+            even_re += middle[i] * cosines[i * HALF + a];
+            even_im -= middle[i] * sines[i * HALF + a];
+            odd_re += middle[i + 1] * cosines[(i + 1) * HALF + a];
+            odd_im -= middle[i + 1] * sines[(i + 1) * HALF + a];
         }
-        middle_re[a] = sum_re[0] + sum_re[1];
-        middle_im[a] = sum_im[0] + sum_im[1];
-        middle_re[a + HALF] = sum_re[0] - sum_re[1];
-        middle_im[a + HALF] = sum_im[0] - sum_im[1];
+        middle_re[a] = even_re + odd_re;
+        middle_im[a] = even_im + odd_im;
+        middle_re[a + HALF] = even_re - odd_re;
+        middle_im[a + HALF] = even_im - odd_im;
     }
 }
 
