@@ -37,7 +37,7 @@ class Bends:
 
         def filled(planes: dict[str, cl.Buffer]) -> dict[str, cl.Buffer]:
             size = int(grid["width"]), int(grid["height"])
-            self.target.run("bend", size, PIXELS, events, grid, lens, *planes.values())
+            self.target.run("bend", size, PIXELS, events, grid, lens, planes["bends"], planes.get("slopes"))
             return planes
 
         if not self.scene.lens_moves and grid["rows"] == grid["frame_rows"]:

@@ -35,16 +35,14 @@ static bool in_frame(const grid_t grid, int x, int y) {
 
 // True if the fill domain contains a pixel: with "surface" its ray has to meet one of the moved surfaces.
 static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, int count, int x, int y) {
-#if DOMAIN_SURFACE
+    if (!DOMAIN_SURFACE)
+        return true;
     const group_t everything = {~(ulong)0, 0, count, -1, 0};
     const real3 ray = pixel_ray(grid, y - grid.guard, x - grid.guard);
     uchar label;
     int object;
     nearest_surface(surfaces, everything, ray, &label, &object);
     return object >= 0;
-#else
-    return true;
-#endif
 }
 
 // Bound on the inverse depth of neighbors that a missing pixel may be filled from. It is determined by the line (row,
@@ -201,7 +199,6 @@ __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, cons
     }
 }
 
-#if FILL_AIT
 // Nearest valid pixel from `at` in steps of `step`, at most `most`; -1 for none.
 static int nearest_valid(__global const uchar *valid, int at, int step, int most) {
     for (int i = 1; i <= most; ++i)
@@ -271,4 +268,3 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
     if (SEVERAL)
         object[at] = object[from.x];
 }
-#endif

@@ -56,14 +56,14 @@ static void write_estimates(const grid_t grid, const lens_t lens, const around_t
     for (int c = 0; c < CHANNELS; ++c) {
         const int plane = c * grid.height * grid.width;
         GATHER_AROUND(value_in[plane + from])
-        estimate(&estimator, near, &result);
+        result = estimate(&estimator, near);
         for (int lane = 0; lane < FILL_LANES; ++lane) {
             const int at = plane + around.at[lane];
             value_out[at] = count[lane] < minimum ? value_in[at] : (float)found[lane];
         }
     }
     GATHER_AROUND(w_in[from])
-    estimate(&estimator, near, &result);
+    result = estimate(&estimator, near);
     for (int lane = 0; lane < FILL_LANES; ++lane) {
         const int at = around.at[lane];
         w_out[at] = count[lane] < minimum ? w_in[at] : found[lane];

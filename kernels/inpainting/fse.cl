@@ -107,9 +107,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
 
     // What is in the window, and how much it varies.
     float weights[FSE_SIDE * FSE_SIDE], weighted[CHANNELS * FSE_SIDE * FSE_SIDE];
-    float sums[CHANNELS], squares[CHANNELS], total = 0;
-    for (int c = 0; c < CHANNELS; ++c)
-        sums[c] = squares[c] = 0;
+    float sums[CHANNELS] = {0}, squares[CHANNELS] = {0}, total = 0;
     for (int i = 0; i < FSE_SIDE; ++i)
         for (int j = 0; j < FSE_SIDE; ++j) {
             const int y = top + i, x = left + j, k = i * FSE_SIDE + j;
@@ -140,11 +138,7 @@ __kernel void extrapolate_blocks(const int rows, const int columns, __global con
         transform(weighted + c * FSE_SIDE * FSE_SIDE, cosines, sines, R_re + c * FSE_SIDE * HALF,
                   R_im + c * FSE_SIDE * HALF, middle_re, middle_im);
 
-    float block[CHANNELS * PIXELS], q_re[CHANNELS], q_im[CHANNELS];
-    for (int k = 0; k < CHANNELS * PIXELS; ++k)
-        block[k] = 0;
-    for (int c = 0; c < CHANNELS; ++c)
-        q_re[c] = q_im[c] = 0;
+    float block[CHANNELS * PIXELS] = {0}, q_re[CHANNELS] = {0}, q_im[CHANNELS] = {0};
     int u = 0, v = 0;
     for (int wave = 0; wave < waves; ++wave) {
         // Subtract the wave (u, v) and its mirror from the residual, and find the strongest that is left.

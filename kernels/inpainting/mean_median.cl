@@ -68,7 +68,7 @@ static void fill_vector(const int slots, __global const int *list, int first, in
         GATHER_NEAR(value + c * slots)
         if (!c)
             estimator = estimator_of(near, median_wins);
-        estimate(&estimator, near, &result);
+        result = estimate(&estimator, near);
         for (int lane = 0; lane < FILL_LANES; ++lane)
             found[c * slots + row[lane][1]] = ((const real *)&result)[lane];
     }
@@ -146,9 +146,7 @@ static real8 median_of(real8 *near) {
     SORT(real8, near)
     if (any(UNKNOWN(near[7]))) {  // at the border of the image
         const estimator_t estimator = estimator_of(near, ~0);
-        real8 result;
-        estimate(&estimator, near, &result);
-        return result;
+        return estimate(&estimator, near);
     }
     return (real)0.5 * (near[3] + near[4]);
 }

@@ -72,9 +72,7 @@ __kernel void score_mean_median(const grid_t grid, const float scale, __global c
     if (y >= grid.height)
         return;
     const int begin = MAX(segment * SCORED_COLUMNS, 1), end = MIN((segment + 1) * SCORED_COLUMNS, width - 1);
-    sums_t sum[SCORE_SUMS];
-    for (int k = 0; k < SCORE_SUMS; ++k)
-        sum[k] = 0;
+    sums_t sum[SCORE_SUMS] = {0};
     for (int x = begin; x < end && y > 0 && y < grid.height - 1; x += WIDTH) {
         const int at = y * width + x;
         whole_t whole = WHOLE_AT(valid + at);

@@ -78,15 +78,13 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
                            int plane) {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
-#if TEXTURED
-    if (label && maps[object].kind != MAP_PROJECTED) {
+    if (TEXTURED && label && maps[object].kind != MAP_PROJECTED) {
         float mean[CHANNELS];
         const float texels = surface_texture(texture, surface, maps + object, grid, ray, w, sources, mean);
         for (int c = 0; c < CHANNELS; ++c)
             values[c * plane] = OF_CHANNEL(share, c) * part * mean[c];
         return texels;
     }
-#endif
     const real3 point = label ? texture_point(surface, grid, ray, w, row, column) : (real3)(0, 0, 0);
     for (int c = 0; c < CHANNELS; ++c)
         values[c * plane] = label ? OF_CHANNEL(share, c) * part * radiance(texture, surface, grid, c, point) : 0;
@@ -121,6 +119,17 @@ static bool is_beyond(__constant real *extent, real3 ray, real w) {
              w >= extent[4] && w <= extent[5]);
 }
 
+// Mark of a pixel: DETAILED or FINE if one source cannot stand for it, else WHOLE. texels: squared number of texels;
+// radius: signed, px.
+static int detail_of(__constant texture_map_t *map, float texels, real radius) {
+    const float r = (float)(map->spread * ABS(radius));
+    const bool finer = texels > (float)FINE_TEXELS * (float)FINE_TEXELS;
+    const float most = finer ? (float)FINE_MOST : (float)DETAILED_MOST;
+    if (texels <= (float)DETAILED_TEXELS * (float)DETAILED_TEXELS || r <= (float)map->least || r >= most)
+        return WHOLE;
+    return finer || r < (float)NEAR_FOCUS ? FINE : DETAILED;
+}
+
 // Makes the sources of all hits for one lens. In: depth, label, and with textures on surfaces value, from `cast`;
 // extents, as predicted for each object. Out: source, a null pointer if the blur needs none; statistics; with textures
 // on surfaces share; the bit EDGE of labels.
@@ -139,8 +148,14 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend, depth[at], ray, bend, depth[at], 0,
                                   false, &root, statistics);
 #if TEXTURED && SUBPIXELS
-    const float texels = value[CHANNELS * grid.height * grid.width + at];
-    record = with_detail(grid, lens, maps, record, ray, depth[at], hit, texels, share + at);
+    __constant texture_map_t *map = maps + MAX(hit - 1, 0) / 2;
+    share[at] = 0;
+    if (record.x >= 0 && map->kind != MAP_PROJECTED) {
+        const real radius = blur_radius(lens_along(grid, lens, ray), ray, depth[at]);
+        const int detail = detail_of(map, value[CHANNELS * grid.height * grid.width + at], radius);
+        record.w = detail == WHOLE ? record.w : as_float(detail);
+        share[at] = sharpening(map, radius);
+    }
 #endif
 #if SMALL && SUBPIXELS
     const ulong small = small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard);
@@ -344,14 +359,12 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     if (TILT && ELLIPSES)
         tilt += ellipse_tilt(grid, bend);
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
-#if SHARED
     visibility_t visibility;
-    const int seen = check_visibility(here, surfaces, group, ray, w, division, &visibility, &edge);
-    const bool shared = is_shared(middle, psf.lens_extent, gradient) && visibility.nearest >= SHARED_PLACE;
-#else
-    const int seen = check_visibility(here, surfaces, group, ray, w, division, 0, &edge);
-    const bool shared = false;
-#endif
+    const int seen = check_visibility(here, surfaces, group, ray, w, division, SHARED ? &visibility : 0, &edge);
+    // All sources see the lens as the pixel's middle does if their radius changes little, and the lens is not wide.
+    const real most = ABS(middle) + (real)0.5 * (ABS(gradient.x) + ABS(gradient.y));
+    const bool shared = SHARED && most * psf.lens_extent < WIDE_LENS && visibility.nearest >= SHARED_PLACE &&
+                        size2(gradient.x, gradient.y) * psf.lens_extent <= 1;
     const bool partly = seen == PARTLY || RIM_STATE(here, psf, ray, w, middle, division) != CLEAR;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
@@ -401,15 +414,13 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
         return;
     const int at = y * grid.width + x, plane = grid.height * grid.width;
     __global const float *marks = MARKS(source, plane);
-    float shares[4];
+    float shares[4] = {0};
     const int neighbors[4] = {at - 1, at + 1, at - grid.width, at + grid.width};
     const bool there[4] = {x > 0, x < grid.width - 1, y > 0, y < grid.height - 1};
     const bool alone = as_int(marks[at]) < 0;
-    for (int k = 0; k < 4; ++k) {
-        shares[k] = 0;
+    for (int k = 0; k < 4; ++k)
         if (alone && there[k] && as_int(marks[neighbors[k]]) < 0 && share[at] > 0 && share[neighbors[k]] > 0)
             shares[k] = 0.5f * (share[at] + share[neighbors[k]]);
-    }
     for (int c = 0; c < CHANNELS; ++c) {
         const float own = value[c * plane + at];
         float sum = own;

@@ -68,10 +68,7 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     const int own = MAX(object, 0);
     __constant surface_t *surface = surfaces + own;
     mask[at] = root != 0;
-    bool is_mapped = false;  // the texture lies on the surface
-#if TEXTURED
-    is_mapped = root && maps[object].kind != MAP_PROJECTED;
-#endif
+    const bool is_mapped = TEXTURED && root && maps[object].kind != MAP_PROJECTED;  // the texture lies on the surface
     if (object_id)
         object_id[at] = object;
     if (depth)
@@ -108,7 +105,6 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
             uv[2 * at + 1] = before_lens ? (float)(1 - down) : 0;
         }
     }
-#if TEXTURED
     if (sharp && is_mapped) {
         float mean[CHANNELS];
         surface_texture(texture, surface, maps + object, grid, ray, w, 1, mean);
@@ -119,7 +115,6 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
         const real2 there = texture_coordinates(surface, maps + object, grid, ray, w);
         uv[2 * at] = (float)there.x, uv[2 * at + 1] = (float)there.y;
     }
-#endif
     if (disparity || occluded) {
         const real3 other = moved_pixel(surface, grid, there + own, ray, w);
         if (disparity)

@@ -134,7 +134,6 @@ __kernel void reproject_targets(const grid_t grid, __constant surface_t *surface
         bounds[id] = range;
 }
 
-#if OWNED
 // The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner;
 // with FILL_FAR depth, as by reproject_depth.
 __kernel void reproject_nearest(const grid_t grid, __global const int *target, __global const real *moved,
@@ -165,7 +164,7 @@ __kernel void reproject_nearest(const grid_t grid, __global const int *target, _
     for (int to = begin; FILL_FAR && to < end; ++to)
         depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)moved[winner[to]]);
 }
-#else
+
 // Largest inverse depth of all sources moved to each pixel. In: target, moved. In and out: depth, bits of a float per
 // pixel of the padded grid, 0 to begin with; floats > 0 keep their order as ints.
 __kernel void reproject_depth(const grid_t grid, __global const int *target, __global const real *moved,
@@ -187,9 +186,7 @@ __kernel void reproject_winner(const grid_t grid, __global const int *target, __
     if (to >= 0 && depth[to] == as_int((float)moved[i]))
         atomic_min(winner + to, i);
 }
-#endif
 
-#if FILL_FAR
 // First pixel in steps of (right, down) from a pixel whose winner is nearer than `bound`; -1 for none.
 static int nearer_pixel(const grid_t grid, __global const int *depth, int x, int y, int right, int down,
                         float bound) {
@@ -248,7 +245,6 @@ __kernel void reproject_gaps(const grid_t grid, __global const int *restrict dep
         if (line[x] > 0 && shows_through(grid, depth, winner, x, y))
             valid[y * grid.width + x] = 0;
 }
-#endif
 
 // Gathers the winners' values. In: texture float (textures, CHANNELS, rows, columns), by number in surface_t; moved,
 // winner, object. Out, on the padded grid: value float (CHANNELS, height, width), radiance; w real, inverse depth in
@@ -278,7 +274,6 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global co
     status[at] = 0;
 }
 
-#if MAPPED
 // Number of the pixel of the padded grid where a line of the frame begins, a row or, from grid.rows on, a column.
 static int line_start(const grid_t grid, int line) {
     const int first = grid.guard * grid.width + grid.guard;
@@ -381,7 +376,6 @@ __kernel void extend_border(const grid_t grid, const lens_t lens, __global float
     if (!inside && !valid[at] && valid[from])
         copy_pixel(grid, lens, value, w, coc, valid, at, from);
 }
-#endif
 
 // Extends the range of |radii| in statistics by those of a time sample. In: coc, valid, as in reproject_gather. In and
 // out: statistics.
