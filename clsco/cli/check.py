@@ -82,7 +82,7 @@ def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: b
     with np.errstate(invalid="ignore"):  # infinity minus infinity
         error = np.abs(values - exact)
     if unit == "relative":
-        error = error / np.where(np.isfinite(exact), np.abs(exact), 1.0)
+        error = error / np.where(np.isfinite(exact) & (exact != 0.0), np.abs(exact), 1.0)
     if unit == "relative beyond 1":  # millions of copies of an image may lie on a surface
         error = error / np.maximum(np.abs(exact), 1.0)
     error = np.where(values == exact, 0.0, np.where(np.isnan(error), np.inf, error))

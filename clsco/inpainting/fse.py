@@ -69,13 +69,13 @@ def _fill(
     settings = (np.float32(STEP), np.float32(WAVES_PER_CONTRAST), np.int32(FEWEST_WAVES), np.int32(MOST_WAVES))
     held = []  # buffers to keep until the queue has finished
     for first, end in pairwise(ends):
-        count = np.int32(end - first)
+        count = int(end - first)
         if not count:
             continue
         listed, filled = upload(session, blocks[first:end]), empty(session, 4 * FSE_BLOCK**2 * image.shape[2] * count)
-        todo: tuple[Any, ...] = (*size, value, weight, *constants, listed, count, *settings, filled)
-        launch(session, kernel(program, "extrapolate_blocks"), (int(count),), LOCAL, *todo)
-        settled = (*size, filled, listed, count, np.float32(TRUST), value, weight)
-        launch(session, kernel(program, "settle_blocks"), (int(count),), LOCAL, *settled)
+        todo: tuple[Any, ...] = (*size, value, weight, *constants, listed, np.int32(count), *settings, filled)
+        launch(session, kernel(program, "extrapolate_blocks"), (count,), LOCAL, *todo)
+        settled = (*size, filled, listed, np.int32(count), np.float32(TRUST), value, weight)
+        launch(session, kernel(program, "settle_blocks"), (count,), LOCAL, *settled)
         held += [listed, filled]
     return download(session, value, image.shape, np.float32)

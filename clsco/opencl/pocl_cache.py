@@ -88,8 +88,12 @@ def shortage() -> str:
     """Text on why PoCL would abort the process when it compiles: no disk space, or a limit of file sizes; else ""."""
     if not has_room():
         return "a full disk"
-    limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0] if os.name == "posix" else -1
-    return f"a limit of {limit} bytes a file (ulimit -f)" if 0 <= limit < ROOM else ""
+    with suppress(ImportError):  # as on Windows
+        import resource
+
+        if 0 <= (limit := resource.getrlimit(resource.RLIMIT_FSIZE)[0]) < ROOM:
+            return f"a limit of {limit} bytes a file (ulimit -f)"
+    return ""
 
 
 def check() -> int:
