@@ -13,6 +13,7 @@ from clsco.inpainting import tiles
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.choice import choose_method
 from clsco.inpainting.fse import fill_texture
+from clsco.opencl import buffers
 from clsco.opencl.session import Session
 
 Array = NDArray[Any]
@@ -60,6 +61,14 @@ def test_where_nothing_can_be_tried(session: Session) -> None:
         missing[0, 0] = False
         assert choose_method(session, smooth(*shape), missing) == "texture"
     assert choose_method(session, smooth(30, 30), np.zeros((30, 30), bool)) == "texture"
+
+
+@pytest.mark.parametrize("fill", [fill_texture, fill_biharmonic])
+def test_buffers_of_large_holes_are_pages(session: Session, fill: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    image, missing = smooth(60, 70), blocks(60, 70)
+    expected = fill(session, image, missing)
+    monkeypatch.setattr(buffers, "SMALLEST", 1)
+    assert np.array_equal(fill(session, image, missing), expected)
 
 
 @pytest.mark.parametrize("fill", [fill_texture, fill_biharmonic])
