@@ -24,7 +24,6 @@ from clsco.resources import ExposedFolderError, private_folder, read_regular, te
 
 try:
     import fcntl
-    import resource
 except ImportError:  # Windows, where PoCL is not shipped
     fcntl = None  # type: ignore[assignment]
 
