@@ -189,8 +189,9 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
         const int mark = as_int(marks[at]);
         if (mark >= 0)
             continue;
-        const bool fine = TEXTURED && mark == FINE, detailed = fine || (TEXTURED && mark == DETAILED);
-        const bool differs = (!alike && is_at_silhouette(grid, label, x, y)) || (SMALL && mark <= SMALL_WITHIN);
+        bool fine = TEXTURED && mark == FINE, detailed = fine | (TEXTURED && mark == DETAILED);
+        bool differs = SMALL && mark <= SMALL_WITHIN;
+        differs = differs || (!alike && is_at_silhouette(grid, label, x, y));
         const int more = SMALL ? MAX(SMALL_WITHIN - mark, 0) : 0;
         if (!differs && !detailed)
             continue;
@@ -365,7 +366,8 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     const real most = ABS(middle) + (real)0.5 * (ABS(gradient.x) + ABS(gradient.y));
     const bool shared = SHARED && most * psf.lens_extent < WIDE_LENS && visibility.nearest >= SHARED_PLACE &&
                         size2(gradient.x, gradient.y) * psf.lens_extent <= 1;
-    const bool partly = seen == PARTLY || RIM_STATE(here, psf, ray, w, middle, division) != CLEAR;
+    int behind_rims = seen == PARTLY ? PARTLY : RIM_STATE(here, psf, ray, w, middle, division);
+    const bool partly = behind_rims != CLEAR;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
     detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, middle, fine, values);

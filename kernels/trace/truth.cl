@@ -68,7 +68,7 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     const int own = MAX(object, 0);
     __constant surface_t *surface = surfaces + own;
     mask[at] = root != 0;
-    const bool is_mapped = TEXTURED && root && maps[object].kind != MAP_PROJECTED;  // the texture lies on the surface
+    bool is_mapped = TEXTURED && root && maps[object].kind != MAP_PROJECTED;  // the texture lies on the surface
     if (object_id)
         object_id[at] = object;
     if (depth)
