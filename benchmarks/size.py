@@ -18,7 +18,7 @@ from rich.table import Table
 ROOT = Path(__file__).parents[1]
 BUDGET = {
     "lines of clsco/*.py": 43_190,
-    "lines of kernels": 8_950,
+    "lines of kernels": 8_980,
     "lines of tests": 42_700,
     "words of documentation": 25_000,
     "wheel, kB": 1_660,

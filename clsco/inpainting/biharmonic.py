@@ -88,7 +88,7 @@ class _Solver:
         for buffer in (self.solution, self.direction, self.sums):
             cl.enqueue_fill_buffer(self.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
         unknowns = finest.index, finest.list, count
-        self._launch("apply_biharmonic", count, *finest.size, known, self.direction, *unknowns, self.residual)
+        self._launch("start_residual", count, *finest.size, known, *unknowns, self.residual)
         self._precondition()
         self._dot(self.residual, self.better, now)
         # As all other sums are 0, the first direction is the preconditioned residual itself.
@@ -97,7 +97,7 @@ class _Solver:
         for step in range(MOST_STEPS):
             if step % CHECK_EVERY == 0 and not (self._sum(now) > TOLERANCE**2 * first).any():
                 break
-            self._launch("apply_biharmonic", count, *finest.size, None, self.direction, *unknowns, self.applied)
+            self._launch("apply_biharmonic", count, *finest.size, self.direction, *unknowns, self.applied)
             self._dot(self.direction, self.applied, 2)
             vectors = (self.direction, self.applied, count, self.solution, self.residual)
             self._launch("take_step", count, self.sums, np.int32(now), *vectors)

@@ -7,51 +7,69 @@
 
 __constant int STEP_Y[4] = {-1, 1, 0, 0}, STEP_X[4] = {0, 0, -1, 1};
 
-// Value of an unknown pixel of `vector`, or of a known one of `image`; image: 0 if known pixels are 0.
+// Value of a known pixel of `image`, or of an unknown one of `vector`, else 0; the other pointer is 0.
 static inline real value_at(__global const float *image, __global const real *vector, int place, int at, int c) {
-    return place >= 0 ? vector[place * CHANNELS + c] : image ? image[at * CHANNELS + c] : 0;
+    if (image)
+        return place < 0 ? image[at * CHANNELS + c] : 0;
+    return place < 0 ? 0 : vector[place * CHANNELS + c];
 }
 
-static inline bool is_inside(int rows, int columns, int y, int x) {
-    return y >= 0 && y < rows && x >= 0 && x < columns;
-}
-
-// Adds the five-point Laplacian to `result`; nothing flows over the border of the image.
-static void add_laplacian(const int rows, const int columns, __global const float *image, __global const real *vector,
-                          __global const int *index, int y, int x, real *result) {
+// Five-point Laplacian; nothing flows over the border of the image.
+static void laplacian(const int rows, const int columns, __global const float *image, __global const real *vector,
+                      __global const int *index, int y, int x, real *result) {
     const int at = y * columns + x;
+    for (int c = 0; c < CHANNELS; ++c)
+        result[c] = 0;
     for (int k = 0; k < 4; ++k) {
         const int i = y + STEP_Y[k], j = x + STEP_X[k], near = i * columns + j;
-        if (!is_inside(rows, columns, i, j))
+        if (i < 0 || i >= rows || j < 0 || j >= columns)
             continue;
         for (int c = 0; c < CHANNELS; ++c)
             result[c] += value_at(image, vector, index[near], near, c) - value_at(image, vector, index[at], at, c);
     }
 }
 
-// Applies the biharmonic operator, the Laplacian of the Laplacian, to `vector` amid known pixels that are 0; or, with
-// image (rows, columns, CHANNELS), to a vector of zeros amid its known pixels, for the residual of the solution 0. Out:
-// applied, with image negated.
-__kernel void apply_biharmonic(const int rows, const int columns, __global const float *image,
-                               __global const real *vector, __global const int *index, __global const int *list,
-                               const int count, __global real *applied) {
-    const int entry = get_global_id(0);
-    if (entry >= count)
-        return;
-    const int y = list[entry] / columns, x = list[entry] % columns;
-    real center[CHANNELS] = {0}, result[CHANNELS] = {0};
-    add_laplacian(rows, columns, image, vector, index, y, x, center);
+// The Laplacian of the Laplacian.
+static void biharmonic(const int rows, const int columns, __global const float *image, __global const real *vector,
+                       __global const int *index, int at, real *result) {
+    const int y = at / columns, x = at % columns;
+    real center[CHANNELS], near[CHANNELS];
+    laplacian(rows, columns, image, vector, index, y, x, center);
+    for (int c = 0; c < CHANNELS; ++c)
+        result[c] = 0;
     for (int k = 0; k < 4; ++k) {
         const int i = y + STEP_Y[k], j = x + STEP_X[k];
-        if (!is_inside(rows, columns, i, j))
+        if (i < 0 || i >= rows || j < 0 || j >= columns)
             continue;
-        real near[CHANNELS] = {0};
-        add_laplacian(rows, columns, image, vector, index, i, j, near);
+        laplacian(rows, columns, image, vector, index, i, j, near);
         for (int c = 0; c < CHANNELS; ++c)
             result[c] += near[c] - center[c];
     }
+}
+
+// Residual of the solution 0. In: image (rows, columns, CHANNELS), of which known pixels are used. Out: residual.
+__kernel void start_residual(const int rows, const int columns, __global const float *image, __global const int *index,
+                             __global const int *list, const int count, __global real *residual) {
+    const int entry = get_global_id(0);
+    if (entry >= count)
+        return;
+    real result[CHANNELS];
+    biharmonic(rows, columns, image, 0, index, list[entry], result);
     for (int c = 0; c < CHANNELS; ++c)
-        applied[entry * CHANNELS + c] = image ? -result[c] : result[c];
+        residual[entry * CHANNELS + c] = -result[c];
+}
+
+// Applies the biharmonic operator. In: direction. Out: applied.
+__kernel void apply_biharmonic(const int rows, const int columns, __global const real *direction,
+                               __global const int *index, __global const int *list, const int count,
+                               __global real *applied) {
+    const int entry = get_global_id(0);
+    if (entry >= count)
+        return;
+    real result[CHANNELS];
+    biharmonic(rows, columns, 0, direction, index, list[entry], result);
+    for (int c = 0; c < CHANNELS; ++c)
+        applied[entry * CHANNELS + c] = result[c];
 }
 
 // Sums of products of DOT_SEGMENT entries each, one work-item per sum. Out: partial (ceil(count / DOT_SEGMENT),
@@ -60,7 +78,9 @@ __kernel void add_products(__global const real *a, __global const real *b, const
     const int first = get_global_id(0) * DOT_SEGMENT;
     if (first >= count)
         return;
-    real sum[CHANNELS] = {0};
+    real sum[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c)
+        sum[c] = 0;
     for (int k = first; k < MIN(first + DOT_SEGMENT, count); ++k)
         for (int c = 0; c < CHANNELS; ++c)
             sum[c] += a[k * CHANNELS + c] * b[k * CHANNELS + c];
@@ -125,7 +145,9 @@ __kernel void coarser(const int rows, const int columns, __global const real *fi
     if (entry >= count)
         return;
     const int width = (columns + 1) / 2, y = list[entry] / width, x = list[entry] % width;
-    real sum[CHANNELS] = {0};
+    real sum[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c)
+        sum[c] = 0;
     for (int i = MAX(2 * y - 1, 0); i <= MIN(2 * y + 2, rows - 1); ++i)
         for (int j = MAX(2 * x - 1, 0); j <= MIN(2 * x + 2, columns - 1); ++j) {
             const real weight = refinement(y, i, rows) * refinement(x, j, columns);
@@ -151,7 +173,9 @@ __kernel void finer(const int rows, const int columns, __global const real *fine
         result[c] = fine[entry * CHANNELS + c];
     for (int k = 0; k < 4; ++k) {
         const int i = y / 2 + k / 2 * (y % 2 * 2 - 1), j = x / 2 + k % 2 * (x % 2 * 2 - 1);
-        const int place = is_inside(height, width, i, j) ? coarse_index[i * width + j] : -1;
+        if (i < 0 || i >= height || j < 0 || j >= width)
+            continue;
+        const int place = coarse_index[i * width + j];
         if (place < 0)
             continue;
         const real weight = refinement(i, y, rows) * refinement(j, x, columns);
