@@ -52,23 +52,23 @@ static void write_estimates(const grid_t grid, const lens_t lens, const around_t
     const estimator_t estimator = choose_estimator(around.count, median_wins);
     const int *count = (const int *)&around.count;
     real8 near[8], result;
-    const real *found = (const real *)&result;
+    const real *estimates = (const real *)&result;
     for (int c = 0; c < CHANNELS; ++c) {
         const int plane = c * grid.height * grid.width;
         GATHER_AROUND(value_in[plane + from])
         result = estimate(&estimator, near);
         for (int lane = 0; lane < FILL_LANES; ++lane) {
             const int at = plane + around.at[lane];
-            value_out[at] = count[lane] < minimum ? value_in[at] : (float)found[lane];
+            value_out[at] = count[lane] < minimum ? value_in[at] : (float)estimates[lane];
         }
     }
     GATHER_AROUND(w_in[from])
     result = estimate(&estimator, near);
     for (int lane = 0; lane < FILL_LANES; ++lane) {
         const int at = around.at[lane];
-        w_out[at] = count[lane] < minimum ? w_in[at] : found[lane];
+        w_out[at] = count[lane] < minimum ? w_in[at] : estimates[lane];
         if (count[lane] >= minimum)
-            coc[at] = grid_radius(grid, lens, at, found[lane]);
+            coc[at] = grid_radius(grid, lens, at, estimates[lane]);
     }
 }
 

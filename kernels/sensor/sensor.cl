@@ -61,10 +61,10 @@ __kernel void sense(const int rows, const int columns, const int top, const int 
         added = added + sensor.read_noise * normal_of(word[1]);
         float16 level = sensor.gain * ((full ? (float16)sensor.full_well : count) + added) + (sensor.black + 0.5f);
         level = level > 0.0f ? level : 0.0f;
-        const int16 found = CONVERT16(int, level < sensor.largest ? level : sensor.largest);
+        const int16 codes = CONVERT16(int, level < sensor.largest ? level : sensor.largest);
         const int at = (k * rows + row) * padded + x;
-        STORE(ushort, 16, CONVERT16(ushort, found), code + at);
-        const int16 most = full | (found >= sensor.maximum);
+        STORE(ushort, 16, CONVERT16(ushort, codes), code + at);
+        const int16 most = full | (codes >= sensor.maximum);
         STORE(uchar, 16, CONVERT16(uchar, most & 1), saturated + at);
     }
 }

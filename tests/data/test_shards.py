@@ -239,8 +239,8 @@ def test_a_fault_of_the_machine_is_no_failure_of_a_sample(
 ) -> None:
     with pytest.raises(type(error)) as caught:
         broken_maker(error, tmp_path, monkeypatch, overlapped).make(0)
-    found, text = failure_of(caught.value, "DATA")
-    assert found == kind
+    failure_kind, text = failure_of(caught.value, "DATA")
+    assert failure_kind == kind
     assert "sample" not in text
 
 

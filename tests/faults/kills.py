@@ -53,17 +53,17 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--ways", default=",".join(WAYS), help="some of " + ", ".join(WAYS))
-    given = parser.parse_args(words)
-    ways = [way for way in given.ways.split(",") if way != "dask" or find_spec("distributed")]
+    chosen = parser.parse_args(words)
+    ways = [way for way in chosen.ways.split(",") if way != "dask" or find_spec("distributed")]
     start, counts, problems = time.monotonic(), Counter[str](), list[str]()
     with tempfile.TemporaryDirectory(prefix="clsco-kills-") as name:
-        base, rng = Path(name), random.Random(given.seed)
+        base, rng = Path(name), random.Random(chosen.seed)
         (base / "set.toml").write_text(DISTRIBUTION)
         (base / "scene.toml").write_text(SCENE)
         undisturbed: dict[str, tuple[dict[str, str], float]] = {}
         turn = 0
-        while counts["kills"] < given.kills:
-            way, form = ways[turn % len(ways)], FORMATS[(turn + given.seed) % len(FORMATS)]
+        while counts["kills"] < chosen.kills:
+            way, form = ways[turn % len(ways)], FORMATS[(turn // len(ways) + chosen.seed) % len(FORMATS)]
             turn += 1
             made = way if way == "render" else form
             if made not in undisturbed:
@@ -74,14 +74,14 @@ def main(words: list[str] | None = None) -> int:
             expected, seconds = undisturbed[made]
             trial = Trial(base, way, form, rng, seconds, counts, problems)
             try:
-                trial.run(min(rng.randint(1, 4), given.kills - counts["kills"]))
+                trial.run(min(rng.randint(1, 4), chosen.kills - counts["kills"]))
             finally:
                 trial.end()
             problems += [f"{way}: {problem}" for problem in differences(expected, base / "out")]
             shutil.rmtree(base / "out")
     recorded = ", ".join(f"{count} {what}" for what, count in sorted(counts.items()))
     print(*problems[:20], sep="\n", end="\n" if problems else "")
-    print(f"seed {given.seed}: {recorded}, {len(problems)} problems in {time.monotonic() - start:.0f} s")
+    print(f"seed {chosen.seed}: {recorded}, {len(problems)} problems in {time.monotonic() - start:.0f} s")
     return int(bool(problems) or not counts["kills"])
 
 
