@@ -94,10 +94,10 @@ DROPPED_BITS = 26  # number of lower bits of a sum over a disc that 32-bit sums 
 # its edge, the two shift by this distance relative to each other.
 DISCONTINUITY = 1.0
 LAYER_BIN = 0.25  # px; depth layers end at multiples of this radius
-NO_SEED = 1 << 14  # px, an offset for "no seed", larger than any blur
 DISCONTINUITY_CLASSES = 10  # number of size classes, for sizes above 1, 2, 4 ... times DISCONTINUITY
-REACH_PIXELS = 64  # pixels of a row for which a work-item finds the nearest edge
-SEED_COLUMNS = 16  # columns that a work-item processes from top to bottom
+LAYER_TILE = 16  # rows and columns of the tiles that are blurred with or without occlusion
+REACH_MARGIN = 2  # px, as tables of weights round radii up
+MIXED_AROUND = 4  # px around a pixel at an edge, in which the mean colors of its two surfaces are taken
 PUSH_PIXELS = 4  # pixels of a coarser level that a work-item computes
 
 # Forward warp (kernels/warp/warp.cl).

@@ -13,7 +13,6 @@ from clsco.frame.strips import Strip
 from clsco.opencl.pace import event_seconds
 from clsco.opencl.program import Events
 from clsco.opencl.session import Session
-from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
 from clsco.passes.blur import Plane
 from clsco.plan.plan import Plan
@@ -50,7 +49,7 @@ class Film:
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)  # True if missing at any time sample, whether filled or not
         # Bounds of the depth layers by number of the time sample, if they were computed from all strips.
-        self.bounds: dict[int, tuple[LayerBounds, ...] | None] = {}
+        self.bounds: dict[int, tuple[tuple[int, ...], ...] | None] = {}
         self.events: Events = []
         self.reports: dict[int, dict[str, Any]] = {}  # by number of the time sample
         self.began = perf_counter()

@@ -13,7 +13,6 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
 from clsco.opencl.program import Target
 from clsco.opencl.session import Session
-from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import Lens
 from clsco.optics.lens_path import colored
 from clsco.optics.quadrics import axial_blur_radius
@@ -131,11 +130,10 @@ class BlurWorkspace(Workspace):
             from clsco.passes.clusters import Clusters, layered_program
             from clsco.passes.layered import DepthLayers
 
-            kernels = layered_program(session, spec, tallest.channels, real)
-            self._clusters = Clusters(kernels, spec, tallest)
-            self._composite = DepthLayers(self._blurred, kernels, tallest, behind_rims)
+            self._clusters = Clusters(layered_program(session, tallest.channels, real), spec, tallest)
+            self._composite = DepthLayers(self._blurred, self._clusters, tallest, behind_rims)
 
-    def find_layers(self, passes: Iterable[Pass], jobs: Iterable[Any]) -> tuple[LayerBounds, ...]:
+    def find_layers(self, passes: Iterable[Pass], jobs: Iterable[Any]) -> tuple[tuple[int, ...], ...]:
         """Bounds of depth layers, from the discontinuities in all strips together; empty without layered occlusion.
 
         jobs: one for each strip.
@@ -168,8 +166,7 @@ class BlurWorkspace(Workspace):
 
     def depth_layers(self, job: Job, _: Pass, layers: Layers) -> Outputs:
         self._blurred.begin(job.grid)
-        self._composite.add(job, layers)
-        return self._blurred.plane(job.events), layers.count
+        return self._composite.add(job, layers), layers.count
 
 
 @dataclass(frozen=True)
@@ -286,11 +283,11 @@ class SceneWorkspace(Workspace):
             return super().run_pass(job, step, *inputs)
         return self.planes[step.color or 0].run_pass(job, step, *inputs)
 
-    def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[LayerBounds, ...] | None:
+    def find_layers(self, passes: Sequence[Pass], jobs: Iterable[SceneJob]) -> tuple[tuple[int, ...], ...] | None:
         """Bounds of depth layers by `BlurWorkspace.find_layers`; None without layered occlusion. There is one entry for
         all colors, or one for each of red, green and blue.
         """
-        strips, bounds = tuple(jobs), list[LayerBounds]()
+        strips, bounds = tuple(jobs), list[tuple[int, ...]]()
         for plane in self.planes:
             bounds += plane.find_layers([step for step in passes if step.color == plane.plan.only], strips)
         return tuple(bounds) or None

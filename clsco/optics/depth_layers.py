@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY_CLASSES, LAYER_BIN
+from clsco.constants import DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, REACH_MARGIN
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 
 MOST_LAYERS = 8
-
-
-@dataclass(frozen=True)
-class LayerBounds:
-    """Depth layers of one time sample, from near to far.
-
-    bounds: number of the first bin (`bins_of`) of each layer except the nearest. deep: distance in px, see
-    `depth_of_hidden`.
-    """
-
-    bounds: tuple[int, ...]
-    deep: int
 
 
 def bins_of(largest: float) -> tuple[float, int]:
@@ -53,40 +40,42 @@ def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
     return bounds[: MOST_LAYERS - 1]
 
 
-def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
-    """Distance in px behind an edge within which the hidden surface may be visible: the reach of both sides' blurs.
-
-    largest_sum: sum of the |radii| on both sides of a discontinuity, px.
-    """
-    return ceil(largest_sum * psf.extent + 2.0 * psf.pupil.margin) + 2
+def reaches_of(psf: PointSpread, radii: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Upper bounds in px of what sources with these signed radii (px) reach."""
+    return np.ceil(np.abs(radii) * psf.extent + psf.pupil.margin).astype(np.int64) + REACH_MARGIN
 
 
 def level_count(deep: int) -> int:
-    """Number of levels of a pyramid above the finest; pixels of the last depend on all pixels within deep + 1 px."""
-    return (deep + 1).bit_length()
+    """Number of levels of a pyramid above the finest, so that what is known reaches all pixels within `deep` px of it.
+    """
+    return max((deep - 1).bit_length() + 1, 1)
 
 
 def levels_of(rows: int, columns: int, deep: int, planes: int) -> list[tuple[int, int, int]]:
-    """Rows, columns and start in floats of every level of a pyramid with `planes` planes, from the finest level on."""
-    levels = [(rows, columns, 0)]
+    """Rows, columns and start in floats of every level of a pyramid with `planes` planes, from the second level on. The
+    finest level is not stored.
+    """
+    levels, start = [], 0
     for _ in range(level_count(deep)):
-        start = levels[-1][2] + planes * rows * columns
         rows, columns = -(-rows // 2), -(-columns // 2)
         levels.append((rows, columns, start))
+        start += planes * rows * columns
     return levels
 
 
 def most_deep(psf: PointSpread, largest: float) -> int:
-    """Upper bound of `depth_of_hidden` for |radii| up to `largest` px."""
-    return depth_of_hidden(psf, ceil(2.0 * largest))
+    """Distance in px behind an edge within which a hidden surface may be visible, for |radii| up to `largest` px: the
+    hidden surface reaches a pixel that is in reach of the edge.
+    """
+    return 2 * int(reaches_of(psf, np.array([largest]))[0])
 
 
 def margin_of_layers(psf: PointSpread, largest: float) -> tuple[int, int]:
     """Number of rows beyond a strip that may affect it, and a number of which its grid's first row must be a multiple.
 
     largest: upper bound of |radius|, px. A hidden pixel that contributes to the strip is interpolated from pixels of
-    the pyramid's last level that are up to three such pixels away, and each of these depends on one more. The pixels of
-    this level must begin at the same rows as in the whole frame.
+    the pyramid's last level up to two such pixels away. The pixels of this level and the tiles must begin at the same
+    rows as in the whole frame.
     """
-    step = 1 << level_count(most_deep(psf, largest))
-    return table_reach(psf, largest) + 2 + 4 * step, step
+    step = max(1 << level_count(most_deep(psf, largest)), LAYER_TILE)
+    return table_reach(psf, largest) + 2 + 3 * step, step

@@ -1,4 +1,4 @@
-"""Host side of the kernels that split an image into depth layers, each extended behind nearer layers."""
+"""Host side of the kernels that split an image into depth layers, and make a sheet of each."""
 
 from __future__ import annotations
 
@@ -9,21 +9,38 @@ from itertools import pairwise
 import numpy as np
 import pyopencl as cl
 
-from clsco.constants import DISCONTINUITY_CLASSES, PUSH_PIXELS, REACH_PIXELS, SEED_COLUMNS
+from clsco.constants import DISCONTINUITY_CLASSES, LAYER_TILE
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate, download
 from clsco.opencl.program import Target
 from clsco.opencl.session import Session
-from clsco.optics.depth_layers import LayerBounds, bins_of, depth_of_hidden, layer_bounds, levels_of
-from clsco.passes.blur import BLOCKS, PIXELS, Image
+from clsco.optics.depth_layers import bins_of, layer_bounds, levels_of, most_deep, reaches_of
+from clsco.passes.blur import PIXELS, Image
 from clsco.passes.job import Job
 from clsco.plan.buffers import cluster_buffers
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct
 
 LINES = (8,)  # local size of kernels with a work-item per row or column
-RUNS = (1, 8)  # local size of kernels with a work-item per run of a row
+TILES = (8, 1)  # local size of kernels with a work-item per tile
 ZERO = np.zeros(1, np.uint32)
+NONE = np.full(1, -1, np.int32)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A depth layer with radiance, radius and coverage in all pixels.
+
+    image: radiance times coverage, coverage and ones; left, wanted: int of each tile, 1 if nearer sheets leave room in
+    it, and if the sheet reaches it, too; to_wanted: px to the nearest tile of the latter kind; still_left: like `left`,
+    with the sheet, 0 so far.
+    """
+
+    image: Image
+    left: cl.Buffer
+    wanted: cl.Buffer
+    to_wanted: cl.Buffer
+    still_left: cl.Buffer
 
 
 @dataclass(frozen=True)
@@ -34,27 +51,28 @@ class Layers:
     ----------
     count : int
         Number of layers.
-    images : iterator of Image
-        The layers from near to far, with coverage as the last channel. Each layer is computed when requested and may
-        overwrite the previous layer. Empty if there is only one layer.
+    sheets : iterator of Sheet
+        The layers from near to far. Each sheet is computed when requested and may overwrite the previous one. Empty if
+        there is only one layer.
     image : Image
         The whole image, blurred without occlusion away from edges; overwritten with border = "renormalize".
-    edge : Buffer
-        uchar (height, width): 1 where `images` are used, 0 where `image` is used; not read if there is one layer.
+    marked, to_plain : Buffer
+        int of each tile: 1 where `sheets` are used, 0 where `image` is used, and the distance in px to a tile of the
+        latter kind; not read if there is one layer.
     """
 
     count: int
-    images: Iterator[Image]
+    sheets: Iterator[Sheet]
     image: Image
-    edge: cl.Buffer
+    marked: cl.Buffer
+    to_plain: cl.Buffer
 
 
-def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
+def layered_program(session: Session, channels: int, real: Real) -> Target:
     """Target with the kernels of layered.cl, for images of `channels` channels. The kernels have a program of their
     own, because they depend on few features.
     """
-    features = {"CHANNELS": channels + 1, "SCATTER": spec.method == "scatter", "RIMS": len(spec.psf.rims)}
-    return Target.build(session, ["layered/layered.cl"], features, real)
+    return Target.build(session, ["layered/layered.cl"], {"CHANNELS": channels}, real)
 
 
 class Clusters:
@@ -74,9 +92,7 @@ class Clusters:
     Attributes
     ----------
     buffers : dict
-        Buffers named as in `clsco.plan.buffers.cluster_buffers`. "latest": discontinuities of a time sample, by size
-        class and bin of the radius; "layer": uchar (height, width), depth layer of each pixel; "hidden": uchar (height,
-        width), layer that continues behind each pixel, 0 for none; "edge": as in `Layers`. The others are temporary.
+        Buffers named as in `clsco.plan.buffers.cluster_buffers`, and described in layered.cl.
 
     Raises
     ------
@@ -85,87 +101,119 @@ class Clusters:
     Notes
     -----
     Pixels are assigned to at most MOST_LAYERS layers so that the two sides of each depth discontinuity of more than
-    DISCONTINUITY px are in different layers, if these suffice. At discontinuities, push-pull (Gortler et al. 1996)
-    extrapolates each layer behind nearer layers from its nearest pixels, as far as the blurs of both sides reach. A cut
-    through a continuous surface has no hidden part. Validated against `clsco.reference.layered.layered`.
+    DISCONTINUITY px are in different layers, if these suffice. Pixels next to a discontinuity are split into the colors
+    of its two surfaces. Push-pull (Gortler et al. 1996) extrapolates each layer over the whole image. Validated against
+    `clsco.reference.layered.layered`.
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid) -> None:
         self.target, self.psf, self.channels = target, spec.psf, tallest.channels
         self.low, self.bins = bins_of(spec.largest)
-        self.reach = spec.psf.reach(spec.largest)
+        self.gap = 2 * spec.psf.reach(spec.largest) + 1
+        self.deep = most_deep(spec.psf, spec.largest)
+        self.far = int(reaches_of(spec.psf, np.array([spec.largest]))[0])
+        self.spread = real_pair(spec.psf.extent, spec.psf.pupil.margin, target.real)
         self.buffers = allocate(target.session, cluster_buffers(spec, tallest))
-        self._forget()
+        self._fill(ZERO, "latest")
 
     def find(self, job: Job, image: Image) -> None:
         """Record the depth discontinuities in the image of a time sample, or of one of its strips."""
-        far = np.int32(2 * self.reach + 1)
-        head = (job.grid, _real(self.low, self.target.real), np.int32(self.bins), far)
-        width, height = _size(job.grid)
+        head = (job.grid, real_scalar(self.low, self.target.real), np.int32(self.bins), np.int32(self.gap))
+        width, height = size_of(job.grid)
         args = (*head, *image.maps, self.buffers["latest"])
         self.target.run("find_discontinuities", (height + width,), LINES, job.events, *args)
 
-    def read_bounds(self) -> LayerBounds:
-        """Bounds of depth layers, from all strips passed to `find` since the last call. Waits for the device."""
-        size = DISCONTINUITY_CLASSES * self.bins + 1
-        latest = download(self.target.session, self.buffers["latest"], (size,), np.int32)
-        self._forget()
-        deep = depth_of_hidden(self.psf, int(latest[-1]))
-        return LayerBounds(tuple(layer_bounds(latest[:-1].reshape(DISCONTINUITY_CLASSES, self.bins))), deep)
+    def read_bounds(self) -> tuple[int, ...]:
+        """First bins of all depth layers but the nearest, from all strips passed to `find` since the last call. Waits
+        for the device.
+        """
+        shape = DISCONTINUITY_CLASSES, self.bins
+        latest = download(self.target.session, self.buffers["latest"], shape, np.int32)
+        self._fill(ZERO, "latest")
+        return tuple(layer_bounds(latest))
 
-    def _forget(self) -> None:
-        latest = self.buffers["latest"]
-        cl.enqueue_fill_buffer(self.target.session.queue, latest, ZERO, 0, latest.size)
-
-    def divide(self, job: Job, image: Image, bounds: LayerBounds) -> Layers:
+    def divide(self, job: Job, image: Image, bounds: tuple[int, ...]) -> Layers:
         """Split an image, or one of its strips, into the depth layers between `bounds`."""
-        if not bounds.bounds:
-            return Layers(1, iter(()), image, self.buffers["edge"])
+        planes, count = (self.buffers["marked"], self.buffers["to_plain"]), len(bounds) + 1
+        if count == 1:
+            return Layers(1, iter(()), image, *planes)
         self._label(job, image, bounds)
-        count = len(bounds.bounds) + 1
-        images = (self._extend(job, image, number, bounds.deep) for number in range(1, count + 1))
-        return Layers(count, images, image, self.buffers["edge"])
+        return Layers(count, (self._sheet(job, image, number) for number in range(1, count + 1)), image, *planes)
 
-    def _label(self, job: Job, image: Image, bounds: LayerBounds) -> None:
-        """Compute the depth layer of each pixel, and the layer that continues behind the pixel."""
-        run, (width, height), (coc, _) = self.target.run, _size(job.grid), image.maps
-        layer, seed, offset, hidden, edge = (self.buffers[n] for n in ("layer", "seed", "offset", "hidden", "edge"))
-        padded = (*bounds.bounds, *(0,) * (8 - len(bounds.bounds)))  # at most MOST_LAYERS - 1
+    def _label(self, job: Job, image: Image, bounds: tuple[int, ...]) -> None:
+        """Compute the depth layer of each pixel, the surfaces in pixels at edges, and the tiles in which edges matter."""
+        run, size, (coc, valid) = self.target.run, size_of(job.grid), image.maps
+        layer, sides, mixed, reach, edge, marked = self._named("layer", "sides", "mixed", "reach", "edge", "marked")
+        padded = (*bounds, *(0,) * (8 - len(bounds)))  # at most MOST_LAYERS - 1
         packed = cl.cltypes.make_int8(*padded)  # type: ignore[attr-defined]
-        low = _real(self.low, self.target.real)
-        head = (job.grid, low, np.int32(self.bins), np.int32(len(bounds.bounds)), packed)
-        run("label_depth_layers", (width, height), PIXELS, job.events, *head, *image.maps, layer)
-        run("seed_hidden", (width, height), PIXELS, job.events, job.grid, coc, layer, seed)
-        run("column_seeds", (-(-width // SEED_COLUMNS),), LINES, job.events, job.grid, seed, offset)
-        args = (job.grid, np.int32(bounds.deep), layer, seed, offset, hidden, edge)
-        run("reach_hidden", (-(-width // REACH_PIXELS), height), RUNS, job.events, *args)
+        head = (job.grid, real_scalar(self.low, self.target.real), np.int32(self.bins), np.int32(len(bounds)), packed)
+        run("label_depth_layers", size, PIXELS, job.events, *head, coc, valid, layer)
+        run("find_edges", tiles_of(job.grid), TILES, job.events, job.grid, self.spread, coc, layer, sides, reach, edge)
+        run("unmix", size, PIXELS, job.events, job.grid, image.value, layer, sides, mixed)
+        self._run_tiles(job, "mark_tiles", reach, edge, marked)
+        self._run_tiles(job, "measure_tiles", np.int32(0), marked, self.buffers["to_plain"])
+        queue = self.target.session.queue
+        cl.enqueue_copy(queue, self.buffers["left"], marked)
 
-    def _extend(self, job: Job, image: Image, index: int, deep: int) -> Image:
-        """Compute depth layer number `index`, from 1, with its hidden part; deep: `LayerBounds.deep`."""
-        run, number, (width, height) = self.target.run, np.int32(index), _size(job.grid)
-        layer, hidden, pyramid = (self.buffers[name] for name in ("layer", "hidden", "pyramid"))
-        value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        planes = (image.value, image.maps[0], layer)
-        run("open_depth_layer", (width, height), PIXELS, job.events, job.grid, number, *planes, pyramid)
-        levels = levels_of(height, width, deep, self.channels + 2)
+    def _sheet(self, job: Job, image: Image, index: int) -> Sheet:
+        """The sheet of depth layer number `index`, from 1."""
+        run, number, (width, height) = self.target.run, np.int32(index), size_of(job.grid)
+        pyramid, left, to_left = self._named("pyramid", "left", "to_left")
+        sheet_reach, wanted, to_wanted = self._named("sheet_reach", "wanted", "to_wanted")
+        value, coc, valid = self._named("value", "coc", "valid")
+        planes = (image.value, image.maps[0], *self._named("layer", "sides", "mixed"), pyramid)
+        levels = levels_of(height, width, self.deep, self.channels + 4)
+        rows, columns, _ = levels[0]
+        head = (job.grid, number, np.int32(rows), np.int32(columns))
+        self._run_tiles(job, "measure_tiles", np.int32(1), left, to_left)
+        run("open_sheet", (columns, rows), PIXELS, job.events, *head, *planes)
         pairs = list(pairwise(levels))
-        for name, steps in (("push", pairs), ("pull", pairs[:0:-1])):
+        for name, steps in (("push", pairs), ("pull", pairs[::-1])):
             for (rows, columns, start), (half_rows, half_columns, half_start) in steps:
-                sizes = (np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
-                if name == "push":
-                    last, size = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSH_PIXELS), half_rows)
-                    run(name, size, BLOCKS, job.events, *sizes, last, pyramid)
-                else:
-                    run(name, (columns, rows), PIXELS, job.events, *sizes, pyramid)
-        coarse = (np.int32(n) for n in levels[1])
-        out = (hidden, pyramid, value, coc, valid)
-        run("take_depth_layer", (width, height), PIXELS, job.events, job.grid, number, *coarse, *planes, *out)
-        return Image(value, (coc, valid))
+                sizes = tuple(np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
+                size = (half_columns, half_rows) if name == "push" else (columns, rows)
+                run(name, size, PIXELS, job.events, *sizes, pyramid)
+        self._fill(NONE, "sheet_reach")
+        out = (to_left, value, coc, valid, sheet_reach)
+        run("take_sheet", (width, height), PIXELS, job.events, *head, np.int32(self.far), self.spread, *planes, *out)
+        self._run_tiles(job, "want_tiles", sheet_reach, left, wanted)
+        self._run_tiles(job, "measure_tiles", np.int32(1), wanted, to_wanted)
+        self._fill(ZERO, "still_left")
+        self.buffers["left"], self.buffers["still_left"] = self._named("still_left", "left")
+        return Sheet(Image(value, (coc, valid)), left, wanted, to_wanted, self.buffers["left"])
+
+    def _run_tiles(self, job: Job, name: str, *args: object) -> None:
+        """Enqueue a kernel that looks at the tiles around each tile."""
+        columns, rows = tiles = tiles_of(job.grid)
+        head = (np.int32(rows), np.int32(columns), np.int32(-(-self.far // LAYER_TILE) + 1))
+        self.target.run(name, tiles, TILES, job.events, *head, *args)
+
+    def _named(self, *names: str) -> tuple[cl.Buffer, ...]:
+        return tuple(self.buffers[name] for name in names)
+
+    def _fill(self, pattern: object, name: str) -> None:
+        buffer = self.buffers[name]
+        cl.enqueue_fill_buffer(self.target.session.queue, buffer, pattern, 0, buffer.size)
 
 
-def _size(grid: Struct) -> tuple[int, int]:
+def size_of(grid: Struct) -> tuple[int, int]:
+    """Columns and rows of the source grid."""
     return int(grid["width"]), int(grid["height"])
 
 
-def _real(value: float, real: Real) -> np.generic:
+def tiles_of(grid: Struct) -> tuple[int, int]:
+    """Columns and rows of tiles of the source grid."""
+    width, height = size_of(grid)
+    return -(-width // LAYER_TILE), -(-height // LAYER_TILE)
+
+
+def real_scalar(value: float, real: Real) -> np.generic:
+    """A kernel argument of type real."""
     return np.float64(value) if real == "double" else np.float32(value)
+
+
+def real_pair(first: float, second: float, real: Real) -> np.void:
+    """A kernel argument of type real2."""
+    make = cl.cltypes.make_double2 if real == "double" else cl.cltypes.make_float2  # type: ignore[attr-defined]
+    pair: np.void = make(first, second)
+    return pair

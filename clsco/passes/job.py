@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from clsco.frame.strips import Strip
 from clsco.opencl.program import Events
-from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.motion import Pose
 from clsco.optics.quadrics import PlacedSurface
 from clsco.records import Struct
@@ -30,7 +29,7 @@ class Job:
     strip: Strip
     grid: Struct
     events: Events
-    bounds: tuple[LayerBounds, ...] | None = None
+    bounds: tuple[tuple[int, ...], ...] | None = None
 
 
 @dataclass(frozen=True)

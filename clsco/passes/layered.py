@@ -1,4 +1,4 @@
-"""Host side of layered occlusion, which blurs each depth layer with its coverage and composites front to back."""
+"""Host side of layered occlusion, which blurs sheets with their coverage and lays them over each other."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import pyopencl as cl
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty
 from clsco.opencl.program import Target
-from clsco.passes.blur import PIXELS, BehindRims, BlurredPlane, Image, Sources, blur_target, prepare_sources
-from clsco.passes.clusters import ZERO, Layers
+from clsco.passes.blur import PIXELS, BehindRims, BlurredPlane, Image, Plane, Sources, blur_target, prepare_sources
+from clsco.passes.clusters import ZERO, Clusters, Layers, Sheet, size_of
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.job import Job
-from clsco.plan.buffers import depth_layer_spec, layered_buffers
+from clsco.plan.buffers import layered_buffers, sheet_spec
+
+ONE = np.ones(1, np.float32)
 
 
 class DepthLayers:
@@ -27,8 +29,8 @@ class DepthLayers:
     ----------
     blur : BlurredPlane
         Blur of the frame or strip, by one of MANY_RADII and without sub-pixel sources.
-    target : Target
-        Target of `layered_program`.
+    clusters : Clusters
+        What makes the layers.
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
     behind_rims : callable, optional
@@ -40,61 +42,70 @@ class DepthLayers:
 
     Notes
     -----
-    Near discontinuities, radiance and coverage of a layer are blurred together by the PSF, and weighted at each pixel
-    by the fraction that nearer layers leave uncovered; elsewhere radiance is simply added. A bound that cuts a
-    continuous surface has no visible effect. With one layer, the frame is bit-identical to that with psf.occlusion =
-    "none". Validated against `clsco.reference.layered.layered` and the ray tracer.
+    In tiles with an edge in reach, radiance, coverage and ones of a sheet are blurred together by the PSF; the ratio of
+    the first and the last, times the fraction of the lens that nearer sheets leave free, is added to the frame. Other
+    tiles have the bits of psf.occlusion = "none". Validated against `clsco.reference.layered.layered` and the ray
+    tracer.
     """
 
     def __init__(
-        self, blur: BlurredPlane, target: Target, tallest: Grid, behind_rims: BehindRims | None = None
+        self, blur: BlurredPlane, clusters: Clusters, tallest: Grid, behind_rims: BehindRims | None = None
     ) -> None:  # fmt: skip
-        session, real, spec, planes = target.session, target.real, depth_layer_spec(blur.spec), tallest.channels + 1
-        layer_target = blur_target(session, spec, planes, real)
-        self.outer, self.inner = blur, make_blur(layer_target, spec, replace(tallest, channels=planes), blur.grid)
-        self.target = Target(session, layer_target.program | target.program, real)
+        kernels, spec, planes = clusters.target, sheet_spec(blur.spec), tallest.channels + 2
+        session, real = kernels.session, kernels.real
+        target = blur_target(session, spec, planes, real)
+        self.outer, self.inner = blur, make_blur(target, spec, replace(tallest, channels=planes), blur.grid)
+        self.target, self.spread = Target(session, target.program | kernels.program, real), clusters.spread
         sizes = layered_buffers(blur.spec, tallest, session.device)
-        self.source, self.covered = (empty(session, sizes[name]) for name in ("source", "covered"))
+        self.source, self.room, self.light = (empty(session, sizes[name]) for name in ("source", "room", "light"))
         self.behind_rims = behind_rims
-        self.depth, self.open = (empty(session, sizes[name]) if name in sizes else None for name in ("depth", "open"))
+        self.depth = empty(session, sizes["depth"]) if "depth" in sizes else None
 
-    def add(self, job: Job, layers: Layers) -> None:
-        """Enqueue kernels that add the radiance of layers to the frame or strip."""
+    def add(self, job: Job, layers: Layers) -> Plane:
+        """Enqueue kernels that blur layers into the frame or strip; returns its plane."""
         behind: dict[str, Any] = {}
         if self.depth is not None and self.behind_rims is not None:
             behind = self.behind_rims(job) | {"depth": self.depth}
         if layers.count > 1:
-            cl.enqueue_fill_buffer(self.target.session.queue, self.covered, ZERO, 0, self.covered.size)
-            if behind:
-                args = (job.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.open)
-                self.target.run("open_share", self.inner.size, PIXELS, job.events, *args)
-        for layer in layers.images:
-            self._blur(job, layer, layers.edge, behind)
+            self._begin(job, behind)
+        for sheet in layers.sheets:
+            self._lay(job, sheet, behind)
         sources = self._sources(job, self.outer, layers.image, behind)
         if layers.count > 1:
-            self._keep(job, layers.edge, near_edges=False)
+            self._keep(job, layers.image, layers.to_plain)
         # Last, since border = "renormalize" overwrites the radiance of the image.
         self.outer.add(sources, job.events)
+        plane = self.outer.plane(job.events)
+        if layers.count > 1:
+            args = (job.grid, np.int32(self.outer.pitch), np.int32(self.outer.pad), layers.marked, self.light)
+            self.target.run("put_layers", self.outer.size, PIXELS, job.events, *args, plane.buffer)
+        return plane
+
+    def _begin(self, job: Job, behind: dict[str, Any]) -> None:
+        """Begin a frame without light, in which the lens is free but for rims."""
+        for pattern, buffer in ((ONE, self.room), (ZERO, self.light)):
+            cl.enqueue_fill_buffer(self.target.session.queue, buffer, pattern, 0, buffer.size)
+        if behind:
+            args = (job.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.room)
+            self.target.run("open_share", self.outer.size, PIXELS, job.events, *args)
 
     def _sources(self, job: Job, blur: BlurredPlane, image: Image, behind: dict[str, Any]) -> Sources:
         rims = (behind["lens"], behind["depth"]) if behind else ()
         prepare_sources(self.target, job.grid, blur.struct, image.maps, self.source, job.events, rims)
         return Sources(self.source, image.value, **behind)
 
-    def _keep(self, job: Job, edge: cl.Buffer, near_edges: bool) -> None:
-        """Discard the sources away from edges if `near_edges` is True, otherwise those near edges."""
-        size = int(job.grid["width"]), int(job.grid["height"])
-        args = (job.grid, np.int32(near_edges), edge, self.source)
-        self.target.run("keep_sources", size, PIXELS, job.events, *args)
+    def _keep(self, job: Job, image: Image, distance: cl.Buffer) -> None:
+        """Discard the sources that reach no tile at distance 0."""
+        args = (job.grid, self.spread, image.maps[0], distance, self.source)
+        self.target.run("keep_sources", size_of(job.grid), PIXELS, job.events, *args)
 
-    def _blur(self, job: Job, layer: Image, edge: cl.Buffer, behind: dict[str, Any]) -> None:
-        """Blur a depth layer, and composite it behind the previous layers."""
-        inner, frame = self.inner, (int(job.grid["columns"]), int(job.grid["rows"]))
-        sources = self._sources(job, inner, layer, behind)
-        self._keep(job, edge, near_edges=True)
+    def _lay(self, job: Job, sheet: Sheet, behind: dict[str, Any]) -> None:
+        """Blur a sheet, and lay it behind the previous ones."""
+        inner = self.inner
+        sources = self._sources(job, inner, sheet.image, behind)
+        self._keep(job, sheet.image, sheet.to_wanted)
         inner.begin(job.grid)
         inner.add(sources, job.events)
         inner.resolve(job.events)
-        room = (self.covered, self.open) if behind else (self.covered,)
-        args = (job.grid, *inner.layout, *room, *self.outer.sink)
-        self.target.run("composite", frame, PIXELS, job.events, *args)
+        args = (job.grid, *inner.layout, sheet.left, sheet.wanted, self.room, self.light, sheet.still_left)
+        self.target.run("composite", inner.size, PIXELS, job.events, *args)

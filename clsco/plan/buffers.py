@@ -18,6 +18,7 @@ from clsco.constants import (
     DISCONTINUITY_CLASSES,
     FILL_LANES,
     ITEMS_BYTES,
+    LAYER_TILE,
     MOST_ASIDE,
     MOST_ITEMS,
     NOISE_LANES,
@@ -215,42 +216,46 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
     return sizes
 
 
-def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
-    """Specification of the blur of a depth layer with its coverage; spec: specification of the frame's blur."""
+def sheet_spec(spec: BlurSpec) -> BlurSpec:
+    """Specification of the blur of a sheet; spec: specification of the frame's blur."""
     brightest = max(spec.brightest, 1.0)
     return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
 
 
+TILE_PLANES = (
+    "reach", "edge", "marked", "to_plain", "left", "still_left", "to_left", "sheet_reach", "wanted", "to_wanted",
+)  # fmt: skip
+
+
 def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
     """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`). These are the planes that
-    assign pixels to layers, and the planes of one layer with its pyramid. spec: specification of the frame's blur.
+    assign pixels to layers, those of tiles, and the planes of one sheet with its pyramid. spec: specification of the
+    frame's blur.
     """
-    pixels, planes = grid.sources, grid.channels + 2  # of the pyramid: also radius, and how far it is known
+    pixels, planes = grid.sources, grid.channels + 4  # of the pyramid: also radius, coverage, and how far these are known
     rows, columns, start = levels_of(grid.height, grid.width, most_deep(spec.psf, spec.largest), planes)[-1]
+    tiles = 4 * ceil(grid.height / LAYER_TILE) * ceil(grid.width / LAYER_TILE)
     return {
-        "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
-        "offset": 4 * pixels,
+        "latest": 4 * DISCONTINUITY_CLASSES * bins_of(spec.largest)[1],
         "layer": pixels,
-        "seed": pixels,
-        "hidden": pixels,
-        "edge": pixels,
+        "sides": pixels,
+        "mixed": 4 * (2 * grid.channels + 1) * pixels,
         "pyramid": 4 * (start + planes * rows * columns),
-        "value": 4 * (grid.channels + 1) * pixels,  # with coverage
+        "value": 4 * (grid.channels + 2) * pixels,  # with coverage and ones
         "coc": REAL_BYTES * pixels,
         "valid": pixels,
-    }
+    } | dict.fromkeys(TILE_PLANES, tiles)
 
 
 def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`), in addition to those of the frame's blur.
 
-    They hold sources, coverage, and the blur of a layer, for which names begin with "blur ". spec: specification of the
-    frame's blur.
+    They hold sources, the light of all sheets so far, the room behind them, and the blur of a sheet, for which names
+    begin with "blur ". spec: specification of the frame's blur.
     """
-    sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
-    sizes |= {"open": sizes["covered"]} if spec.occluders else {}
-    layer = depth_layer_spec(spec)
-    inner = blur_buffers(layer, replace(grid, channels=grid.channels + 1), device)
+    pixels, layer = grid.rows * grid.columns, sheet_spec(spec)
+    sizes = source_buffers(spec, grid) | {"room": 4 * pixels, "light": 4 * grid.channels * pixels}
+    inner = blur_buffers(layer, replace(grid, channels=grid.channels + 2), device)
     span, layer_span = (rounded_span(each.psf, each.smallest, each.largest, 0) for each in (spec, layer))
     if span == layer_span:  # one table serves both
         inner = {name: size for name, size in inner.items() if name not in TABLES}

@@ -106,9 +106,9 @@ def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: fl
         image = _cut_by_rims(plan, time, guard, image) if plan.psf.rims else image
         return outputs | {"plane": scatter(plan.spec, image, None, plan.shape, guard)}
     spec = replace(plan.spec, largest=max(plan.spec.largest, float(np.abs(image.radius).max())))
-    labels, deep = cluster(spec, image.radius, image.lit)
+    labels = cluster(spec, image.radius, image.lit)
     rims = (partial(_cut_by_rims, plan, time, guard), _open_share(plan, time)) if plan.psf.rims else None
-    pixels = image.radiance, image.radius, labels, plan.shape, guard, deep
+    pixels = image.radiance, image.radius, labels, plan.shape, guard
     plane, count = spread_depth_layers(spec, *pixels, rims)
     return outputs | {"plane": plane, "depth_layers": count}
 

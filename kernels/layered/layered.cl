@@ -1,39 +1,48 @@
-// Layered occlusion, from the pinhole image alone: depth layers k of the blur radius, from the nearest on, each
-// blurred together with its coverage by the kernels of the blur, and composited,
-//     I = sum_k B(L_k) share_k,  share_k = min(1, room that nearer layers have left / B(1_k)).
-// Twin: clsco/reference/layered/layered.py. Host: clsco/passes/layered.py, which picks it for psf.occlusion =
-// "layered".
+// Layered occlusion, from the pinhole image alone. Depth layers k of the blur radius are blurred as sheets, which have
+// radiance C, radius R and coverage a in all pixels, by the kernels of the blur, and laid over each other from the
+// nearest on,
+//     I = sum_k T_k B(a C) / B(1),  T_k+1 = T_k (1 - B(a) / B(1)),  T_1 = 1.
+// Both sums of a ratio run over the whole sheet: even radiance stays even. Tiles without an edge in reach are blurred
+// without occlusion. Twin: clsco/reference/layered/layered.py. Host: clsco/passes/layered.py, which picks it for
+// psf.occlusion = "layered".
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
-//   value    float (CHANNELS - 1, height, width): radiance
+//   value    float (CHANNELS, height, width): radiance
 //   coc      real: signed blur radius in px
 //   valid    uchar: 1 where there is a surface
 //   layer    uchar: 1 is the nearest, 0 no surface
-//   seed     uchar: at an edge, the layer that is extrapolated behind the pixel, else 0
-//   offset   int: rows to the nearest seed of the same column, NO_SEED for none
-//   hidden   uchar: the layer that is extrapolated behind the pixel, else 0
-//   edge     uchar: 1 if an edge is so near that coverage matters; radiance of other pixels is simply added
-// and for the layer that is being blurred
-//   pyramid  float, level by level from the finest on, each (CHANNELS + 1, rows, columns): radiance, radius, and the
-//            degree to which they are known, 0 to 1
-//   layer_value float (CHANNELS, height, width): radiance and coverage; layer_coc, layer_valid: as coc and valid
-// All steps use integers, or sums in a fixed order: the same bits every time. Seeds of 64 pixels of a row at once took
-// reach_hidden from 31 to 11 ns per pixel, vectors took `push` from 14 to 4, 16 columns at once column_seeds from 8 to
-// 2.
+//   sides    uchar: next to a discontinuity, 16 times the nearer layer plus the farther one, else 0
+//   mixed    float (2 CHANNELS + 1, height, width), only next to discontinuities: radiance of the nearer and of the
+//            farther surface in the pixel, and share of the nearer one
+// per tile of LAYER_TILE rows and columns
+//   reach    int: px that its sources reach, -1 for none; edge: 1 if it has an edge
+//   marked   int: 1 if an edge matters in it; to_plain: px to the nearest tile that is not marked
+// and for the sheet that is being blurred
+//   pyramid  float, level by level from the second on, each (PLANES, rows, columns): radiance and radius, 1 where they
+//            are known; coverage, and 1 where it is known
+//   left     int per tile: 1 if it is marked and not yet covered by nearer sheets; to_left: px to the nearest such tile
+//   sheet    float (CHANNELS + 2, height, width): radiance times coverage, coverage, and ones
+//   sheet_coc, sheet_valid: as coc and valid
+// All steps use integers, or sums in a fixed order: the same bits every time.
 
 #include "common/geometry.clh"
 
 #pragma OPENCL FP_CONTRACT ON  // as where radiance is summed in the blur
 
-#define NEVER (1 << 24)    // beyond the last pixel of any frame
-#define RADIUS (CHANNELS - 1)  // plane of the pyramid
-#define KNOWN CHANNELS
-#define GROWTH 4.0f
+#define RADIUS CHANNELS  // planes of the pyramid
+#define KNOWN (CHANNELS + 1)
+#define COVERAGE (CHANNELS + 2)
+#define SETTLED (CHANNELS + 3)
+#define PLANES (CHANNELS + 4)
+#define MASK_REACH 2      // px, last offset of MASK
+#define NOISE 5.0f        // weight of the surfaces' variance against the color of a mixed pixel
+#define LEAST_DEVIATION 0.02f  // least standard deviation of a surface, as a share of its color
+#define SAME 0.25f        // px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
+#define GAIN 4.0f         // steepness of a hidden outline
+#define NOWHERE (1 << 24)  // px, farther than anything reaches
 
-__constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
-
-#define EVEN(v) (v).s0246
-#define ODD(v) (v).s1357
+// Gaussian of 0.6 px: by it, the labels alone give the share of a layer.
+__constant float MASK[MASK_REACH + 1] = {1, 0.24935221f, 0.0038659201f};
 
 static int bin_of(real coc, real low, int bins) {
     const real at = FLOOR((coc - low) / LAYER_BIN);
@@ -41,8 +50,7 @@ static int bin_of(real coc, real low, int bins) {
 }
 
 // One row or column per work-item. In and out: latest int (DISCONTINUITY_CLASSES, bins): for discontinuities of class
-// k, larger than DISCONTINUITY 2^k, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after
-// it the largest sum of the two |radii| at a discontinuity, px, rounded up.
+// k, larger than DISCONTINUITY 2^k, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none.
 __kernel void find_discontinuities(const grid_t grid, const real low, const int bins, const int far,
                                    __global const real *coc, __global const uchar *valid, __global int *latest) {
     const int line = get_global_id(0);
@@ -66,9 +74,6 @@ __kernel void find_discontinuities(const grid_t grid, const real low, const int 
             const int begin = bin_of(MIN(now, before), low, bins) + 1;
             if (RELAXED_LOAD(entry) < begin)
                 atomic_max(entry, begin);
-            const int sum = -(int)FLOOR(-(ABS(now) + ABS(before)));
-            if (RELAXED_LOAD(latest + DISCONTINUITY_CLASSES * bins) < sum)
-                atomic_max(latest + DISCONTINUITY_CLASSES * bins, sum);
         }
         last = i;
         before = now;
@@ -89,220 +94,254 @@ __kernel void label_depth_layers(const grid_t grid, const real low, const int bi
     layer[at] = valid[at] ? label : 0;
 }
 
-// In: coc, layer. Out: seed.
-__kernel void seed_hidden(const grid_t grid, __global const real *coc, __global const uchar *layer,
-                          __global uchar *seed) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= grid.width || y >= grid.height)
-        return;
-    const int at = y * grid.width + x, own = layer[at];
+// Px that a source of signed radius coc reaches at most. spread: `extent` and `margin` of the PSF.
+static int reach_of(real coc, real2 spread) {
+    return REACH_MARGIN - (int)FLOOR(-(ABS(coc) * spread.x + spread.y));
+}
+
+static int tile_of(const grid_t grid, int x, int y) {
+    return y / LAYER_TILE * ((grid.width + LAYER_TILE - 1) / LAYER_TILE) + x / LAYER_TILE;
+}
+
+// Both depth layers at a pixel of layer `own`, as in `sides`; open: set if a neighbor has no surface.
+static int sides_of(const grid_t grid, int x, int y, int own, __global const real *coc, __global const uchar *layer,
+                    int *open) {
+    const int at = y * grid.width + x;
     const int near[4] = {y > 0 ? at - grid.width : at, y + 1 < grid.height ? at + grid.width : at,
                          x > 0 ? at - 1 : at, x + 1 < grid.width ? at + 1 : at};
-    int found = 0;
-    for (int k = 0; k < 4 && own; ++k) {
+    int before = 0, behind = 0;
+    for (int k = 0; k < 4; ++k) {
         const int other = layer[near[k]];
-        if (other > own && coc[near[k]] - coc[at] > DISCONTINUITY && (!found || other < found))
-            found = other;
+        const real step = coc[near[k]] - coc[at];
+        *open |= !other;
+        if (other && other < own && step < -DISCONTINUITY)
+            before = MAX(before, other);
+        if (other > own && step > DISCONTINUITY)
+            behind = behind ? MIN(behind, other) : other;
     }
-    seed[at] = found;
+    return before ? before << 4 | own : behind ? own << 4 | behind : 0;
 }
 
-// Offsets to seeds for `count` columns from x on, up to SEED_COLUMNS.
-static inline void seeds_of(const grid_t grid, __global const uchar *seed, __global int *offset, int x,
-                            const int count) {
-    int last[SEED_COLUMNS];
-    for (int k = 0; k < count; ++k)
-        last[k] = -NEVER;
-    for (int y = 0; y < grid.height; ++y)
-        for (int k = 0; k < count; ++k) {
-            const int at = y * grid.width + x + k;
-            last[k] = seed[at] ? y : last[k];
-            offset[at] = y - last[k] < NO_SEED ? last[k] - y : NO_SEED;
-        }
-    for (int k = 0; k < count; ++k)
-        last[k] = NEVER;
-    for (int y = grid.height - 1; y >= 0; --y)
-        for (int k = 0; k < count; ++k) {
-            const int at = y * grid.width + x + k, above = offset[at];
-            last[k] = seed[at] ? y : last[k];
-            offset[at] = last[k] - y < ABS(above) ? last[k] - y : above;
-        }
-}
-
-// SEED_COLUMNS columns per work-item; of two seeds at the same distance the upper one counts. In: seed. Out: offset.
-__kernel void column_seeds(const grid_t grid, __global const uchar *restrict seed, __global int *restrict offset) {
-    const int x = get_global_id(0) * SEED_COLUMNS;
-    if (x + SEED_COLUMNS <= grid.width)
-        seeds_of(grid, seed, offset, x, SEED_COLUMNS);
-    else if (x < grid.width)
-        seeds_of(grid, seed, offset, x, grid.width - x);
-}
-
-// Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately. Returns False if
-// no seed is near the run.
-static bool flag_near(__global const int *offset, int begin, int end, int width, int far, __global uchar *flags) {
-    const int first = MAX(begin - far, 0), stop = MIN(end + far, width);
-    int nearest = NO_SEED;
-    for (int x = first; x < stop; ++x)
-        nearest = MIN(nearest, ABS(offset[x]));
-    for (int x = begin; x < end; ++x)
-        flags[x] = 0;
-    if (nearest > far)
-        return false;
-    int last = -NEVER;
-    for (int x = first; x < end; ++x) {
-        last = ABS(offset[x]) <= far ? x : last;
-        if (x >= begin && x - last <= far)
-            flags[x] = 1;
-    }
-    last = NEVER;
-    for (int x = stop - 1; x >= begin; --x) {
-        last = ABS(offset[x]) <= far ? x : last;
-        if (x < end && last - x <= far)
-            flags[x] = 1;
-    }
-    return true;
-}
-
-// Squared distance of each pixel of a run to the nearest seed (best), deep^2 + 1 for none within `deep` px, and the
-// number of columns to it (away). Of two at the same distance the one in the nearer column counts, of two such columns
-// the left one. offset: of the run's first pixel; columns up to `deep` px beyond the run must exist.
-static inline void nearest_seeds(__global const int *offset, int deep, int *restrict best, int *restrict away) {
-    for (int i = 0; i < REACH_PIXELS; ++i) {
-        best[i] = deep * deep + 1;
-        away[i] = 0;
-    }
-    for (int dx = 0; dx <= deep; ++dx) {
-        int farthest = 0;
-        for (int i = 0; dx % 8 == 0 && i < REACH_PIXELS; ++i)
-            farthest = MAX(farthest, best[i]);
-        if (dx % 8 == 0 && dx * dx >= farthest)
-            break;
-        for (int side = -dx; side <= dx; side += MAX(2 * dx, 1))
-            for (int i = 0; i < REACH_PIXELS; ++i) {
-                const int dy = offset[i + side], square = dx * dx + dy * dy;
-                away[i] = square < best[i] ? side : away[i];
-                best[i] = MIN(best[i], square);
-            }
-    }
-}
-
-// The same for pixel x of a row, near the row's left or right end.
-static int2 nearest_seed(__global const int *offset, int x, int width, int deep) {
-    int2 found = {deep * deep + 1, 0};
-    for (int dx = 0; dx * dx < found.x; ++dx)
-        for (int side = -dx; side <= dx; side += MAX(2 * dx, 1)) {
-            const int dy = x + side < 0 || x + side >= width ? NO_SEED : offset[x + side], square = dx * dx + dy * dy;
-            found = square < found.x ? (int2)(square, side) : found;
-        }
-    return found;
-}
-
-// A run of a row per work-item. deep: px, largest distance of a seed. In: layer, seed, offset. Out: hidden, edge.
-__kernel void reach_hidden(const grid_t grid, const int deep, __global const uchar *layer,
-                           __global const uchar *seed, __global const int *offset, __global uchar *hidden,
-                           __global uchar *edge) {
-    const int begin = get_global_id(0) * REACH_PIXELS, y = get_global_id(1);
-    if (begin >= grid.width || y >= grid.height)
+// One tile per work-item. In: coc, layer. Out: sides, reach, edge.
+__kernel void find_edges(const grid_t grid, const real2 spread, __global const real *coc,
+                         __global const uchar *layer, __global uchar *sides, __global int *reach,
+                         __global int *edge) {
+    const int left = get_global_id(0) * LAYER_TILE, top = get_global_id(1) * LAYER_TILE;
+    if (left >= grid.width || top >= grid.height)
         return;
-    const int end = MIN(begin + REACH_PIXELS, grid.width), line = y * grid.width;
-    if (!flag_near(offset + line, begin, end, grid.width, 2 * deep, edge + line)) {
-        for (int x = begin; x < end; ++x)
-            hidden[line + x] = 0;
-        return;
-    }
-    int best[REACH_PIXELS], away[REACH_PIXELS];
-    if (begin >= deep && begin + REACH_PIXELS + deep <= grid.width)
-        nearest_seeds(offset + line + begin, deep, best, away);
-    else
-        for (int x = begin; x < end; ++x) {
-            const int2 found = nearest_seed(offset + line, x, grid.width, deep);
-            best[x - begin] = found.x;
-            away[x - begin] = found.y;
+    const int right = MIN(left + LAYER_TILE, grid.width), bottom = MIN(top + LAYER_TILE, grid.height);
+    real largest = 0;
+    int any = 0, edges = 0;
+    for (int y = top; y < bottom; ++y)
+        for (int x = left; x < right; ++x) {
+            const int at = y * grid.width + x, own = layer[at];
+            any |= own;
+            largest = MAX(largest, own ? ABS(coc[at]) : 0);
+            const bool inside = x > 0 && x + 1 < grid.width && y > 0 && y + 1 < grid.height;
+            const bool same = inside && layer[at - 1] == own && layer[at + 1] == own &&
+                              layer[at - grid.width] == own && layer[at + grid.width] == own;
+            sides[at] = same || !own ? 0 : sides_of(grid, x, y, own, coc, layer, &edges);
+            edges |= sides[at];
         }
-    for (int x = begin; x < end; ++x) {
-        const int own = layer[line + x], column = x + away[x - begin];
-        int label = 0;
-        if (best[x - begin] <= deep * deep)
-            label = seed[line + offset[line + column] * grid.width + column];
-        hidden[line + x] = own && label > own ? label : 0;
-    }
+    const int tile = tile_of(grid, left, top);
+    reach[tile] = any ? reach_of(largest, spread) : -1;
+    edge[tile] = edges;
 }
 
-// Out: the finest level of the pyramid, of the pixels of layer `which`.
-__kernel void open_depth_layer(const grid_t grid, const int which, __global const float *value,
-                               __global const real *coc, __global const uchar *layer, __global float *pyramid) {
-    const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
+// Weighted sums of colors, and of their squares.
+typedef struct {
+    float weight, color[CHANNELS], square[CHANNELS];
+} colors_t;
+
+// Radiance of the two surfaces in a pixel at a discontinuity, and the share of the nearer one. The mean colors of both
+// explain the pixel's color; their variances say how much that counts against the mask. Both get what is left.
+// In: value, layer, sides. Out: mixed.
+__kernel void unmix(const grid_t grid, __global const float *value, __global const uchar *layer,
+                    __global const uchar *sides, __global float *mixed) {
+    const int x = get_global_id(0), y = get_global_id(1), plane = grid.width * grid.height;
     if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x;
-    const bool known = layer[at] == which;
-    for (int c = 0; c < CHANNELS - 1; ++c)
-        pyramid[c * plane + at] = known ? value[c * plane + at] : 0;
-    pyramid[RADIUS * plane + at] = known ? (float)coc[at] : 0;
-    pyramid[KNOWN * plane + at] = known;
-}
-
-// `push` for PUSH_PIXELS pixels of row y of the coarser level that are not at the row's ends; plane: px of that level.
-// from: in the finer level's first row, one pixel before the first one under them.
-static inline void push_some(__global const float *from, int fine_rows, int fine_columns, int y, int plane, int last,
-                             __global float *to) {
-    const int fine_plane = fine_rows * fine_columns;
-    float4 total = 0, sum[CHANNELS];
-    for (int c = 0; c < CHANNELS; ++c)
-        sum[c] = 0;
-    for (int i = MAX(1 - 2 * y, 0); i < MIN(4, fine_rows + 1 - 2 * y); ++i) {
-        __global const float *line = from + (2 * y + i - 1) * fine_columns;
-        __global const float *shares = line + KNOWN * fine_plane;
-        const float8 left = LOAD(float, 8, shares) * TENT[i], right = LOAD(float, 8, shares + 2) * TENT[i];
-        const float4 known[4] = {EVEN(left) * TENT[0], ODD(left) * TENT[1], EVEN(right) * TENT[2],
-                                 ODD(right) * TENT[3]};
-        total += (known[0] + known[1]) + (known[2] + known[3]);
-        for (int c = 0; c < CHANNELS; ++c) {
-            const float8 here = LOAD(float, 8, line + c * fine_plane), next = LOAD(float, 8, line + c * fine_plane + 2);
-            sum[c] += (known[0] * EVEN(here) + known[1] * ODD(here)) + (known[2] * EVEN(next) + known[3] * ODD(next));
-        }
-    }
-    const float4 none = 0, whole = 1;
-    for (int c = 0; c < CHANNELS; ++c)
-        STORE(float, 4, total > 0 ? sum[c] / total : none, to + c * plane);
-    STORE(float, 4, last ? (total > 0 ? whole : none) : MIN(GROWTH * total, whole), to + KNOWN * plane);
-}
-
-// PUSH_PIXELS pixels of the coarser level (rows, columns) per work-item: means of known pixels under a tent of 4 x 4
-// pixels of the finer level (fine_rows, fine_columns). fine, coarse: places of the levels in the pyramid; last: 1 for
-// the coarsest level, where partly known pixels count as known.
-__kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
-                   const int coarse, const int last, __global float *pyramid) {
-    const int begin = get_global_id(0) * PUSH_PIXELS, y = get_global_id(1);
-    if (begin >= columns || y >= rows)
+    const int at = y * grid.width + x, near = sides[at] >> 4, far = sides[at] & 15;
+    if (!near)
         return;
-    const int fine_plane = fine_rows * fine_columns, plane = rows * columns;
-    __global const float *from = pyramid + fine;
-    __global float *to = pyramid + coarse + y * columns;
-    if (begin > 0 && 2 * begin + 2 * PUSH_PIXELS < fine_columns) {
-        push_some(from + 2 * begin - 1, fine_rows, fine_columns, y, plane, last, to + begin);
-        return;
-    }
-    for (int x = begin; x < MIN(begin + PUSH_PIXELS, columns); ++x) {
-        float total = 0, sum[CHANNELS];
-        for (int c = 0; c < CHANNELS; ++c)
-            sum[c] = 0;
-        for (int i = 0; i < 4; ++i)
-            for (int j = 0; j < 4; ++j) {
-                const int row = 2 * y + i - 1, column = 2 * x + j - 1;
-                if (row < 0 || row >= fine_rows || column < 0 || column >= fine_columns)
-                    continue;
-                const int at = row * fine_columns + column;
-                const float known = TENT[i] * TENT[j] * from[KNOWN * fine_plane + at];
-                total += known;
-                for (int c = 0; c < CHANNELS; ++c)
-                    sum[c] += known * from[c * fine_plane + at];
+    float mask[2] = {0, 0};
+    colors_t sums[4] = {{0}, {0}, {0}, {0}};  // of the near and the far side, away from edges and at edges
+    for (int dy = MAX(-MIXED_AROUND, -y); dy <= MIN(MIXED_AROUND, grid.height - 1 - y); ++dy)
+        for (int dx = MAX(-MIXED_AROUND, -x); dx <= MIN(MIXED_AROUND, grid.width - 1 - x); ++dx) {
+            const int there = at + dy * grid.width + dx, own = layer[there];
+            if (own != near && own != far)
+                continue;
+            const bool behind = own == far;
+            if (MAX(ABS(dx), ABS(dy)) <= MASK_REACH)
+                mask[behind] += MASK[ABS(dy)] * MASK[ABS(dx)];
+            colors_t *sum = sums + behind + 2 * (sides[there] > 0);
+            const float weight = (MIXED_AROUND + 1 - ABS(dy)) * (MIXED_AROUND + 1 - ABS(dx));
+            sum->weight += weight;
+            for (int c = 0; c < CHANNELS; ++c) {
+                const float color = value[c * plane + there];
+                sum->color[c] += weight * color;
+                sum->square[c] += weight * color * color;
             }
-        for (int c = 0; c < CHANNELS; ++c)
-            to[c * plane + x] = total > 0 ? sum[c] / total : 0;
-        to[KNOWN * plane + x] = last ? total > 0 : MIN(GROWTH * total, 1.0f);
+        }
+    const float by_mask = mask[0] / (mask[0] + mask[1]);
+    float noise = 0, squares = 0, by_color = 0, apart = 0, mean[2][CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c) {
+        for (int k = 0; k < 2; ++k) {
+            const colors_t *sum = sums + k + (sums[k].weight > 0 ? 0 : 2);  // thin things are all edge
+            mean[k][c] = sum->color[c] / sum->weight;
+            noise += MAX(sum->square[c] / sum->weight - mean[k][c] * mean[k][c], 0.0f);
+        }
+        const float color = value[c * plane + at], difference = mean[0][c] - mean[1][c];
+        squares += color * color;
+        by_color += (color - mean[1][c]) * difference;
+        apart += difference * difference;
     }
+    const float doubt = NOISE * (noise + LEAST_DEVIATION * LEAST_DEVIATION * (0.1f + squares));
+    const float share = clamp((by_color + doubt * by_mask) / (apart + doubt), 0.0f, 1.0f), rest = 1 - share;
+    for (int c = 0; c < CHANNELS; ++c) {
+        const float left = (value[c * plane + at] - share * mean[0][c] - rest * mean[1][c]) /
+                           (share * share + rest * rest);
+        mixed[c * plane + at] = mean[0][c] + share * left;
+        mixed[(CHANNELS + c) * plane + at] = mean[1][c] + rest * left;
+    }
+    mixed[2 * CHANNELS * plane + at] = share;
+}
+
+// Px between the nearest rows or columns of two tiles, whichever are farther apart.
+static int between_tiles(int dx, int dy) {
+    return MAX((MAX(ABS(dx), ABS(dy)) - 1) * LAYER_TILE + 1, 0);
+}
+
+// Marks the tiles that have an edge as near as a source that reaches them, if `several` sheets are there. far: tiles
+// around one, beyond which nothing reaches it. In: reach, edge. Out: marked.
+__kernel void mark_tiles(const int rows, const int columns, const int far, __global const int *reach,
+                         __global const int *edge, __global int *marked) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows)
+        return;
+    int coming = -1, mark = 0;
+    for (int dy = MAX(-far, -y); dy <= MIN(far, rows - 1 - y); ++dy)
+        for (int dx = MAX(-far, -x); dx <= MIN(far, columns - 1 - x); ++dx) {
+            const int there = reach[(y + dy) * columns + x + dx];
+            coming = between_tiles(dx, dy) <= there ? MAX(coming, there) : coming;
+        }
+    for (int dy = MAX(-far, -y); dy <= MIN(far, rows - 1 - y); ++dy)
+        for (int dx = MAX(-far, -x); dx <= MIN(far, columns - 1 - x); ++dx)
+            mark |= edge[(y + dy) * columns + x + dx] && between_tiles(dx, dy) <= coming;
+    marked[y * columns + x] = mark;
+}
+
+// Tiles among `marked` that the sources with `reach` reach. Out: wanted.
+__kernel void want_tiles(const int rows, const int columns, const int far, __global const int *reach,
+                         __global const int *marked, __global int *wanted) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows)
+        return;
+    int want = 0;
+    for (int dy = MAX(-far, -y); dy <= MIN(far, rows - 1 - y) && marked[y * columns + x]; ++dy)
+        for (int dx = MAX(-far, -x); dx <= MIN(far, columns - 1 - x); ++dx)
+            want |= between_tiles(dx, dy) <= reach[(y + dy) * columns + x + dx];
+    wanted[y * columns + x] = want;
+}
+
+// Px from each tile to the nearest one whose flag is `which`. In: flags. Out: distance.
+__kernel void measure_tiles(const int rows, const int columns, const int far, const int which,
+                            __global const int *flags, __global int *distance) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows)
+        return;
+    int least = NOWHERE;
+    for (int dy = MAX(-far, -y); dy <= MIN(far, rows - 1 - y); ++dy)
+        for (int dx = MAX(-far, -x); dx <= MIN(far, columns - 1 - x); ++dx)
+            if (flags[(y + dy) * columns + x + dx] == which)
+                least = MIN(least, between_tiles(dx, dy));
+    distance[y * columns + x] = least;
+}
+
+static void raise(__global int *entry, int value) {
+    if (RELAXED_LOAD(entry) < value)
+        atomic_max(entry, value);
+}
+
+// What a pixel shows of a sheet. light: its radiance, planes apart; share: its coverage; known: 1 if radiance and
+// radius are known; settled: 1 if its coverage is known, 0 behind a nearer layer.
+typedef struct {
+    __global const float *light;
+    float share, known, settled;
+} part_t;
+
+// The part of sheet `which` in pixel `at`.
+static part_t part_of(int which, int at, int plane, __global const float *value, __global const uchar *layer,
+                      __global const uchar *sides, __global const float *mixed) {
+    const int own = layer[at], near = sides[at] >> 4, far = sides[at] & 15;
+    part_t part = {value + at, own == which, own == which, own == 0 || own >= which};
+    if (near == which) {
+        part.light = mixed + at;
+        part.share = mixed[2 * CHANNELS * plane + at];
+        part.known = own == which || part.share > 0.5f;
+    } else if (own == which && far == which)
+        part.light = mixed + CHANNELS * plane + at;
+    return part;
+}
+
+// Means of a pixel of the pyramid, `plane` apart. known, settled: numbers of pixels in the sums.
+static void put_means(float known, float settled, const float *sum, __global float *to, int plane) {
+    for (int c = 0; c <= RADIUS; ++c)
+        to[c * plane] = known > 0 ? sum[c] / known : 0;
+    to[KNOWN * plane] = known > 0;
+    to[COVERAGE * plane] = settled > 0 ? sum[COVERAGE] / settled : 0;
+    to[SETTLED * plane] = settled > 0;
+}
+
+// One pixel of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2 pixels. In: all planes
+// of the image. Out: pyramid.
+__kernel void open_sheet(const grid_t grid, const int which, const int rows, const int columns,
+                         __global const float *value, __global const real *coc, __global const uchar *layer,
+                         __global const uchar *sides, __global const float *mixed, __global float *pyramid) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows)
+        return;
+    const int plane = grid.width * grid.height;
+    float known = 0, settled = 0, sum[PLANES];
+    for (int c = 0; c < PLANES; ++c)
+        sum[c] = 0;
+    for (int row = 2 * y; row < MIN(2 * y + 2, grid.height); ++row)
+        for (int column = 2 * x; column < MIN(2 * x + 2, grid.width); ++column) {
+            const int at = row * grid.width + column;
+            const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
+            settled += part.settled;
+            sum[COVERAGE] += part.settled * part.share;
+            if (part.known == 0)
+                continue;
+            known += 1;
+            for (int c = 0; c < CHANNELS; ++c)
+                sum[c] += part.light[c * plane];
+            sum[RADIUS] += (float)coc[at];
+        }
+    put_means(known, settled, sum, pyramid + y * columns + x, rows * columns);
+}
+
+// One pixel of the coarser level (rows, columns) per work-item: means of known pixels among 2 x 2 of the finer level
+// (fine_rows, fine_columns). fine, coarse: places of the levels in the pyramid.
+__kernel void push(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
+                   const int coarse, __global float *pyramid) {
+    const int x = get_global_id(0), y = get_global_id(1), plane = rows * columns, fine_plane = fine_rows * fine_columns;
+    if (x >= columns || y >= rows)
+        return;
+    float known = 0, settled = 0, sum[PLANES];
+    for (int c = 0; c < PLANES; ++c)
+        sum[c] = 0;
+    for (int row = 2 * y; row < MIN(2 * y + 2, fine_rows); ++row)
+        for (int column = 2 * x; column < MIN(2 * x + 2, fine_columns); ++column) {
+            __global const float *from = pyramid + fine + row * fine_columns + column;
+            const float light = from[KNOWN * fine_plane], outline = from[SETTLED * fine_plane];
+            known += light;
+            settled += outline;
+            for (int c = 0; c <= RADIUS; ++c)
+                sum[c] += light * from[c * fine_plane];
+            sum[COVERAGE] += outline * from[COVERAGE * fine_plane];
+        }
+    put_means(known, settled, sum, pyramid + coarse + y * columns + x, plane);
 }
 
 // Four pixels of a coarser level around one of the finer level: the nearest and its neighbor in one row, and the same
@@ -331,98 +370,117 @@ static float between(__global const float *plane, around_t near) {
     return near.sum > 0 ? dot(near.share, radiance) / near.sum : 0;
 }
 
-// One pixel of the finer level per work-item: what it does not know, in part or whole, comes from the coarser level,
-// which is pulled before, or the last one. Arguments as for push.
+// One pixel of the finer level per work-item: what it does not know comes from the coarser level, which is pulled
+// before, or the last one. Arguments as for push.
 __kernel void pull(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
                    const int coarse, __global float *pyramid) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= fine_columns || y >= fine_rows)
         return;
-    const int plane = fine_rows * fine_columns;
+    const int plane = fine_rows * fine_columns, from_plane = rows * columns;
     __global float *to = pyramid + fine + y * fine_columns + x;
-    const float known = to[KNOWN * plane];
-    if (known == 1)
-        return;
-    const around_t near = around(pyramid + coarse + KNOWN * rows * columns, rows, columns, y, x);
-    for (int c = 0; c < CHANNELS && near.sum > 0; ++c)
-        to[c * plane] = known * to[c * plane] + (1 - known) * between(pyramid + coarse + c * rows * columns, near);
-    to[KNOWN * plane] = known > 0 || near.sum > 0;
+    __global const float *from = pyramid + coarse;
+    if (to[KNOWN * plane] == 0) {
+        const around_t near = around(from + KNOWN * from_plane, rows, columns, y, x);
+        for (int c = 0; c <= RADIUS; ++c)
+            to[c * plane] = between(from + c * from_plane, near);
+        to[KNOWN * plane] = near.sum > 0;
+    }
+    if (to[SETTLED * plane] == 0) {
+        const around_t near = around(from + SETTLED * from_plane, rows, columns, y, x);
+        to[COVERAGE * plane] = between(from + COVERAGE * from_plane, near);
+        to[SETTLED * plane] = near.sum > 0;
+    }
 }
 
-// Layer `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
-__kernel void take_depth_layer(const grid_t grid, const int which, const int rows, const int columns,
-                               const int coarse, __global const float *value, __global const real *coc,
-                               __global const uchar *layer, __global const uchar *hidden,
-                                       __global const float *pyramid, __global float *layer_value,
-                                       __global real *layer_coc, __global uchar *layer_valid) {
+// One pixel of sheet `which` within `far` px of a tile that is left; what it does not show comes from the second level
+// (rows, columns) of the pyramid. In: all planes of the image, to_left. Out: sheet, sheet_coc, sheet_valid. In and out:
+// sheet_reach, as `reach`, of sources with coverage.
+__kernel void take_sheet(const grid_t grid, const int which, const int rows, const int columns, const int far,
+                         const real2 spread, __global const float *value, __global const real *coc,
+                         __global const uchar *layer, __global const uchar *sides, __global const float *mixed,
+                         __global const float *pyramid, __global const int *to_left, __global float *sheet,
+                         __global real *sheet_coc, __global uchar *sheet_valid, __global int *sheet_reach) {
     const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
     if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x;
-    const bool own = layer[at] == which, there = own || hidden[at] == which;
-    __global const float *behind = pyramid + coarse;
-    layer_value[(CHANNELS - 1) * plane + at] = there;
-    layer_valid[at] = there;
-    if (own || !there) {
-        for (int c = 0; c < CHANNELS - 1; ++c)
-            layer_value[c * plane + at] = own ? value[c * plane + at] : 0;
-        layer_coc[at] = own ? coc[at] : 0;
+    const int at = y * grid.width + x, tile = tile_of(grid, x, y), coarse = rows * columns;
+    sheet_valid[at] = to_left[tile] <= far;
+    if (to_left[tile] > far)
         return;
+    const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
+    const bool own = layer[at] == which;
+    bool shown = part.share > 0;
+    float coverage = part.share;
+    real radius = own ? coc[at] : 0;
+    around_t near = {0, 0, 0};
+    if (!own) {
+        near = around(pyramid + KNOWN * coarse, rows, columns, y, x);
+        radius = between(pyramid + RADIUS * coarse, near);
     }
-    const around_t near = around(behind + KNOWN * rows * columns, rows, columns, y, x);
-    for (int c = 0; c < CHANNELS - 1; ++c)
-        layer_value[c * plane + at] = between(behind + c * rows * columns, near);
-    layer_coc[at] = between(behind + RADIUS * rows * columns, near);
+    if (!part.settled) {
+        const around_t open = around(pyramid + SETTLED * coarse, rows, columns, y, x);
+        shown = ABS(radius - coc[at]) <= SAME;
+        radius = shown ? coc[at] : radius;
+        coverage = shown ? 1 : clamp(GAIN * (between(pyramid + COVERAGE * coarse, open) - 0.5f) + 0.5f, 0.0f, 1.0f);
+    }
+    for (int c = 0; c < CHANNELS; ++c)
+        sheet[c * plane + at] =
+            coverage > 0 ? coverage * (shown ? part.light[c * plane] : between(pyramid + c * coarse, near)) : 0;
+    sheet[CHANNELS * plane + at] = coverage;
+    sheet[(CHANNELS + 1) * plane + at] = 1;
+    sheet_coc[at] = radius;
+    if (coverage > 0)
+        raise(sheet_reach + tile, reach_of(radius, spread));
 }
 
-// Keeps only the sources near edges (near_edges = 1), or only the others. In: edge. In and out: source.
-__kernel void keep_sources(const grid_t grid, const int near_edges, __global const uchar *edge,
-                           __global float *source) {
+// Keeps only the sources that reach a tile that counts; distance: px to the nearest such tile. In: coc. In and out:
+// source.
+__kernel void keep_sources(const grid_t grid, const real2 spread, __global const real *coc,
+                           __global const int *distance, __global float *source) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int at = y * grid.width + x;
-    if (edge[at] != near_edges)
+    if (reach_of(coc[at], spread) < distance[tile_of(grid, x, y)])
         source[at] = -1;
 }
 
-// Adds a blurred layer behind the previous ones, weighted by the coverage that these leave: at a cut through a
-// continuous surface, the two coverages add up to that of the whole, and no light is lost. In: blurred float (CHANNELS,
-// rows, from_pitch), with scratch columns as the total of blur.cl; with RIMS open, from open_share, the largest
-// coverage, else 1. In and out: covered float (rows, columns), total.
-__kernel void composite(const grid_t grid, const int from_pitch, const int from_pad,
-                        __global const float *blurred, __global float *covered,
-#if RIMS
-                        __global const float *open,
-#endif
-#if SCATTER
-                        const float scale, __global fixed_t *total
-#else
-                        const int pitch, const int pad, __global float *total
-#endif
-) {
+// Lays a blurred sheet behind the previous ones in the tiles that it reaches. In: blurred float (CHANNELS + 2, rows,
+// from_pitch), with scratch columns as the total of blur.cl; left, wanted. In and out: room float (rows, columns), the
+// fraction of the lens that is free; light float (CHANNELS, rows, columns); still_left: 1 for tiles with room.
+__kernel void composite(const grid_t grid, const int from_pitch, const int from_pad, __global const float *blurred,
+                        __global const int *left, __global const int *wanted, __global float *room,
+                        __global float *light, __global int *still_left) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;
-    __global const float *irradiance = blurred + row * from_pitch + column + from_pad;
+    const int tile = tile_of(grid, column + grid.guard, row + grid.above);
+    if (!left[tile])
+        return;
+    __global const float *sums = blurred + row * from_pitch + column + from_pad;
     const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
-    const float coverage = irradiance[(CHANNELS - 1) * plane], before = covered[at];
-#if RIMS
-    const float most = open[at];
-#else
-    const float most = 1;
-#endif
-    const float room = MIN(coverage, MAX(coverage, most) - before), seen = MAX(room, 0.0f);
-    const float share = seen < coverage ? seen / coverage : 1;
-    for (int c = 0; c < CHANNELS - 1; ++c) {
-#if SCATTER
-        const float fixed = floor(irradiance[c * plane] * share * scale + 0.5f);
-        total[c * grid.rows * grid.columns + at] += (fixed_t)fixed;
-#else
-        total[(c * grid.rows + row) * pitch + column + pad] += irradiance[c * plane] * share;
-#endif
+    const float ones = wanted[tile] ? sums[(CHANNELS + 1) * plane] : 0, before = room[at];
+    if (ones > 0) {
+        for (int c = 0; c < CHANNELS; ++c)
+            light[c * grid.rows * grid.columns + at] += before * (sums[c * plane] / ones);
+        room[at] = before * (1 - MIN(sums[CHANNELS * plane] / ones, 1.0f));
     }
-    covered[at] = before + seen;
+    if (room[at] > 0)
+        raise(still_left + tile, 1);
+}
+
+// Puts the light of all sheets in place of that without occlusion, in marked tiles. In: marked, light. In and out: total
+// float (CHANNELS, rows, pitch), with `pad` scratch columns as in blur.cl.
+__kernel void put_layers(const grid_t grid, const int pitch, const int pad, __global const int *marked,
+                         __global const float *light, __global float *total) {
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= grid.columns || row >= grid.rows)
+        return;
+    if (!marked[tile_of(grid, column + grid.guard, row + grid.above)])
+        return;
+    for (int c = 0; c < CHANNELS; ++c)
+        total[(c * grid.rows + row) * pitch + column + pad] = light[(c * grid.rows + row) * grid.columns + column];
 }
 
 #pragma OPENCL FP_CONTRACT OFF

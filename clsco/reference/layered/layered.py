@@ -1,20 +1,19 @@
-"""Layered occlusion in NumPy float64: depth layers, each blurred with its coverage, composited front to back.
+"""Layered occlusion in NumPy float64: depth layers, each blurred with its coverage, laid over each other front to back.
 
 The only input is the pinhole image: radiance and signed blur radius of each pixel of the padded grid (H, W). Of two
 surfaces, the one with the smaller signed radius is nearer. A depth layer is a range of radii; layers are numbered from
-1, the nearest; 0 means no surface.
+1, the nearest; 0 means no surface. A sheet is a depth layer with radiance, radius and coverage in all pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, NO_SEED
-from clsco.optics.depth_layers import bins_of, depth_of_hidden, layer_bounds, level_count
+from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, MIXED_AROUND
+from clsco.optics.depth_layers import bins_of, layer_bounds, level_count, most_deep, reaches_of
 from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.geometry import Array
@@ -24,9 +23,12 @@ Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 
-NEVER = 1 << 24  # an index beyond the last pixel of any frame
-TENT = (0.125, 0.375, 0.375, 0.125)  # weights of a coarse pixel for 4 fine pixels per axis
-GROWTH = 4.0  # a coarse pixel counts as fully known once 1 / GROWTH of its tent is known
+NEIGHBORS = ((0, 1), (2, 1), (1, 0), (1, 2))  # of a pixel at (1, 1): above, below, left, right
+MASK_WIDTH = 0.6  # px, standard deviation of the Gaussian of the shares of layers that the labels alone give
+NOISE = 5.0  # weight of the surfaces' variance against the color of a mixed pixel
+LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of its color
+SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
+GAIN = 4.0  # steepness of a hidden outline
 
 
 def _bin(coc: Array, low: float, bins: int) -> Integers:
@@ -34,27 +36,25 @@ def _bin(coc: Array, low: float, bins: int) -> Integers:
     return np.clip(np.floor((coc - low) / LAYER_BIN), 0, bins - 1).astype(np.int64)
 
 
-def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
+def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> Integers:
     """Find discontinuities of the radius: steps between two valid pixels of a line without a valid pixel between them.
 
     Lines are rows and columns. coc: (H, W) px; valid: (H, W); low (px), bins: from `bins_of`; far: largest distance of
-    the two pixels, px. Returns an array (DISCONTINUITY_CLASSES, bins), and the largest sum of the two |radii| at a
-    discontinuity in px, rounded up. Entry (k, b) of the array is 1 + the largest bin of the near side, over the
-    discontinuities larger than DISCONTINUITY 2^k px (class k) whose far side is in bin b; 0 if there is none.
+    the two pixels, px. Entry (k, b) of the result (DISCONTINUITY_CLASSES, bins) is 1 + the largest bin of the near side,
+    over the discontinuities larger than DISCONTINUITY 2^k px (class k) whose far side is in bin b; 0 if there is none.
     """
-    latest, largest_sum = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64), 0
+    latest = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64)
     for radius, there in ((coc, valid), (coc.T, valid.T)):
         line, at = np.nonzero(there)
         value = radius[line, at]
         near, away = np.minimum(value[:-1], value[1:]), np.maximum(value[:-1], value[1:])
         pair = (line[1:] == line[:-1]) & (np.diff(at) <= far) & (away - near > DISCONTINUITY)
         near, away = near[pair], away[pair]
-        largest_sum = max(largest_sum, int(np.ceil(np.abs(near) + np.abs(away)).max(initial=0)))
         size = np.clip(np.ceil(np.log2((away - near) / DISCONTINUITY)) - 1, 0, DISCONTINUITY_CLASSES - 1).astype(
             np.int64
         )
         np.maximum.at(latest, (size, _bin(away, low, bins)), _bin(near, low, bins) + 1)
-    return latest, largest_sum
+    return latest
 
 
 def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
@@ -63,77 +63,102 @@ def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: l
     return np.where(valid, layer, 0).astype(np.uint8)
 
 
-def seed_hidden(coc: Array, layer: Labels) -> Labels:
-    """The depth layer (H, W) that is extrapolated behind a pixel at an edge, 0 elsewhere.
+def find_edges(coc: Array, layer: Labels) -> tuple[Labels, Labels, Mask]:
+    """Nearer and farther depth layer (H, W) of each pixel next to a discontinuity, 0 elsewhere; and a mask of edges.
 
-    It is the nearest of the layers that the pixel's four neighbors show behind a discontinuity.
+    One of the two is the pixel's own layer, the other one that of a neighbor; of several, the one closest in number.
+    Pixels next to one without a surface are edges, too.
     """
-    padded, radius = np.pad(layer, 1), np.pad(coc, 1)
-    seed = np.zeros_like(layer)
     rows, columns = layer.shape
-    for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
-        near = (slice(i, i + rows), slice(j, j + columns))
-        behind = (layer > 0) & (padded[near] > layer) & (radius[near] - coc > DISCONTINUITY)
-        seed = np.where(behind & ((seed == 0) | (padded[near] < seed)), padded[near], seed)
-    return seed
+    padded, radius = np.pad(layer, 1, mode="edge").astype(np.int64), np.pad(coc, 1, mode="edge")
+    before, behind, edge = np.zeros(layer.shape, np.int64), np.full(layer.shape, 255), np.zeros(layer.shape, np.bool_)
+    for i, j in NEIGHBORS:
+        other, step = (plane[i : i + rows, j : j + columns] for plane in (padded, radius))
+        step = np.where((other > 0) & (layer > 0), step - coc, 0.0)
+        before = np.where((step < -DISCONTINUITY) & (other < layer), np.maximum(before, other), before)
+        behind = np.where((step > DISCONTINUITY) & (other > layer), np.minimum(behind, other), behind)
+        edge |= (other == 0) & (layer > 0)
+    near = np.where(before > 0, before, np.where(behind < 255, layer, 0)).astype(np.uint8)
+    far = np.where(before > 0, layer, np.where(behind < 255, behind, 0)).astype(np.uint8)
+    return near, far, edge | (near > 0)
 
 
-def column_seeds(seed: Labels) -> Integers:
-    """Row offsets (H, W) to the nearest seed in the same column, the upper one of two; NO_SEED if there is none."""
-    rows = np.arange(len(seed))[:, None]
-    above = np.maximum.accumulate(np.where(seed > 0, rows, -NEVER), axis=0) - rows
-    below = np.minimum.accumulate(np.where(seed > 0, rows, NEVER)[::-1], axis=0)[::-1] - rows
-    offset = np.where(below < -above, below, above)
-    return np.where(np.abs(offset) < NO_SEED, offset, NO_SEED)
+def mark_tiles(reach: Integers, edge: Mask) -> Mask:
+    """Mask (H, W) of the tiles for which edges matter: one is as near as a source that reaches the tile.
 
-
-def reach_hidden(layer: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:
-    """The depth layer (H, W) extrapolated behind each pixel, 0 for none; and a mask (H, W) of pixels near edges.
-
-    It is the layer of the pixel's nearest seed, if that is behind the pixel's own layer. offset: (H, W) from
-    `column_seeds`; deep: largest distance of a seed, px. Of seeds at the same distance, the one in the nearest column
-    is used; of two such columns, the left one. Pixels up to 2 `deep` px from an edge, in rows and in columns, count as
-    near: sources farther away do not reach pixels where the hidden surface may be visible.
+    reach: (H, W) px that each source reaches; edge: (H, W). Tiles have LAYER_TILE rows and columns; the distance of
+    pixels is that of their rows or of their columns, whichever is larger.
     """
-    columns, wide = layer.shape[1], 2 * deep
-    best, labels = np.full(layer.shape, deep * deep + 1), np.zeros_like(layer)
-    edge = np.zeros(layer.shape, dtype=bool)
-    padded = np.pad(offset, ((0, 0), (wide, wide)), constant_values=NO_SEED)
-    row, column = np.indices(layer.shape)
-    for dx in sorted(range(-wide, wide + 1), key=lambda d: (abs(d), d)):
-        dy = padded[:, wide + dx : wide + dx + columns]
-        edge |= np.abs(dy) <= wide
-        nearer = dx * dx + dy * dy < best
-        label = seed[np.where(nearer, row + dy, 0), np.clip(column + dx, 0, columns - 1)]
-        best, labels = np.where(nearer, dx * dx + dy * dy, best), np.where(nearer, label, labels)
-    return np.where((layer > 0) & (labels > layer), labels, 0).astype(np.uint8), edge
-
-
-def open_depth_layer(radiance: Array, coc: Array, layer: Labels, which: int) -> Array:
-    """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one depth layer, and 1 where they are known."""
-    known = layer == which
-    return np.concatenate([radiance, coc[..., None], known[..., None]], axis=-1) * known[..., None]
-
-
-def push(fine: Array, last: bool = False) -> Array:
-    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of known pixels, weighted by a 4 x 4 tent.
-
-    last: True for the coarsest level, where partly known pixels are normalized.
-    """
-    rows, columns = -(-fine.shape[0] // 2), -(-fine.shape[1] // 2)
-    known = fine[..., -1:]
-    sums = np.concatenate([fine[..., :-1] * known, known], axis=-1)
-    sums = np.pad(sums, ((1, 2), (1, 2), (0, 0)))
-    sums = np.sum([weight * sums[i : i + 2 * rows : 2] for i, weight in enumerate(TENT)], axis=0)
-    sums = np.sum([weight * sums[:, i : i + 2 * columns : 2] for i, weight in enumerate(TENT)], axis=0)
-    total = sums[..., -1:]
-    return np.concatenate(
-        [
-            np.where(total > 0, sums[..., :-1] / np.where(total > 0, total, 1.0), 0.0),
-            np.where(total > 0, 1.0, 0.0) if last else np.minimum(GROWTH * total, 1.0),
-        ],
-        axis=-1,
+    padding = [(0, -n % LAYER_TILE) for n in reach.shape]
+    far, edges = (
+        np.pad(plane, padding).reshape(-(-reach.shape[0] // LAYER_TILE), LAYER_TILE, -1, LAYER_TILE).max(axis=(1, 3))
+        for plane in (reach, edge)
     )
+    rows, columns = np.indices(far.shape)
+
+    def away(y: int, x: int) -> Integers:
+        tiles = np.maximum(np.abs(rows - y), np.abs(columns - x))
+        return np.maximum((tiles - 1) * LAYER_TILE + 1, 0)
+
+    coming, marked = far.copy(), edges.copy()
+    for y, x in np.argwhere(far > 0):
+        coming = np.where(away(y, x) <= far[y, x], np.maximum(coming, far[y, x]), coming)
+    for y, x in np.argwhere(edges):
+        marked |= away(y, x) <= coming
+    whole = marked.repeat(LAYER_TILE, axis=0).repeat(LAYER_TILE, axis=1)
+    return np.asarray(whole[: reach.shape[0], : reach.shape[1]])
+
+
+def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Array, Array, Array]:
+    """Radiance (H, W, C) of the near and of the far surface, and share (H, W) of the near one, in pixels at edges.
+
+    Only pixels with `near` > 0 are filled. The mean colors of both surfaces, from pixels up to MIXED_AROUND px away that
+    are not at edges, give the share that explains the pixel's color best; the variances of the surfaces say how much
+    that counts against the share of the near layer under a Gaussian of MASK_WIDTH px. What is left of the color is
+    given to both surfaces, so that the pixel's color is kept.
+    """
+    place = np.nonzero(near > 0)
+    colors, count = radiance[place], len(place[0])
+    padded, clean = (np.pad(plane, MIXED_AROUND) for plane in (layer, np.where(near > 0, 0, layer)))
+    light = np.pad(radiance, ((MIXED_AROUND, MIXED_AROUND), (MIXED_AROUND, MIXED_AROUND), (0, 0)))
+    span = range(-MIXED_AROUND, MIXED_AROUND + 1)
+    means, variances, masks = [], [], []
+    for side in (near[place], far[place]):
+        sums = np.zeros((2, count, 2 * radiance.shape[2] + 1))
+        mask = np.zeros(count)
+        for dy in span:
+            for dx in span:
+                at = place[0] + dy + MIXED_AROUND, place[1] + dx + MIXED_AROUND
+                weight = float((MIXED_AROUND + 1 - abs(dy)) * (MIXED_AROUND + 1 - abs(dx)))
+                here = np.concatenate([light[at], light[at] ** 2, np.ones((count, 1))], axis=-1) * weight
+                sums[0] += np.where((clean[at] == side)[:, None], here, 0.0)
+                sums[1] += np.where((padded[at] == side)[:, None], here, 0.0)
+                if max(abs(dy), abs(dx)) <= 2:
+                    mask += np.exp(-0.5 * (dy * dy + dx * dx) / MASK_WIDTH**2) * (padded[at] == side)
+        chosen = np.where(sums[0, :, -1:] > 0, sums[0], sums[1])  # thin things are all edge
+        mean, square = np.split(chosen[:, :-1] / chosen[:, -1:], 2, axis=1)
+        means.append(mean)
+        variances.append(np.maximum(square - mean**2, 0.0).sum(axis=1))
+        masks.append(mask)
+    difference = means[0] - means[1]
+    least = LEAST_DEVIATION**2 * (0.1 + (colors**2).sum(axis=1))
+    doubt = NOISE * (variances[0] + variances[1] + least)
+    by_color = ((colors - means[1]) * difference).sum(axis=1)
+    share = (by_color + doubt * masks[0] / (masks[0] + masks[1])) / ((difference**2).sum(axis=1) + doubt)
+    share = np.clip(share, 0.0, 1.0)[:, None]
+    left = (colors - share * means[0] - (1.0 - share) * means[1]) / (share**2 + (1.0 - share) ** 2)
+    out = np.zeros(radiance.shape), np.zeros(radiance.shape), np.zeros(layer.shape)
+    for plane, values in zip(out, (means[0] + share * left, means[1] + (1 - share) * left, share[:, 0]), strict=True):
+        plane[place] = values
+    return out
+
+
+def push(fine: Array) -> Array:
+    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 1): means of the known pixels among 2 x 2."""
+    sums = np.pad(fine * fine[..., -1:], ((0, fine.shape[0] % 2), (0, fine.shape[1] % 2), (0, 0)))
+    sums = sums[::2, ::2] + sums[::2, 1::2] + sums[1::2, ::2] + sums[1::2, 1::2]
+    total = sums[..., -1:]
+    return np.concatenate([sums[..., :-1] / np.maximum(total, 1.0), np.minimum(total, 1.0)], axis=-1)
 
 
 def _between(coarse: Array, count: int, axis: int) -> Array:
@@ -153,61 +178,58 @@ def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
 
 
 def pull(fine: Array, coarse: Array) -> Array:
-    """A level (H, W, C + 2) with its unknown and partly known pixels filled from the next coarser one."""
-    known = fine[..., -1:]
+    """A level (H, W, C + 1) with its unknown pixels filled from the next coarser one."""
     surrounding, exists = _around(coarse, fine.shape)
-    values = np.where(exists, known * fine[..., :-1] + (1.0 - known) * surrounding, fine[..., :-1])
-    return np.concatenate([values, np.where((known > 0) | exists, 1.0, 0.0)], axis=-1)
+    return np.where(fine[..., -1:] > 0, fine, np.concatenate([surrounding, exists * 1.0], axis=-1))
 
 
-def take_depth_layer(
-    radiance: Array, coc: Array, layer: Labels, hidden: Labels, coarse: Array, which: int
-) -> tuple[Array, Array, Mask]:
-    """One depth layer for the blur: radiance with coverage (H, W, C + 1), radius (H, W), and mask of its pixels (H, W).
-
-    coarse: the second level of the layer's pyramid, already filled, from which the hidden part is interpolated.
-    """
-    behind, _ = _around(coarse, layer.shape)
-    visible, extended = layer == which, hidden == which
-    mask = visible | extended
-    light = np.where(visible[..., None], radiance, behind[..., :-1])
-    value = np.concatenate([light, np.ones((*layer.shape, 1))], axis=-1) * mask[..., None]
-    return value, np.where(visible, coc, np.where(extended, behind[..., -1], 0.0)), mask
-
-
-def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
-    """Keep only the sources near edges if `near_edges`, else only the others; edge: (H, W) from `reach_hidden`."""
-    return replace(sources, lit=sources.lit & (edge == near_edges))
-
-
-def composite(total: Array, covered: Array, blurred: Array, most: Array | float = 1.0) -> tuple[Array, Array]:
-    """Frame (m, n, C) and coverage so far (m, n), with one more depth layer composited behind the previous ones.
-
-    blurred: (m, n, C + 1), irradiance and coverage of the layer; most (m, n): fraction of the light that passes rims.
-    The layer is weighted by the coverage that nearer layers leave. Where two layers cut a continuous surface, their
-    coverages sum to the coverage of the whole, so that no light is lost.
-    """
-    coverage = blurred[..., -1]
-    visible = np.maximum(np.minimum(coverage, np.maximum(coverage, most) - covered), 0.0)
-    share = np.where(visible < coverage, visible / np.where(visible < coverage, coverage, 1.0), 1.0)
-    return total + share[..., None] * blurred[..., :-1], covered + visible
-
-
-def extend_depth_layer(
-    radiance: Array, coc: Array, layer: Labels, hidden: Labels, which: int, deep: int
-) -> tuple[Array, Array, Mask]:
-    """One depth layer extended by its hidden part; see `take_depth_layer` for the result.
-
-    Push-pull over a pyramid (Gortler et al. 1996). It has just enough levels that each pixel depends on pixels up to
-    deep + 1 px away, because hidden pixels are no farther from their layer. So strips of a frame need only nearby rows.
-    """
-    levels, count = [open_depth_layer(radiance, coc, layer, which)], level_count(deep)
-    for level in range(1, count + 1):
-        levels.append(push(levels[-1], last=level == count))
-    coarse = levels[-1]
-    for fine in levels[-2:0:-1]:
+def _spread(values: Array, known: Mask, levels: int) -> Array:
+    """Values (H, W, C) where they are not known, by push-pull (Gortler et al. 1996); known: (H, W)."""
+    pyramid = [np.concatenate([values, np.ones((*known.shape, 1))], axis=-1) * known[..., None]]
+    for _ in range(levels):
+        pyramid.append(push(pyramid[-1]))
+    coarse = pyramid[-1]
+    for fine in pyramid[-2::-1]:
         coarse = pull(fine, coarse)
-    return take_depth_layer(radiance, coc, layer, hidden, coarse, which)
+    return coarse[..., :-1]
+
+
+def take_sheet(
+    radiance: Array, coc: Array, layer: Labels, edges: tuple[Labels, Labels], parts: tuple[Array, Array, Array],
+    which: int, levels: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    """One sheet for the blur: radiance, coverage and ones (H, W, C + 2), radiance times coverage; and radius (H, W).
+
+    edges, parts: from `find_edges` and `unmix`. The layer covers its own pixels, its share of mixed pixels, and behind
+    nearer layers what its outline on both sides suggests; farther layers it leaves free. Its radiance and radius
+    elsewhere are extrapolated. Where the pixel in front of it has nearly the same radius, the surface is the pixel's.
+    """
+    (near, far), (near_light, far_light, near_share) = edges, parts
+    own, shared = layer == which, near == which
+    share = np.where(shared, near_share, np.where(own, 1.0, 0.0))
+    light = np.where(shared[..., None], near_light, np.where((own & (far == which))[..., None], far_light, radiance))
+    known = own | (share > 0.5)
+    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), known, levels)
+    visible, hidden = share > 0, (layer > 0) & (layer < which)
+    outline = _spread(share[..., None], ~hidden, levels)
+    coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
+    light = np.where(visible[..., None], light, spread[..., :-1])
+    radius = np.where(own, coc, spread[..., -1])
+    same = hidden & (np.abs(radius - coc) <= SAME)
+    light, radius = np.where(same[..., None], radiance, light), np.where(same, coc, radius)
+    coverage = np.where(same, 1.0, coverage)[..., None]
+    return np.concatenate([light * coverage, coverage, np.ones_like(coverage)], axis=-1), radius
+
+
+def composite(total: Array, room: Array, blurred: Array) -> tuple[Array, Array]:
+    """Frame (m, n, C) and fraction of the lens (m, n) that is free, with one more sheet behind the previous ones.
+
+    blurred: (m, n, C + 2), the blur of `take_sheet`. Both sums of a mean run over the whole sheet: even radiance stays
+    even, and no sheet takes light from another.
+    """
+    reached = blurred[..., -1:] > 0
+    mean = np.where(reached, blurred[..., :-1] / np.where(reached, blurred[..., -1:], 1.0), 0.0)
+    return total + room[..., None] * mean[..., :-1], room * (1.0 - np.minimum(mean[..., -1], 1.0))
 
 
 def layered(
@@ -220,41 +242,41 @@ def layered(
     image equals that of `blur.scatter`. Validated against the ray tracer and the closed form of an edge in front of a
     plane; a cut through a slanted plane leaves no seam, and constant brightness is preserved.
     """
-    labels, deep = cluster(spec, coc, valid)
-    return spread_depth_layers(spec, radiance, coc, labels, shape, guard, deep)
+    return spread_depth_layers(spec, radiance, coc, cluster(spec, coc, valid), shape, guard)
 
 
-def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> tuple[Labels, int]:
-    """Depth layers (H, W) of an image, from its radii, and the width in px of the strip behind an edge that may be
-    visible.
-
-    See `layered` for the arguments.
-    """
+def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> Labels:
+    """Depth layers (H, W) of an image, from its radii. See `layered` for the arguments."""
     low, bins = bins_of(spec.largest)
-    latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(spec.largest) + 1)
-    labels = label_depth_layers(coc, valid, low, bins, layer_bounds(latest.astype(np.int32)))
-    return labels, depth_of_hidden(spec.psf, largest_sum)
+    latest = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(spec.largest) + 1)
+    return label_depth_layers(coc, valid, low, bins, layer_bounds(latest.astype(np.int32)))
 
 
 def spread_depth_layers(
-    spec: BlurSpec, radiance: Array, coc: Array, layer: Labels, shape: tuple[int, int], guard: int, deep: int,
+    spec: BlurSpec, radiance: Array, coc: Array, layer: Labels, shape: tuple[int, int], guard: int,
     rims: tuple[Callable[[Sources], Sources], Array] | None = None,
 ) -> tuple[Array, int]:  # fmt: skip
-    """`layered` for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge.
+    """`layered` for given depth layers (H, W).
 
-    rims: a function that lets rims cut the light of sources, and the argument `most` of `composite`; None without rims.
+    rims: a function that lets rims cut the light of sources, and the fraction (m, n) of the light that passes them;
+    None without rims.
     """
     behind_rims, most = rims or (lambda sources: sources, 1.0)
 
-    def blurred_sum(value: Array, radius: Array, there: Mask, near_edges: bool) -> Array:
+    def blurred_sum(value: Array, radius: Array, there: Mask) -> Array:
         label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
         sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
-        return scatter(spec, keep_sources(behind_rims(sources), edge, near_edges), None, shape, guard)
+        return scatter(spec, behind_rims(sources), None, shape, guard)
 
-    count, seed = int(layer.max(initial=0)), seed_hidden(coc, layer)
-    hidden, edge = reach_hidden(layer, seed, column_seeds(seed), deep)
-    total, covered = blurred_sum(radiance, coc, layer > 0, near_edges=False), np.zeros(shape)
+    count, plain = int(layer.max(initial=0)), blurred_sum(radiance, coc, layer > 0)
+    if count <= 1:
+        return plain, count
+    near, far, edge = find_edges(coc, layer)
+    marked = mark_tiles(np.where(layer > 0, reaches_of(spec.psf, coc), 0), edge)
+    parts, levels = unmix(radiance, layer, near, far), level_count(most_deep(spec.psf, spec.largest))
+    total, room = np.zeros((*shape, radiance.shape[2])), np.broadcast_to(most, shape)
     for which in range(1, count + 1):
-        blurred = blurred_sum(*extend_depth_layer(radiance, coc, layer, hidden, which, deep), near_edges=True)
-        total, covered = composite(total, covered, blurred, most)
-    return total, count
+        sheet, radius = take_sheet(radiance, coc, layer, (near, far), parts, which, levels)
+        total, room = composite(total, room, blurred_sum(sheet, radius, np.ones(coc.shape, np.bool_)))
+    frame = np.ix_(*(np.arange(guard, guard + n) for n in shape))
+    return np.where(marked[frame][..., None], total, plain), count
