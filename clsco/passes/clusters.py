@@ -112,6 +112,8 @@ class Clusters:
         self.gap = 2 * spec.psf.reach(spec.largest) + 1
         self.deep = most_deep(spec.psf, spec.largest)
         self.far = int(reaches_of(spec.psf, np.array([spec.largest]))[0])
+        # Within it, pixels of the pyramid are computed, up to the size of tiles, from which sheets are interpolated.
+        self.near = np.int32(self.deep + 2 * LAYER_TILE)
         self.spread = real_pair(spec.psf.extent, spec.psf.pupil.margin, target.real)
         self.buffers = allocate(target.session, cluster_buffers(spec, tallest))
         self._fill(ZERO, "latest")
@@ -151,7 +153,8 @@ class Clusters:
         run("find_edges", tiles_of(job.grid), TILES, job.events, job.grid, self.spread, coc, layer, sides, reach, edge)
         run("unmix", size, PIXELS, job.events, job.grid, image.value, layer, sides, mixed)
         self._run_tiles(job, "mark_tiles", reach, edge, marked)
-        self._run_tiles(job, "measure_tiles", np.int32(0), marked, self.buffers["to_plain"])
+        for name, which in (("to_plain", 0), ("to_marked", 1)):
+            self._run_tiles(job, "measure_tiles", np.int32(which), marked, self.buffers[name])
         queue = self.target.session.queue
         cl.enqueue_copy(queue, self.buffers["left"], marked)
 
@@ -164,15 +167,16 @@ class Clusters:
         planes = (image.value, image.maps[0], *self._named("layer", "sides", "mixed"), pyramid)
         levels = levels_of(height, width, self.deep, self.channels + 4)
         rows, columns, _ = levels[0]
-        head = (job.grid, number, np.int32(rows), np.int32(columns))
+        head, marked = (job.grid, number, np.int32(rows), np.int32(columns)), (self.near, self.buffers["to_marked"])
         self._run_tiles(job, "measure_tiles", np.int32(1), left, to_left)
-        run("open_sheet", (columns, rows), PIXELS, job.events, *head, *planes)
-        pairs = list(pairwise(levels))
-        for name, steps in (("push", pairs), ("pull", pairs[::-1])):
-            for (rows, columns, start), (half_rows, half_columns, half_start) in steps:
-                sizes = tuple(np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
-                size = (half_columns, half_rows) if name == "push" else (columns, rows)
-                run(name, size, PIXELS, job.events, *sizes, pyramid)
+        run("open_sheet", (columns, rows), PIXELS, job.events, *head, *marked, *planes)
+        pairs = [(fine, coarse, [np.int32(n) for n in (*fine[:2], *coarse[:2], fine[2], coarse[2])])
+                 for fine, coarse in pairwise(levels)]  # fmt: skip
+        for _, coarse, sizes in pairs:
+            run("push", coarse[1::-1], PIXELS, job.events, *sizes, pyramid)
+        for level, (fine, _, sizes) in reversed(list(enumerate(pairs, 1))):
+            args = (job.grid, *sizes, np.int32(1 << level), *marked, pyramid)
+            run("pull", fine[1::-1], PIXELS, job.events, *args)
         self._fill(NONE, "sheet_reach")
         out = (to_left, value, coc, valid, sheet_reach)
         run("take_sheet", (width, height), PIXELS, job.events, *head, np.int32(self.far), self.spread, *planes, *out)
@@ -185,7 +189,8 @@ class Clusters:
     def _run_tiles(self, job: Job, name: str, *args: object) -> None:
         """Enqueue a kernel that looks at the tiles around each tile."""
         columns, rows = tiles = tiles_of(job.grid)
-        head = (np.int32(rows), np.int32(columns), np.int32(-(-self.far // LAYER_TILE) + 1))
+        around = -(-(self.near if args[-1] is self.buffers["to_marked"] else self.far) // LAYER_TILE) + 1
+        head = (np.int32(rows), np.int32(columns), np.int32(around))
         self.target.run(name, tiles, TILES, job.events, *head, *args)
 
     def _named(self, *names: str) -> tuple[cl.Buffer, ...]:

@@ -72,7 +72,7 @@ class DepthLayers:
             self._lay(job, sheet, behind)
         sources = self._sources(job, self.outer, layers.image, behind)
         if layers.count > 1:
-            self._keep(job, layers.image, layers.to_plain)
+            self._keep(job, layers.image, 0, layers.marked, layers.to_plain)
         # Last, since border = "renormalize" overwrites the radiance of the image.
         self.outer.add(sources, job.events)
         plane = self.outer.plane(job.events)
@@ -94,16 +94,16 @@ class DepthLayers:
         prepare_sources(self.target, job.grid, blur.struct, image.maps, self.source, job.events, rims)
         return Sources(self.source, image.value, **behind)
 
-    def _keep(self, job: Job, image: Image, distance: cl.Buffer) -> None:
-        """Discard the sources that reach no tile at distance 0."""
-        args = (job.grid, self.spread, image.maps[0], distance, self.source)
+    def _keep(self, job: Job, image: Image, which: int, flags: cl.Buffer, distance: cl.Buffer) -> None:
+        """Discard the sources that reach no tile with the flag `which`; distance: to the nearest such tile, px."""
+        args = (job.grid, self.spread, np.int32(which), image.maps[0], flags, distance, self.source)
         self.target.run("keep_sources", size_of(job.grid), PIXELS, job.events, *args)
 
     def _lay(self, job: Job, sheet: Sheet, behind: dict[str, Any]) -> None:
         """Blur a sheet, and lay it behind the previous ones."""
         inner = self.inner
         sources = self._sources(job, inner, sheet.image, behind)
-        self._keep(job, sheet.image, sheet.to_wanted)
+        self._keep(job, sheet.image, 1, sheet.wanted, sheet.to_wanted)
         inner.begin(job.grid)
         inner.add(sources, job.events)
         inner.resolve(job.events)

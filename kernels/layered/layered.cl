@@ -16,7 +16,7 @@
 //            farther surface in the pixel, and share of the nearer one
 // per tile of LAYER_TILE rows and columns
 //   reach    int: px that its sources reach, -1 for none; edge: 1 if it has an edge
-//   marked   int: 1 if an edge matters in it; to_plain: px to the nearest tile that is not marked
+//   marked   int: 1 if an edge matters in it; to_marked, to_plain: px to the nearest tile that is or is not marked
 // and for the sheet that is being blurred
 //   pyramid  float, level by level from the second on, each (PLANES, rows, columns): radiance and radius, 1 where they
 //            are known; coverage, and 1 where it is known
@@ -99,8 +99,12 @@ static int reach_of(real coc, real2 spread) {
     return REACH_MARGIN - (int)FLOOR(-(ABS(coc) * spread.x + spread.y));
 }
 
+static int columns_of(const grid_t grid) {
+    return (grid.width + LAYER_TILE - 1) / LAYER_TILE;
+}
+
 static int tile_of(const grid_t grid, int x, int y) {
-    return y / LAYER_TILE * ((grid.width + LAYER_TILE - 1) / LAYER_TILE) + x / LAYER_TILE;
+    return y / LAYER_TILE * columns_of(grid) + x / LAYER_TILE;
 }
 
 // Both depth layers at a pixel of layer `own`, as in `sides`; open: set if a neighbor has no surface.
@@ -293,10 +297,10 @@ static void put_means(float known, float settled, const float *sum, __global flo
     to[SETTLED * plane] = settled > 0;
 }
 
-// One pixel of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2 pixels. In: all planes
-// of the image. Out: pyramid.
-__kernel void open_sheet(const grid_t grid, const int which, const int rows, const int columns,
-                         __global const float *value, __global const real *coc, __global const uchar *layer,
+// One pixel of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2 pixels, of those within
+// `near` px of a marked tile. In: all planes of the image, to_marked. Out: pyramid.
+__kernel void open_sheet(const grid_t grid, const int which, const int rows, const int columns, const int near,
+                         __global const int *to_marked, __global const float *value, __global const real *coc, __global const uchar *layer,
                          __global const uchar *sides, __global const float *mixed, __global float *pyramid) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows)
@@ -305,7 +309,8 @@ __kernel void open_sheet(const grid_t grid, const int which, const int rows, con
     float known = 0, settled = 0, sum[PLANES];
     for (int c = 0; c < PLANES; ++c)
         sum[c] = 0;
-    for (int row = 2 * y; row < MIN(2 * y + 2, grid.height); ++row)
+    const bool some = to_marked[tile_of(grid, 2 * x, 2 * y)] <= near;
+    for (int row = 2 * y; row < MIN(2 * y + 2, grid.height) && some; ++row)
         for (int column = 2 * x; column < MIN(2 * x + 2, grid.width); ++column) {
             const int at = row * grid.width + column;
             const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
@@ -335,6 +340,8 @@ __kernel void push(const int fine_rows, const int fine_columns, const int rows, 
         for (int column = 2 * x; column < MIN(2 * x + 2, fine_columns); ++column) {
             __global const float *from = pyramid + fine + row * fine_columns + column;
             const float light = from[KNOWN * fine_plane], outline = from[SETTLED * fine_plane];
+            if (light + outline == 0)
+                continue;
             known += light;
             settled += outline;
             for (int c = 0; c <= RADIUS; ++c)
@@ -371,11 +378,15 @@ static float between(__global const float *plane, around_t near) {
 }
 
 // One pixel of the finer level per work-item: what it does not know comes from the coarser level, which is pulled
-// before, or the last one. Arguments as for push.
-__kernel void pull(const int fine_rows, const int fine_columns, const int rows, const int columns, const int fine,
-                   const int coarse, __global float *pyramid) {
+// before, or the last one. Arguments as for push; size: px of the image in a pixel of the finer level; near, to_marked:
+// as for open_sheet.
+__kernel void pull(const grid_t grid, const int fine_rows, const int fine_columns, const int rows, const int columns,
+                   const int fine, const int coarse, const int size, const int near, __global const int *to_marked,
+                   __global float *pyramid) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= fine_columns || y >= fine_rows)
+        return;
+    if (size <= LAYER_TILE && to_marked[tile_of(grid, size * x, size * y)] > near)
         return;
     const int plane = fine_rows * fine_columns, from_plane = rows * columns;
     __global float *to = pyramid + fine + y * fine_columns + x;
@@ -434,15 +445,23 @@ __kernel void take_sheet(const grid_t grid, const int which, const int rows, con
         raise(sheet_reach + tile, reach_of(radius, spread));
 }
 
-// Keeps only the sources that reach a tile that counts; distance: px to the nearest such tile. In: coc. In and out:
-// source.
-__kernel void keep_sources(const grid_t grid, const real2 spread, __global const real *coc,
-                           __global const int *distance, __global float *source) {
-    const int x = get_global_id(0), y = get_global_id(1);
+// Keeps only the sources that reach a tile whose flag is `which`; distance: px to the nearest such tile. In: coc, flags,
+// distance. In and out: source.
+__kernel void keep_sources(const grid_t grid, const real2 spread, const int which, __global const real *coc,
+                           __global const int *flags, __global const int *distance, __global float *source) {
+    const int x = get_global_id(0), y = get_global_id(1), columns = columns_of(grid);
     if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x;
-    if (reach_of(coc[at], spread) < distance[tile_of(grid, x, y)])
+    const int at = y * grid.width + x, away = distance[tile_of(grid, x, y)];
+    if (away == 0)
+        return;
+    const int far = reach_of(coc[at], spread);
+    bool keep = far > 2 * LAYER_TILE;
+    for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && far >= away; ++row)
+        for (int column = MAX(x - far, 0) / LAYER_TILE; column <= MIN(x + far, grid.width - 1) / LAYER_TILE && !keep;
+             ++column)
+            keep = flags[row * columns + column] == which;
+    if (far < away || !keep)
         source[at] = -1;
 }
 
