@@ -274,7 +274,7 @@ def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit)
     if spec.method == "none":
         return inputs.image.astype(np.float32)
     lanes, guard = 2 * TAP_LANES if spec.method == "convolve" else 0, 0
-    if inputs.mirrored:
+    if inputs.mirrored or spec.layered:  # sheets go on beyond the border, with coverage 0 where it is black
         guard = guard_band(spec.psf, spec.border, inputs.largest)
     elif lanes:
         guard = spec.psf.reach(inputs.largest)
@@ -313,7 +313,10 @@ class _Source(HostImage):
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
         if self.one_radius:
             return {}
-        return {"coc": self._around(self.inputs.coc, strip).astype(self.dtype, "C", copy=False)}
+        planes = {"coc": self._around(self.inputs.coc, strip).astype(self.dtype, "C", copy=False)}
+        if self.guard and not self.inputs.mirrored:
+            planes["valid"] = self._around(np.ones(self.inputs.coc.shape, np.uint8), strip)
+        return planes
 
 
 class _ImageWorkspace(BlurWorkspace):

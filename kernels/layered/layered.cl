@@ -201,7 +201,7 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
         apart += difference * difference;
     }
     const float doubt = NOISE * (noise + LEAST_DEVIATION * LEAST_DEVIATION * (0.1f + squares));
-    const float share = clamp((by_color + doubt * by_mask) / (apart + doubt), 0.0f, 1.0f), rest = 1 - share;
+    const float share = MIN(MAX((by_color + doubt * by_mask) / (apart + doubt), 0.0f), 1.0f), rest = 1 - share;
     for (int c = 0; c < CHANNELS; ++c) {
         const float left = (value[c * plane + at] - share * mean[0][c] - rest * mean[1][c]) /
                            (share * share + rest * rest);
@@ -433,7 +433,7 @@ __kernel void take_sheet(const grid_t grid, const int which, const int rows, con
         const around_t open = around(pyramid + SETTLED * coarse, rows, columns, y, x);
         shown = ABS(radius - coc[at]) <= SAME;
         radius = shown ? coc[at] : radius;
-        coverage = shown ? 1 : clamp(GAIN * (between(pyramid + COVERAGE * coarse, open) - 0.5f) + 0.5f, 0.0f, 1.0f);
+        coverage = shown ? 1 : MIN(MAX(GAIN * (between(pyramid + COVERAGE * coarse, open) - 0.5f) + 0.5f, 0.0f), 1.0f);
     }
     for (int c = 0; c < CHANNELS; ++c)
         sheet[c * plane + at] =

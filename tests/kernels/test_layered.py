@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.constants import NO_SEED
+from clsco.constants import LAYER_TILE
 from clsco.frame.strips import Grid, Strip
-from clsco.opencl.buffers import download, empty, upload
+from clsco.opencl.buffers import download, upload
 from clsco.opencl.session import Session
-from clsco.optics import depth_layers
-from clsco.optics.point_spread import point_spread
+from clsco.optics.depth_layers import level_count, most_deep, reaches_of
 from clsco.passes.blur import Image, blur_target
 from clsco.passes.blur import Sources as Light
 from clsco.passes.clusters import Clusters, layered_program
@@ -89,26 +87,22 @@ class Device:
         self.session, self.view, guard = session, view, view.guard
         tallest = Grid.whole(*view.shape, guard, channels)
         self.blur = make_blur(target, spec, tallest, grid)
-        kernels = layered_program(session, spec, channels, real)
-        self.clusters, self.layers = Clusters(kernels, spec, tallest), DepthLayers(self.blur, kernels, tallest)
+        self.clusters = Clusters(layered_program(session, channels, real), spec, tallest)
+        self.layers = DepthLayers(self.blur, self.clusters, tallest)
         self.job = Job(strip=Strip(0, view.shape[0], guard, guard), grid=grid, events=[])
         self.maps = upload(session, view.coc.astype(REAL[real])), upload(session, view.valid.astype(np.uint8))
 
-    def image(self, moments: int = 1) -> tuple[Array, int]:
-        """The frame (rows, columns, channels) of equal moments, and the number of layers of each."""
-        light = flat(self.view.radiance / moments, np.float32)
-        image = Image(empty(self.session, light.nbytes), self.maps)
+    def image(self) -> tuple[Array, int]:
+        """The frame (rows, columns, channels), and its number of layers."""
+        image = Image(upload(self.session, flat(self.view.radiance, np.float32)), self.maps)
         self.blur.clear()
-        for _ in range(moments):
-            cl.enqueue_copy(self.session.queue, image.value, light)  # "renormalize" writes to it
-            self.clusters.find(self.job, image)
-            layers = self.clusters.divide(self.job, image, self.clusters.read_bounds())
-            self.layers.add(self.job, layers)
-        plane = self.blur.plane(self.job.events).read(self.session)
+        self.clusters.find(self.job, image)
+        layers = self.clusters.divide(self.job, image, self.clusters.read_bounds())
+        plane = self.layers.add(self.job, layers).read(self.session)
         return plane.reshape(*self.view.shape, -1), layers.count
 
-    def read(self, name: str, dtype: Any) -> Array:
-        return download(self.session, self.clusters.buffers[name], self.view.coc.shape, dtype)
+    def read(self, name: str, dtype: Any, shape: tuple[int, ...] = ()) -> Array:
+        return download(self.session, self.clusters.buffers[name], shape or self.view.coc.shape, dtype)
 
 
 VIEWS = {
@@ -137,73 +131,56 @@ def test_frames(session: Session, name: str) -> None:
     assert_close(found, expected, FIGURE * (4 if name == "renormalized" else 1))
 
 
-def test_labels_are_those_of_the_twin(session: Session) -> None:
+def test_edges_and_tiles_are_those_of_the_twin(session: Session) -> None:
     view = View((-4.2, -1.4, 1.2, 3.9), shape=(150, 140), guard=9, channels=3, holes=True)
+    view.coc[:60, 80:] = 4.0  # without an edge
+    view.valid[:60, 80:] = True
     device = Device(session, view)
     _, count = device.image()
-    low, bins = depth_layers.bins_of(view.largest)
-    assert (device.clusters.low, device.clusters.bins) == (low, bins)
-    latest, largest_sum = twin.find_discontinuities(
-        view.coc, view.valid, low, bins, 2 * point_spread(view.psf).reach(view.largest) + 1
-    )
-    device.clusters.find(device.job, Image(empty(session, 1), device.maps))
-    found = download(session, device.clusters.buffers["latest"], (latest.size + 1,), np.int32)
-    np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
-    layer = twin.label_depth_layers(view.coc, view.valid, low, bins, depth_layers.layer_bounds(latest.astype(np.int32)))
-    seed = twin.seed_hidden(view.coc, layer)
-    offset = twin.column_seeds(seed)
-    hidden, edge = twin.reach_hidden(
-        layer, seed, offset, depth_layers.depth_of_hidden(point_spread(view.psf), largest_sum)
-    )
+    spec = spec_of(view.psf, view.largest)
+    layer = twin.cluster(spec, view.coc, view.valid)
+    near, far, edge = twin.find_edges(view.coc, layer)
+    marked = twin.mark_tiles(np.where(layer > 0, reaches_of(spec.psf, view.coc), -1), edge)
     assert count == layer.max() > 3
-    assert (hidden > 0).any()
-    assert not edge.all()
-    for name, dtype, expected in (
-        ("layer", np.uint8, layer), ("seed", np.uint8, seed), ("offset", np.int32, offset),
-        ("hidden", np.uint8, hidden), ("edge", np.bool_, edge),
-    ):  # fmt: skip
-        np.testing.assert_array_equal(device.read(name, dtype), expected, err_msg=name)
-
-
-def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
-    """Rows whose nearest seed is too far away to be kept, or beyond where it could be counted in some whole number."""
-    view = View((2.0, 2.0), shape=(40000, 3), guard=0, channels=3, slope=0.0)
-    view.coc[20:50, 1], view.coc[33000, 0] = -2.0, 5.0
-    device = Device(session, view)
-    _, count = device.image()
-    layer = np.where(view.coc < 0, 1, np.where(view.coc < 3, 2, 3)).astype(np.uint8)
+    assert marked.any()
+    assert not marked.all()
     np.testing.assert_array_equal(device.read("layer", np.uint8), layer)
-    seed = twin.seed_hidden(view.coc, layer)
-    offset = twin.column_seeds(seed)
-    assert count == 3
-    assert (offset == NO_SEED).any(axis=0).all()
-    assert np.abs(offset[:, 1]).max() > 10000
-    np.testing.assert_array_equal(device.read("seed", np.uint8), seed)
-    np.testing.assert_array_equal(device.read("offset", np.int32), offset)
-    deep = depth_layers.depth_of_hidden(point_spread(view.psf), 7)
-    hidden, edge = twin.reach_hidden(layer, seed, offset, deep)
-    np.testing.assert_array_equal(device.read("hidden", np.uint8), hidden)
-    np.testing.assert_array_equal(device.read("edge", np.bool_), edge)
-    assert edge[32000:34000].any()
-    assert not edge[32700:32800].any()
+    np.testing.assert_array_equal(device.read("sides", np.uint8), 16 * near + far)
+    tiles = device.read("marked", np.int32, tuple(-(-n // LAYER_TILE) for n in layer.shape))
+    np.testing.assert_array_equal(tiles, marked[::LAYER_TILE, ::LAYER_TILE])
 
 
-def test_the_last_layer_is_extended_as_by_the_twin(session: Session) -> None:
+def test_the_last_sheet_is_that_of_the_twin(session: Session) -> None:
     view = View((-4.2, 3.9), shape=(37, 52), channels=3)
     device = Device(session, view)
     device.image()
-    layer, hidden = device.read("layer", np.uint8), device.read("hidden", np.uint8)
-    _, largest_sum = twin.find_discontinuities(
-        view.coc, view.valid, *depth_layers.bins_of(4.5), 2 * point_spread(view.psf).reach(view.largest) + 1
-    )
-    deep = depth_layers.depth_of_hidden(point_spread(view.psf), largest_sum)
-    value, radius, there = twin.extend_depth_layer(view.radiance, view.coc, layer, hidden, int(layer.max()), deep)
-    size = view.coc.shape
-    found = np.moveaxis(download(session, device.clusters.buffers["value"], (4, *size), np.float32), 0, -1)
-    # A mean of means, each of 16 terms: a few roundings of 2^-24 of values up to 4.
-    np.testing.assert_allclose(found, value, rtol=0, atol=1e-6)
+    spec = spec_of(view.psf, view.largest)
+    layer = twin.cluster(spec, view.coc, view.valid)
+    near, far, _ = twin.find_edges(view.coc, layer)
+    parts = twin.unmix(view.radiance, layer, near, far)
+    levels = level_count(most_deep(spec.psf, view.largest))
+    sheet, radius = twin.take_sheet(view.radiance, view.coc, layer, (near, far), parts, int(layer.max()), levels)
+    found = np.moveaxis(device.read("value", np.float32, (5, *view.coc.shape)), 0, -1)
+    assert device.read("valid", np.bool_).all()
+    # Means of means: a few roundings of 2^-24 of values up to 4; shares of mixed pixels divide by small differences.
+    np.testing.assert_allclose(found, sheet, rtol=0, atol=1e-5)
     np.testing.assert_allclose(device.read("coc", np.float64), radius, rtol=0, atol=2e-6)
-    np.testing.assert_array_equal(device.read("valid", np.bool_), there)
+
+
+def test_tiles_without_an_edge_in_reach_are_plain_to_the_bit(session: Session) -> None:
+    view = View((-3.5, 4.2), shape=(90, 120), channels=3)
+    device = Device(session, view)
+    layered, _ = device.image()
+    plain = Device(session, view)
+    plain.clusters.read_bounds = lambda: ()  # type: ignore[method-assign]
+    alone, count = plain.image()
+    tiles = device.read("marked", np.int32, tuple(-(-n // LAYER_TILE) for n in view.coc.shape)) > 0
+    guard = view.guard
+    marked = tiles.repeat(LAYER_TILE, 0).repeat(LAYER_TILE, 1)[guard : guard + 90, guard : guard + 120]
+    assert count == 1
+    assert (~marked).any()
+    np.testing.assert_array_equal(layered[~marked], alone[~marked])
+    assert np.abs(layered - alone)[marked].max() > 0.05
 
 
 @pytest.mark.slow
@@ -221,13 +198,6 @@ def test_single_precision(session: Session) -> None:
     # Radii of 4 px rounded by 2e-7, in a table whose weights change by all of themselves over 1 px at the rim.
     view = VIEWS["four"]
     assert_close(Device(session, view, real="float").image()[0], view.expected()[0], 2 * FIGURE)
-
-
-def test_moments_add_up(session: Session) -> None:
-    view = VIEWS["near and far"]
-    device = Device(session, view)
-    once, _ = device.image()
-    assert_close(device.image(moments=3)[0], once, 1e-6)
 
 
 def test_the_same_bits_every_time(session: Session) -> None:

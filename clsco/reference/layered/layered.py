@@ -91,7 +91,7 @@ def mark_tiles(reach: Integers, edge: Mask) -> Mask:
     """
     padding = [(0, -n % LAYER_TILE) for n in reach.shape]
     far, edges = (
-        np.pad(plane, padding).reshape(-(-reach.shape[0] // LAYER_TILE), LAYER_TILE, -1, LAYER_TILE).max(axis=(1, 3))
+        np.pad(plane, padding, mode="edge").reshape(-(-reach.shape[0] // LAYER_TILE), LAYER_TILE, -1, LAYER_TILE).max(axis=(1, 3))
         for plane in (reach, edge)
     )
     rows, columns = np.indices(far.shape)
@@ -101,7 +101,7 @@ def mark_tiles(reach: Integers, edge: Mask) -> Mask:
         return np.maximum((tiles - 1) * LAYER_TILE + 1, 0)
 
     coming, marked = far.copy(), edges.copy()
-    for y, x in np.argwhere(far > 0):
+    for y, x in np.argwhere(far >= 0):
         coming = np.where(away(y, x) <= far[y, x], np.maximum(coming, far[y, x]), coming)
     for y, x in np.argwhere(edges):
         marked |= away(y, x) <= coming
@@ -272,7 +272,7 @@ def spread_depth_layers(
     if count <= 1:
         return plain, count
     near, far, edge = find_edges(coc, layer)
-    marked = mark_tiles(np.where(layer > 0, reaches_of(spec.psf, coc), 0), edge)
+    marked = mark_tiles(np.where(layer > 0, reaches_of(spec.psf, coc), -1), edge)
     parts, levels = unmix(radiance, layer, near, far), level_count(most_deep(spec.psf, spec.largest))
     total, room = np.zeros((*shape, radiance.shape[2])), np.broadcast_to(most, shape)
     for which in range(1, count + 1):
