@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from clsco.inputs.pupils import load_point_spread
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
+from clsco.optics.resolved_view import guard_band
 from clsco.plan.methods import Blur, BlurSpec
+from clsco.reference.layered.layered import layered
 from clsco.reference.trace.trace import Sources, SubpixelSources
 from clsco.scene.model import Aperture, Psf
 
@@ -28,6 +30,18 @@ def spec_of(
     """Blur by the keys of [psf] and [aperture]; `largest`: |R| in px."""
     given = {"smallest": 0.0, "tilt": psf.tilt, "border": psf.border} | others
     return BlurSpec(load_point_spread(psf, aperture or Aperture()), method, largest=largest, **given)
+
+
+def layered_before_black(
+    spec: BlurSpec, image: NDArray[np.float64], coc: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], int]:
+    """`layered` of an image (rows, columns, C) with nothing beyond its border."""
+    guard = guard_band(spec.psf, "lose", spec.largest)
+    light, radii, there = (
+        np.pad(plane, ((guard, guard), (guard, guard), (0, 0))[: plane.ndim])
+        for plane in (image, coc, np.ones(coc.shape, np.bool_))
+    )
+    return layered(spec, light, radii, there, (coc.shape[0], coc.shape[1]), guard)
 
 
 def table_coordinate(

@@ -232,7 +232,10 @@ def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
     assign pixels to layers, those of tiles, and the planes of one sheet with its pyramid. spec: specification of the
     frame's blur.
     """
-    pixels, planes = grid.sources, grid.channels + 4  # of the pyramid: also radius, coverage, and how far these are known
+    pixels, planes = (
+        grid.sources,
+        grid.channels + 4,
+    )  # of the pyramid: also radius, coverage, and how far these are known
     rows, columns, start = levels_of(grid.height, grid.width, most_deep(spec.psf, spec.largest), planes)[-1]
     tiles = 4 * ceil(grid.height / LAYER_TILE) * ceil(grid.width / LAYER_TILE)
     return {

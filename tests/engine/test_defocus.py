@@ -15,11 +15,10 @@ from clsco.errors import ClscoError
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.reference.blur.blur import prepare_sources, scatter
-from clsco.reference.layered.layered import layered
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
 from tests.slow import mostly_slow
-from tests.spreads import spec_of
+from tests.spreads import layered_before_black, spec_of
 
 Array = NDArray[Any]
 # Float32 weights and sums over some hundred taps leave about 1e-6 of white, interpolation in the tables as much.
@@ -118,7 +117,7 @@ def test_what_is_nearer_hides_what_is_farther(psf: Psf, method: str) -> None:
     image, coc = np.where(disc[..., None], 0.2 * image, image), np.where(disc, -4.0, 1.0 + 0.6 * np.abs(coc))
     found = defocus(image, coc, model, **black)
     light, largest = np.asarray(image, np.float64), float(np.abs(coc).max())
-    expected, count = layered(spec_of(model, largest), light, coc, np.ones(coc.shape, bool), coc.shape, 0)
+    expected, count = layered_before_black(spec_of(model, largest), light, coc)
     assert count == 2
     assert np.abs(expected - reference(image, coc, psf)).max() > 0.1
     assert np.abs(found - expected).max() < FIGURE

@@ -17,14 +17,13 @@ from clsco.opencl.session import Session
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.plan.request import Request
 from clsco.reference.blur.blur import prepare_sources, scatter
-from clsco.reference.layered.layered import layered
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Aperture, Psf
 from tests.engine.test_defocus import picture
 from tests.kernels.sources import ROUNDING, assert_close, blurred, light
 from tests.scenes import plan_scene, scene_from
 from tests.slow import combined, mostly_slow
-from tests.spreads import spec_of
+from tests.spreads import layered_before_black, spec_of
 
 FIGURE = 1e-5  # of white
 METHODS: list[Blur] = ["gather", "scatter", "tiles"]
@@ -98,7 +97,7 @@ def test_layers_of_depth(name: str) -> None:
     image, coc = picture(15, 22)
     coc[4:10, 5:12] = -3.0
     spec = spec_of(Psf(), float(np.abs(coc).max()), aperture=APERTURES[name])
-    expected, _ = layered(spec, image.astype(np.float64)[..., None], coc, np.ones(coc.shape, bool), coc.shape, 0)
+    expected, _ = layered_before_black(spec, image.astype(np.float64)[..., None], coc)
     found = defocus(image, coc, {"occlusion": "layered"}, aperture=APERTURES[name], outside="black")
     assert np.abs(found - expected[..., 0]).max() < FIGURE
 

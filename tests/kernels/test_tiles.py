@@ -17,13 +17,12 @@ from clsco.opencl.program import launch
 from clsco.opencl.session import Session, session_for
 from clsco.passes.blur import GROUP
 from clsco.plan.prepare import prepare
-from clsco.reference.layered.layered import layered
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
 from tests.engine.test_defocus import reference as blurred_by_reference
 from tests.kernels.sources import FIGURE, ROUNDING, assert_close, blurred, light
 from tests.slow import combined, mostly_slow
-from tests.spreads import PSFS, spec_of
+from tests.spreads import PSFS, layered_before_black, spec_of
 
 KEPT = [(PSFS[5], True)]
 
@@ -199,8 +198,7 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     coc, psf = np.where(near, -4.0, 3.0 + 0.1 * columns), Psf(occlusion=occlusion)
     expected = blurred_by_reference(image, coc, psf)
     if occlusion == "layered":
-        values = (image[..., None].astype(np.float64), coc, np.ones(coc.shape, bool), coc.shape, 0)
-        expected = layered(spec_of(psf, 7.0), *values)[0][..., 0]
+        expected = layered_before_black(spec_of(psf, 7.0), image[..., None].astype(np.float64), coc)[0][..., 0]
         assert np.abs(expected - blurred_by_reference(image, coc, psf)).max() > 0.1
     assert_close(clsco.defocus(image, coc, psf, outside="black"), expected, 1e-5)  # as in test_defocus.py
     assert {"tiles", "prepare_sources"} <= set(on_a_gpu)

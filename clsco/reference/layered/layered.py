@@ -40,8 +40,9 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
     """Find discontinuities of the radius: steps between two valid pixels of a line without a valid pixel between them.
 
     Lines are rows and columns. coc: (H, W) px; valid: (H, W); low (px), bins: from `bins_of`; far: largest distance of
-    the two pixels, px. Entry (k, b) of the result (DISCONTINUITY_CLASSES, bins) is 1 + the largest bin of the near side,
-    over the discontinuities larger than DISCONTINUITY 2^k px (class k) whose far side is in bin b; 0 if there is none.
+    the two pixels, px. Entry (k, b) of the result (DISCONTINUITY_CLASSES, bins) is 1 + the largest bin of the near
+    side, over the discontinuities larger than DISCONTINUITY 2^k px (class k) whose far side is in bin b; 0 if there is
+    none.
     """
     latest = np.zeros((DISCONTINUITY_CLASSES, bins), dtype=np.int64)
     for radius, there in ((coc, valid), (coc.T, valid.T)):
@@ -91,7 +92,9 @@ def mark_tiles(reach: Integers, edge: Mask) -> Mask:
     """
     padding = [(0, -n % LAYER_TILE) for n in reach.shape]
     far, edges = (
-        np.pad(plane, padding, mode="edge").reshape(-(-reach.shape[0] // LAYER_TILE), LAYER_TILE, -1, LAYER_TILE).max(axis=(1, 3))
+        np.pad(plane, padding, mode="edge")
+        .reshape(-(-reach.shape[0] // LAYER_TILE), LAYER_TILE, -1, LAYER_TILE)
+        .max(axis=(1, 3))
         for plane in (reach, edge)
     )
     rows, columns = np.indices(far.shape)
@@ -112,8 +115,8 @@ def mark_tiles(reach: Integers, edge: Mask) -> Mask:
 def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Array, Array, Array]:
     """Radiance (H, W, C) of the near and of the far surface, and share (H, W) of the near one, in pixels at edges.
 
-    Only pixels with `near` > 0 are filled. The mean colors of both surfaces, from pixels up to MIXED_AROUND px away that
-    are not at edges, give the share that explains the pixel's color best; the variances of the surfaces say how much
+    Only pixels with `near` > 0 are filled. The mean colors of both surfaces, from pixels up to MIXED_AROUND px away
+    that are not at edges, give the share that explains the pixel's color best; the variances of the surfaces say how much
     that counts against the share of the near layer under a Gaussian of MASK_WIDTH px. What is left of the color is
     given to both surfaces, so that the pixel's color is kept.
     """
