@@ -25,8 +25,9 @@ LEAST = 0.05  # least step of an edge, as a share of its steepest step
 ENDS = 4.0  # least ratio of an edge's last step to a step of the adjacent surface; at the limb of a sphere it is 3.2
 FLAT = 0.25  # largest step on the surfaces, as a share of the steepest step
 TAPER = 0.75  # largest outer step of a soft edge, as a share of the steepest step; ramps have larger ones
+RAMP = 0.9  # least ratio of steps next to each other that have no edge
 SHORT, FULL = 5, 0.7  # from SHORT pixels on, the mean step of an edge is at most FULL times the steepest
-LEAST_STEEPEST = 0.05  # least steepest step, as a share of the whole edge; 0.07 for 1 to 10 m, blurred by 2 px
+LEAST_STEEPEST = 0.1  # px, least steepest step; 0.07 of the whole edge from 1 to 10 m, blurred by 2 px
 OVER, RINGING = 0.01, 0.15  # least and largest overshoot of an edge beyond a surface, as shares of the whole step
 SETTLED = 0.4  # largest change of the surface behind an overshoot, as a share of the overshoot; 0.5 on a slanted plane
 LARGER = 1.2  # ratio of steps above which an edge removes a smaller one whose surfaces have pixels of the larger edge
@@ -108,7 +109,9 @@ def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]
     shapes = [radius] if stored is None else [stored, radius]  # edges are symmetric in whichever was blurred
     stored = shapes[0]
     with np.errstate(invalid="ignore", divide="ignore"):  # for infinite and missing depths
-        rows, columns = _soft_edges(radius, shapes), _soft_edges(radius.T, [shape.T for shape in shapes])
+        across, down = _steep(radius)
+        rows = _soft_edges(radius, shapes, *across)
+        columns = _soft_edges(radius.T, [shape.T for shape in shapes], *down)
     rows, columns = _between_surfaces(rows, columns, width)
     if not len(rows.line) + len(columns.line):
         return np.zeros(0, np.intp), np.zeros(0)
@@ -122,38 +125,44 @@ def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]
     return pixel, value[order][at]
 
 
-def _soft_edges(radius: Array, shapes: list[Array]) -> _Edges:
-    """Soft edges that rows cross in any of the maps `shapes`."""
-    parts = []
-    for top in range(0, len(radius), ROWS):
-        strip = slice(top, top + ROWS)
-        line, column = _steep(radius[strip])
-        if len(line):
-            parts += [_edges(radius[strip], shape[strip], line, column, top) for shape in shapes]
-    none = np.zeros(0, np.intp)
-    parts = parts or [_edges(radius, radius, none, none, 0)]
+def _soft_edges(radius: Array, shapes: list[Array], line: Indices, column: Indices) -> _Edges:
+    """Soft edges that rows cross in any of the maps `shapes`; line, column: of the steep steps, from `_steep`."""
+    ends = np.searchsorted(line, range(0, len(radius) + ROWS, ROWS))
+    parts = [_edges(radius[:1], radius[:1], line[:0], column[:0], 0)]
+    for k in np.flatnonzero(np.diff(ends)):
+        places, strip = slice(ends[k], ends[k + 1]), slice(k * ROWS, (k + 1) * ROWS)
+        args = line[places] - k * ROWS, column[places], k * ROWS
+        parts += [_edges(radius[strip], shape[strip], *args) for shape in shapes]
     joined = (np.concatenate([getattr(part, name) for part in parts]) for name in _Edges.__dataclass_fields__)
     return _supported(_Edges(*joined), radius.shape[1])
 
 
-def _steep(radius: Array) -> tuple[Indices, Indices]:
-    """Rows and columns of the steps that are large enough to be the steepest step of an edge."""
-    steps = radius[:, 1:] - radius[:, :-1]
-    least = LEAST_STEP * LEAST_STEEPEST
-    # This test takes a fifth of the time of the search.
-    if not steps.size or (steps.max() < least and steps.min() > -least):
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    line, column = np.nonzero(np.abs(steps) >= least)
-    return line, column
+def _steep(radius: Array) -> tuple[tuple[Indices, Indices], tuple[Indices, Indices]]:
+    """Lines, and positions in them, of the steps that are large enough to be the steepest step of an edge: for rows,
+    and for columns.
+    """
+    found: tuple[list[NDArray[np.intp]], ...] = ([], [])
+    for top in range(0, len(radius), ROWS):
+        strip = radius[top : top + ROWS + 1]
+        for way, steps in enumerate((strip[:ROWS, 1:] - strip[:ROWS, :-1], strip[1:] - strip[:-1])):
+            if not steps.size or (steps.max() < LEAST_STEEPEST and steps.min() > -LEAST_STEEPEST):
+                continue
+            place = np.flatnonzero(np.abs(steps) >= LEAST_STEEPEST)
+            row, column = np.divmod(place, steps.shape[1])
+            found[way].append(np.stack([row + top, column]))
+    none = np.zeros((2, 0), np.intp)
+    (row, column), (down_row, down_column) = (np.concatenate([none, *way], axis=1) for way in found)
+    order = np.argsort(down_column, kind="stable")
+    return (row, column), (down_column[order], down_row[order])
 
 
 def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: int) -> _Edges:
     """Soft edges whose steepest step is from pixel `column` to `column` + 1 of `line`; `top` is the row of line 0."""
-    between = _between_flat(stored, line, column)
-    line, column = line[between], column[between]
     near = _steps(stored, line, column, 2)
     near /= near[:, 2:3].copy()
     some = (np.abs(near[:, 1]) < 1) & (np.abs(near[:, 3]) <= 1) & (near >= -FLAT).all(axis=1)
+    some &= (near[:, 1] > LEAST) | (near[:, 3] > LEAST)  # hard edges have one step
+    some &= near.min(axis=1) <= RAMP
     line, column = line[some], column[some]
     window = _steps(stored, line, column, REACH)
     window /= window[:, REACH : REACH + 1].copy()
@@ -171,21 +180,6 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
     begin, end = (_surface(radius, stored, line, *ends) for ends in ((first, last, -1), (last, first, 1)))
     edges = _Edges(line + top, first, count, step, begin[0], end[0], begin[1], end[1], begin[2], end[2])
     return edges[np.abs(edges.end - edges.begin) >= LEAST_STEP]
-
-
-def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.bool_]:
-    """Mark the places that have a nearly flat step within REACH on both sides.
-
-    This test discards ramps, and costs less than examining all steps around each place.
-    """
-    size = np.zeros((len(stored), stored.shape[1] - 1 + 2 * REACH))  # magnitudes of the steps, 0 beyond the border
-    np.abs(stored[:, 1:] - stored[:, :-1], out=size[:, REACH:-REACH])
-    least, length = size, 1  # smallest of `length` consecutive steps from each step on
-    while length < REACH:
-        way = min(length, REACH - length)
-        least, length = np.fmin(least[:, :-way], least[:, way:]), length + way
-    flat = FLAT * (1.0 + 1e-12) * size[line, column + REACH]
-    return np.asarray((least[line, column] <= flat) & (least[line, column + REACH + 1] <= flat))
 
 
 def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
