@@ -11,14 +11,14 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.constants import TAP_LANES
+from clsco.constants import DISCONTINUITY, TAP_LANES
 from clsco.engine.shrinking import Shrinking
 from clsco.engine.workspace import BlurWorkspace, shared_buffers
 from clsco.errors import ArgumentError, SceneError
 from clsco.files.transfer import decode_channels, encode_channels, has_alpha
 from clsco.frame.strips import Strip
 from clsco.inputs.pupils import load_point_spread
-from clsco.inputs.soft_edges import assign_soft_edges
+from clsco.inputs.soft_edges import LEAST_STEEPEST, assign_soft_edges, steepest_step
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
@@ -179,7 +179,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
             light[-1] = 1.0
         linear = linear * light
     inputs = _check_inputs(linear, radii, outside == "mirror" and model.border == "lose")
-    inputs, soft = _assign_edges(inputs) if soft_edges == "assign" else (inputs, 0)
+    inputs, soft = _assign_edges(inputs) if soft_edges == "assign" and inputs.steepest >= LEAST_STEEPEST else (inputs, 0)
     with session.reporting():
         limit = limit_of(memory, session.device)
         if limit.set_by_user:
@@ -209,14 +209,15 @@ class DefocusReport:
 class _Inputs:
     """An image (rows, columns[, channels]), its map of signed radii, and properties of both.
 
-    smallest, largest: range of |R|, px; brightest: largest |radiance|; mirrored: True if image and radii continue as
-    mirror images beyond the border.
+    smallest, largest: range of |R|, px; steepest: largest step of R between neighbors, px; brightest: largest |radiance|;
+    mirrored: True if image and radii continue as mirror images beyond the border.
     """
 
     image: NDArray[Any]
     coc: NDArray[Any]
     smallest: float
     largest: float
+    steepest: float
     brightest: float
     mirrored: bool
 
@@ -244,7 +245,8 @@ def _check_inputs(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) ->
         raise ArgumentError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     low, high = ends[1]
     smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # 0: lower bound without a search
-    return _Inputs(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)
+    steepest = 0.0 if low == high else steepest_step(radii.astype(np.float64) if radii.dtype.kind != "f" else radii)
+    return _Inputs(picture, radii, smallest, largest, steepest, float(np.float32(brightest)), mirrored)
 
 
 def _assign_edges(inputs: _Inputs) -> tuple[_Inputs, int]:
@@ -255,14 +257,15 @@ def _assign_edges(inputs: _Inputs) -> tuple[_Inputs, int]:
         return inputs, 0
     coc = inputs.coc.astype(np.float64)
     coc.flat[pixels] = radii
-    return replace(inputs, coc=coc.astype(np.promote_types(inputs.coc.dtype, np.float16), copy=False)), len(pixels)
+    coc = coc.astype(np.promote_types(inputs.coc.dtype, np.float16), copy=False)
+    return replace(inputs, coc=coc, steepest=steepest_step(coc)), len(pixels)
 
 
 def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: DeviceFacts) -> BlurSpec:
     check_waves(psf, inputs.largest)
     one_radius = inputs.smallest == inputs.largest and model.border == "lose"
     blur = choose_blur(method, psf, device, inputs.largest, inputs.channels, one_radius).value
-    layered = model.occlusion == "layered" and blur != "convolve"
+    layered = model.occlusion == "layered" and blur != "convolve" and inputs.steepest > DISCONTINUITY
     return BlurSpec(
         psf, blur, inputs.smallest, inputs.largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
         layered=layered,

@@ -7,7 +7,7 @@ sign, the middle ones are the steepest, and the surfaces at both ends are flat t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,21 +137,30 @@ def _soft_edges(radius: Array, shapes: list[Array], line: Indices, column: Indic
     return _supported(_Edges(*joined), radius.shape[1])
 
 
+def steepest_step(radius: NDArray[Any]) -> float:
+    """Largest difference of two neighbors of a row or column of a map (rows, columns); NaN if values are."""
+    steps = [float(max(part.max(), -part.min())) for _, parts in _strips(radius) for part in parts if part.size]
+    return max(steps, default=0.0)
+
+
+def _strips(radius: NDArray[Any]) -> Iterator[tuple[int, tuple[NDArray[Any], NDArray[Any]]]]:
+    """First rows of strips of a map, and in each the steps to the right and those down."""
+    for top in range(0, len(radius), ROWS):
+        strip = radius[top : top + ROWS + 1]
+        yield top, (strip[:ROWS, 1:] - strip[:ROWS, :-1], strip[1:] - strip[:-1])
+
+
 def _steep(radius: Array) -> tuple[tuple[Indices, Indices], tuple[Indices, Indices]]:
     """Lines, and positions in them, of the steps that are large enough to be the steepest step of an edge: for rows,
     and for columns.
     """
-    found: tuple[list[NDArray[np.intp]], ...] = ([], [])
-    for top in range(0, len(radius), ROWS):
-        strip = radius[top : top + ROWS + 1]
-        for way, steps in enumerate((strip[:ROWS, 1:] - strip[:ROWS, :-1], strip[1:] - strip[:-1])):
-            if not steps.size or (steps.max() < LEAST_STEEPEST and steps.min() > -LEAST_STEEPEST):
-                continue
+    found: tuple[list[NDArray[np.intp]], ...] = ([np.zeros((2, 0), np.intp)], [np.zeros((2, 0), np.intp)])
+    for top, parts in _strips(radius):
+        for places, steps in zip(found, parts, strict=True):
             place = np.flatnonzero(np.abs(steps) >= LEAST_STEEPEST)
-            row, column = np.divmod(place, steps.shape[1])
-            found[way].append(np.stack([row + top, column]))
-    none = np.zeros((2, 0), np.intp)
-    (row, column), (down_row, down_column) = (np.concatenate([none, *way], axis=1) for way in found)
+            row, column = np.divmod(place, max(steps.shape[1], 1))
+            places.append(np.stack([row + top, column]))
+    (row, column), (down_row, down_column) = (np.concatenate(places, axis=1) for places in found)
     order = np.argsort(down_column, kind="stable")
     return (row, column), (down_column[order], down_row[order])
 

@@ -179,7 +179,7 @@ class Clusters:
             run("pull", fine[1::-1], PIXELS, job.events, *args)
         self._fill(NONE, "sheet_reach")
         out = (to_left, value, coc, valid, sheet_reach)
-        run("take_sheet", (width, height), PIXELS, job.events, *head, np.int32(self.far), self.spread, *planes, *out)
+        run("take_sheet", (tiles_of(job.grid)[0], height), TILES, job.events, *head, np.int32(self.far), self.spread, *planes, *out)
         self._run_tiles(job, "want_tiles", sheet_reach, left, wanted)
         self._run_tiles(job, "measure_tiles", np.int32(1), wanted, to_wanted)
         self._fill(ZERO, "still_left")

@@ -12,7 +12,7 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty
 from clsco.opencl.program import Target
 from clsco.passes.blur import PIXELS, BehindRims, BlurredPlane, Image, Plane, Sources, blur_target, prepare_sources
-from clsco.passes.clusters import ZERO, Clusters, Layers, Sheet, size_of
+from clsco.passes.clusters import TILES, ZERO, Clusters, Layers, Sheet, size_of, tiles_of
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.job import Job
 from clsco.plan.buffers import layered_buffers, sheet_spec
@@ -97,7 +97,7 @@ class DepthLayers:
     def _keep(self, job: Job, image: Image, which: int, flags: cl.Buffer, distance: cl.Buffer) -> None:
         """Discard the sources that reach no tile with the flag `which`; distance: to the nearest such tile, px."""
         args = (job.grid, self.spread, np.int32(which), image.maps[0], flags, distance, self.source)
-        self.target.run("keep_sources", size_of(job.grid), PIXELS, job.events, *args)
+        self.target.run("keep_sources", (tiles_of(job.grid)[0], size_of(job.grid)[1]), TILES, job.events, *args)
 
     def _lay(self, job: Job, sheet: Sheet, behind: dict[str, Any]) -> None:
         """Blur a sheet, and lay it behind the previous ones."""

@@ -15,7 +15,7 @@
 //   mixed    float (2 CHANNELS + 1, height, width), only next to discontinuities: radiance of the nearer and of the
 //            farther surface in the pixel, and share of the nearer one
 // per tile of LAYER_TILE rows and columns
-//   reach    int: px that its sources reach, -1 for none; edge: 1 if it has an edge
+//   reach    int: px that its sources reach, -1 for none; edge: not 0 if light of its sources does not just add up
 //   marked   int: 1 if an edge matters in it; to_marked, to_plain: px to the nearest tile that is or is not marked
 // and for the sheet that is being blurred
 //   pyramid  float, level by level from the second on, each (PLANES, rows, columns): radiance and radius, 1 where they
@@ -37,6 +37,7 @@
 #define MASK_REACH 2      // px, last offset of MASK
 #define NOISE 5.0f        // weight of the surfaces' variance against the color of a mixed pixel
 #define LEAST_DEVIATION 0.02f  // least standard deviation of a surface, as a share of its color
+#define UNEVEN 0.1f       // px, least step of the radius that changes the brightness of an even surface
 #define SAME 0.25f        // px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 #define GAIN 4.0f         // steepness of a hidden outline
 #define NOWHERE (1 << 24)  // px, farther than anything reaches
@@ -126,6 +127,11 @@ static int sides_of(const grid_t grid, int x, int y, int own, __global const rea
     return before ? before << 4 | own : behind ? own << 4 | behind : 0;
 }
 
+// True if sources of two neighbors do not add up to even light: their radii differ, or the focus is between them.
+static bool is_uneven(real coc, real other) {
+    return ABS(other - coc) > UNEVEN || (coc < 0) != (other < 0);
+}
+
 // One tile per work-item. In: coc, layer. Out: sides, reach, edge.
 __kernel void find_edges(const grid_t grid, const real2 spread, __global const real *coc,
                          __global const uchar *layer, __global uchar *sides, __global int *reach,
@@ -146,6 +152,10 @@ __kernel void find_edges(const grid_t grid, const real2 spread, __global const r
                               layer[at - grid.width] == own && layer[at + grid.width] == own;
             sides[at] = same || !own ? 0 : sides_of(grid, x, y, own, coc, layer, &edges);
             edges |= sides[at];
+            if (own && x + 1 < grid.width && layer[at + 1])
+                edges |= is_uneven(coc[at], coc[at + 1]);
+            if (own && y + 1 < grid.height && layer[at + grid.width])
+                edges |= is_uneven(coc[at], coc[at + grid.width]);
         }
     const int tile = tile_of(grid, left, top);
     reach[tile] = any ? reach_of(largest, spread) : -1;
@@ -282,7 +292,6 @@ static part_t part_of(int which, int at, int plane, __global const float *value,
     if (near == which) {
         part.light = mixed + at;
         part.share = mixed[2 * CHANNELS * plane + at];
-        part.known = own == which || part.share > 0.5f;
     } else if (own == which && far == which)
         part.light = mixed + CHANNELS * plane + at;
     return part;
@@ -404,65 +413,93 @@ __kernel void pull(const grid_t grid, const int fine_rows, const int fine_column
     }
 }
 
-// One pixel of sheet `which` within `far` px of a tile that is left; what it does not show comes from the second level
-// (rows, columns) of the pyramid. In: all planes of the image, to_left. Out: sheet, sheet_coc, sheet_valid. In and out:
-// sheet_reach, as `reach`, of sources with coverage.
+// A pixel of a sheet that another layer shows: its radius and coverage, and the pixels of the pyramid around it.
+typedef struct {
+    around_t near;
+    float coverage;
+    real radius;
+    bool same;
+} hidden_t;
+
+static hidden_t hidden_at(const grid_t grid, part_t part, real coc, int rows, int columns, int y, int x,
+                          __global const float *pyramid) {
+    const int plane = rows * columns;
+    hidden_t hidden;
+    hidden.near = around(pyramid + KNOWN * plane, rows, columns, y, x);
+    hidden.radius = between(pyramid + RADIUS * plane, hidden.near);
+    hidden.coverage = part.share;
+    hidden.same = !part.settled && ABS(hidden.radius - coc) <= SAME;
+    if (hidden.same) {
+        hidden.radius = coc;
+        hidden.coverage = 1;
+    } else if (!part.settled) {
+        const around_t open = around(pyramid + SETTLED * plane, rows, columns, y, x);
+        hidden.coverage = MIN(MAX(GAIN * (between(pyramid + COVERAGE * plane, open) - 0.5f) + 0.5f, 0.0f), 1.0f);
+    }
+    return hidden;
+}
+
+// LAYER_TILE pixels of a row of sheet `which`, within `far` px of a tile that is left; what they do not show comes from
+// the second level (rows, columns) of the pyramid. In: all planes of the image, to_left. Out: sheet, sheet_coc,
+// sheet_valid. In and out: sheet_reach, as `reach`, of sources with coverage.
 __kernel void take_sheet(const grid_t grid, const int which, const int rows, const int columns, const int far,
                          const real2 spread, __global const float *value, __global const real *coc,
                          __global const uchar *layer, __global const uchar *sides, __global const float *mixed,
                          __global const float *pyramid, __global const int *to_left, __global float *sheet,
                          __global real *sheet_coc, __global uchar *sheet_valid, __global int *sheet_reach) {
-    const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
-    if (x >= grid.width || y >= grid.height)
+    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), plane = grid.height * grid.width;
+    if (begin >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x, tile = tile_of(grid, x, y), coarse = rows * columns;
-    sheet_valid[at] = to_left[tile] <= far;
-    if (to_left[tile] > far)
-        return;
-    const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
-    const bool own = layer[at] == which;
-    bool shown = part.share > 0;
-    float coverage = part.share;
-    real radius = own ? coc[at] : 0;
-    around_t near = {0, 0, 0};
-    if (!own) {
-        near = around(pyramid + KNOWN * coarse, rows, columns, y, x);
-        radius = between(pyramid + RADIUS * coarse, near);
+    const int end = MIN(begin + LAYER_TILE, grid.width), tile = tile_of(grid, begin, y);
+    const bool near = to_left[tile] <= far;
+    for (int x = begin; x < end; ++x)
+        sheet_valid[y * grid.width + x] = near;
+    int reach = -1;
+    for (int x = begin; x < end && near; ++x) {
+        const int at = y * grid.width + x;
+        const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
+        float coverage = part.share;
+        real radius = coc[at];
+        if (layer[at] == which)
+            for (int c = 0; c < CHANNELS; ++c)
+                sheet[c * plane + at] = coverage * part.light[c * plane];
+        else {
+            const hidden_t hidden = hidden_at(grid, part, radius, rows, columns, y, x, pyramid);
+            coverage = hidden.coverage;
+            radius = hidden.radius;
+            for (int c = 0; c < CHANNELS; ++c)
+                sheet[c * plane + at] =
+                    coverage == 0 ? 0 : coverage * (part.share > 0 || hidden.same ? part.light[c * plane] :
+                                                    between(pyramid + c * rows * columns, hidden.near));
+        }
+        sheet[CHANNELS * plane + at] = coverage;
+        sheet[(CHANNELS + 1) * plane + at] = 1;
+        sheet_coc[at] = radius;
+        if (coverage > 0)
+            reach = MAX(reach, reach_of(radius, spread));
     }
-    if (!part.settled) {
-        const around_t open = around(pyramid + SETTLED * coarse, rows, columns, y, x);
-        shown = ABS(radius - coc[at]) <= SAME;
-        radius = shown ? coc[at] : radius;
-        coverage = shown ? 1 : MIN(MAX(GAIN * (between(pyramid + COVERAGE * coarse, open) - 0.5f) + 0.5f, 0.0f), 1.0f);
-    }
-    for (int c = 0; c < CHANNELS; ++c)
-        sheet[c * plane + at] =
-            coverage > 0 ? coverage * (shown ? part.light[c * plane] : between(pyramid + c * coarse, near)) : 0;
-    sheet[CHANNELS * plane + at] = coverage;
-    sheet[(CHANNELS + 1) * plane + at] = 1;
-    sheet_coc[at] = radius;
-    if (coverage > 0)
-        raise(sheet_reach + tile, reach_of(radius, spread));
+    raise(sheet_reach + tile, reach);
 }
 
-// Keeps only the sources that reach a tile whose flag is `which`; distance: px to the nearest such tile. In: coc, flags,
-// distance. In and out: source.
+// Keeps only the sources that reach a tile whose flag is `which`, LAYER_TILE of a row at a time; distance: px to the
+// nearest such tile. In: coc, flags, distance. In and out: source.
 __kernel void keep_sources(const grid_t grid, const real2 spread, const int which, __global const real *coc,
                            __global const int *flags, __global const int *distance, __global float *source) {
-    const int x = get_global_id(0), y = get_global_id(1), columns = columns_of(grid);
-    if (x >= grid.width || y >= grid.height)
+    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), columns = columns_of(grid);
+    if (begin >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x, away = distance[tile_of(grid, x, y)];
-    if (away == 0)
-        return;
-    const int far = reach_of(coc[at], spread);
-    bool keep = far > 2 * LAYER_TILE;
-    for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && far >= away; ++row)
-        for (int column = MAX(x - far, 0) / LAYER_TILE; column <= MIN(x + far, grid.width - 1) / LAYER_TILE && !keep;
-             ++column)
-            keep = flags[row * columns + column] == which;
-    if (far < away || !keep)
-        source[at] = -1;
+    const int away = distance[tile_of(grid, begin, y)];
+    for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width) && away > 0; ++x) {
+        const int at = y * grid.width + x, far = reach_of(coc[at], spread);
+        bool keep = far > 2 * LAYER_TILE;
+        for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && far >= away;
+             ++row)
+            for (int column = MAX(x - far, 0) / LAYER_TILE; column <= MIN(x + far, grid.width - 1) / LAYER_TILE && !keep;
+                 ++column)
+                keep = flags[row * columns + column] == which;
+        if (far < away || !keep)
+            source[at] = -1;
+    }
 }
 
 // Lays a blurred sheet behind the previous ones in the tiles that it reaches. In: blurred float (CHANNELS + 2, rows,

@@ -27,6 +27,7 @@ NEIGHBORS = ((0, 1), (2, 1), (1, 0), (1, 2))  # of a pixel at (1, 1): above, bel
 MASK_WIDTH = 0.6  # px, standard deviation of the Gaussian of the shares of layers that the labels alone give
 NOISE = 5.0  # weight of the surfaces' variance against the color of a mixed pixel
 LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of its color
+UNEVEN = 0.1  # px, least step of the radius that changes the brightness of an even surface
 SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 GAIN = 4.0  # steepness of a hidden outline
 
@@ -68,7 +69,8 @@ def find_edges(coc: Array, layer: Labels) -> tuple[Labels, Labels, Mask]:
     """Nearer and farther depth layer (H, W) of each pixel next to a discontinuity, 0 elsewhere; and a mask of edges.
 
     One of the two is the pixel's own layer, the other one that of a neighbor; of several, the one closest in number.
-    Pixels next to one without a surface are edges, too.
+    Edges are also pixels next to one without a surface, and where sources do not add up to even light: where radii of
+    neighbors differ by more than UNEVEN px, or the focus is between them.
     """
     rows, columns = layer.shape
     padded, radius = np.pad(layer, 1, mode="edge").astype(np.int64), np.pad(coc, 1, mode="edge")
@@ -79,6 +81,8 @@ def find_edges(coc: Array, layer: Labels) -> tuple[Labels, Labels, Mask]:
         before = np.where((step < -DISCONTINUITY) & (other < layer), np.maximum(before, other), before)
         behind = np.where((step > DISCONTINUITY) & (other > layer), np.minimum(behind, other), behind)
         edge |= (other == 0) & (layer > 0)
+        uneven = (np.abs(step) > UNEVEN) | ((coc < 0) != (coc + step < 0))
+        edge |= uneven & (other > 0) & (layer > 0)
     near = np.where(before > 0, before, np.where(behind < 255, layer, 0)).astype(np.uint8)
     far = np.where(before > 0, layer, np.where(behind < 255, behind, 0)).astype(np.uint8)
     return near, far, edge | (near > 0)
@@ -211,8 +215,7 @@ def take_sheet(
     own, shared = layer == which, near == which
     share = np.where(shared, near_share, np.where(own, 1.0, 0.0))
     light = np.where(shared[..., None], near_light, np.where((own & (far == which))[..., None], far_light, radiance))
-    known = own | (share > 0.5)
-    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), known, levels)
+    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), own, levels)
     visible, hidden = share > 0, (layer > 0) & (layer < which)
     outline = _spread(share[..., None], ~hidden, levels)
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
