@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
 import numpy as np
@@ -20,6 +21,7 @@ from clsco.frame.strips import Strip
 from clsco.inputs.pupils import load_point_spread
 from clsco.inputs.soft_edges import LEAST_STEEPEST, assign_soft_edges, steepest_step
 from clsco.opencl.arrays import check_image, on_host, without_mask
+from clsco.opencl.buffers import allocate
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import GREEN, PointSpread, exposure_factor, spreads_of_colors
@@ -30,6 +32,7 @@ from clsco.passes.job import Job
 from clsco.passes.pack import grid_struct
 from clsco.passes.static_image import HostImage
 from clsco.passes.tables import forget_others
+from clsco.plan.buffers import image_buffers
 from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of
@@ -39,6 +42,8 @@ from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf
 
+MOST_IMAGES = 8  # that lie over each other
+SAME = 0.25  # px; as in kernels/layered/layered.cl
 Outside = Literal["mirror", "black"]
 SoftEdges = Literal["assign", "keep"]
 
@@ -75,11 +80,22 @@ def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, return_report: Literal[True],
     **options: Unpack[Options],
 ) -> tuple[cl_array.Array, DefocusReport]: ...  # fmt: skip
+@overload
+def defocus(
+    *, layers: Sequence[tuple[NDArray[Any], NDArray[Any]]], psf: PsfLike = None, return_report: Literal[False] = False,
+    **options: Unpack[Options],
+) -> NDArray[Any]: ...  # fmt: skip
+@overload
+def defocus(
+    *, layers: Sequence[tuple[NDArray[Any], NDArray[Any]]], psf: PsfLike = None, return_report: Literal[True],
+    **options: Unpack[Options],
+) -> tuple[NDArray[Any], DefocusReport]: ...  # fmt: skip
 def defocus(  # noqa: PLR0913, a parameter for each option
-    image: NDArray[Any] | cl_array.Array,
-    blur_radius: NDArray[Any] | cl_array.Array,
+    image: NDArray[Any] | cl_array.Array | None = None,
+    blur_radius: NDArray[Any] | cl_array.Array | None = None,
     psf: PsfLike = None,
     *,
+    layers: Sequence[tuple[NDArray[Any], NDArray[Any]]] = (),
     return_report: bool = False,
     aperture: ApertureLike = None,
     camera: CameraLike = None,
@@ -99,6 +115,10 @@ def defocus(  # noqa: PLR0913, a parameter for each option
         arrays are NumPy arrays, or pyopencl arrays of one queue, which are copied through the host.
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
+    layers : sequence of (array (rows, columns, 2 to 16), array (rows, columns)), optional
+        Instead of `image` and `blur_radius`, 1 to MOST_IMAGES images that lie over each other, such as a foreground and
+        what is behind it, each with its radii. Linear floats, the last channel is alpha from 0 to 1, by which the
+        others are multiplied. Where alpha is 0, the radius does not matter. Any order: radii say what is in front.
     psf : Psf, mapping or str, optional
         Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox", "gaussian" or "wave".
         Occlusion is "layered" or "none"; by default layered.
@@ -128,7 +148,8 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     Returns
     -------
     array of the image's shape
-        float32, or codes of the image's dtype; a NumPy or pyopencl array, like `image`.
+        float32, or codes of the image's dtype; a NumPy or pyopencl array, like `image`. For layers, with alpha, which
+        is 1 where the last one is opaque.
     DefocusReport
         Only with `return_report`.
 
@@ -165,21 +186,25 @@ def defocus(  # noqa: PLR0913, a parameter for each option
             raise SceneError(f"{name}: must be {names}; got {value!r}")
     model = psf_of(psf).of_images()
     opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
-    session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
-    picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
+    names, arrays = _given(image, blur_radius, layers)
+    session, arrays, as_given = on_host(device, **dict(zip(names, arrays, strict=True)))
+    arrays = [without_mask(*pair) for pair in zip(names, arrays, strict=True)]
+    picture = arrays[0]
     if lens_camera is not None and picture.ndim > 1:
         lens_camera = lens_camera.model_copy(update={"resolution": picture.shape[1::-1]})
     spread = load_point_spread(model, opening, camera=lens_camera)
     spreads = spreads_of_colors(spread, model, lens_camera)
-    codes = picture.dtype in (np.uint8, np.uint16)
-    linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
-    if opening.exposure == "area":
-        light = np.full(linear.shape[2:], exposure_factor(opening, spread), np.float32)
-        if codes and has_alpha(linear):
-            light[-1] = 1.0
-        linear = linear * light
-    inputs = _check_inputs(linear, radii, outside == "mirror" and model.border == "lose")
-    inputs, soft = _assign_edges(inputs) if soft_edges == "assign" and inputs.steepest >= LEAST_STEEPEST else (inputs, 0)
+    codes = picture.dtype in (np.uint8, np.uint16) and not layers
+    factor = exposure_factor(opening, spread) if opening.exposure == "area" else None
+    each = []
+    for name, picture, radii in zip(names[::2], arrays[::2], arrays[1::2], strict=True):
+        linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
+        _check_layer(name.removesuffix("image"), linear, radii, arrays[0].shape, alpha=bool(layers))
+        if factor is not None:
+            linear = linear * _shares(linear, factor, alpha=bool(layers) or (codes and has_alpha(linear)))
+        each.append(_Layer(linear, radii, alpha=bool(layers)))
+    each, soft = _assign_edges(each) if soft_edges == "assign" else (each, 0)
+    inputs = _Inputs(_near_to_far(each), outside == "mirror" and model.border == "lose")
     with session.reporting():
         limit = limit_of(memory, session.device)
         if limit.set_by_user:
@@ -187,14 +212,13 @@ def defocus(  # noqa: PLR0913, a parameter for each option
         parts: Iterable[tuple[_Inputs, PointSpread]] = [(inputs, spreads[GREEN])]
         separate = inputs.channels == len(spreads) and len(set(spreads)) > 1
         if separate:  # each color is blurred by itself
-            colors = (replace(inputs, image=np.ascontiguousarray(color)) for color in np.moveaxis(inputs.image, -1, 0))
-            parts = zip(colors, spreads, strict=True)
+            parts = ((inputs.of_color(color), color_psf) for color, color_psf in enumerate(spreads))
         results = [
             _blur_image(session, part, _spec(part, color_psf, model, method, session.device), limit)
             for part, color_psf in parts
         ]
-        result = np.stack(results, axis=-1) if separate else results[0]
-        blurred = as_given(encode_channels(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
+        result = _joined(results, alpha=bool(layers)) if separate else results[0]
+        blurred = as_given(encode_channels(result, 8 * arrays[0].dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 
 
@@ -206,82 +230,184 @@ class DefocusReport:
 
 
 @dataclass(frozen=True)
-class _Inputs:
-    """An image (rows, columns[, channels]), its map of signed radii, and properties of both.
-
-    smallest, largest: range of |R|, px; steepest: largest step of R between neighbors, px; brightest: largest |radiance|;
-    mirrored: True if image and radii continue as mirror images beyond the border.
-    """
+class _Layer:
+    """An image (rows, columns[, channels]), the last channel of which may be alpha, and its map of signed radii."""
 
     image: NDArray[Any]
     coc: NDArray[Any]
-    smallest: float
-    largest: float
-    steepest: float
-    brightest: float
+    alpha: bool
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Mask (rows, columns) of the pixels with a surface."""
+        return np.asarray(self.image[..., -1] > 0) if self.alpha else np.ones(self.coc.shape, np.bool_)
+
+    @cached_property
+    def steepest(self) -> float:
+        """Largest step of R between neighbors, px."""
+        return steepest_step(self.coc if self.coc.dtype.kind == "f" else self.coc.astype(np.float64))
+
+    def continues_in(self, other: _Layer) -> bool:
+        """True if both have the same radii, within SAME px, wherever one of them is."""
+        apart = np.abs(self.coc.astype(np.float64) - other.coc)[self.covered | other.covered]
+        return bool(apart.max(initial=0.0) <= SAME)
+
+    def mean_radius(self) -> float:
+        """Mean R of what is covered, px; 0 for one image."""
+        return float(np.average(self.coc, weights=self.image[..., -1])) if self.alpha and self.covered.any() else 0.0
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """Images with their radii, and properties of all of them.
+
+    layers: one image without alpha, or images with alpha from near to far; mirrored: True if they continue as mirror
+    images beyond the border.
+    """
+
+    layers: tuple[_Layer, ...]
     mirrored: bool
 
     @property
     def channels(self) -> int:
-        return int(self.image.shape[2]) if self.image.ndim == 3 else 1
+        image = self.layers[0].image
+        return int(image.shape[2]) if image.ndim == 3 else 1
+
+    @property
+    def images(self) -> int:
+        """Number of images with alpha."""
+        return len(self.layers) if self.layers[0].alpha else 0
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest |R|, px; 0 as the smallest is a lower bound without a search."""
+        low, high = min(float(each.coc.min()) for each in self.layers), max(float(e.coc.max()) for e in self.layers)
+        return 0.0 if low <= 0.0 <= high else min(abs(low), abs(high)), max(abs(low), abs(high))
+
+    @property
+    def brightest(self) -> float:
+        """Largest |radiance|."""
+        most = max(max(abs(float(each.image.max())), abs(float(each.image.min()))) for each in self.layers)
+        return float(np.float32(most))
+
+    def of_color(self, color: int) -> _Inputs:
+        """One color of the images, with their alpha."""
+        chosen = [color, -1] if self.images else color
+        return replace(
+            self, layers=tuple(replace(e, image=np.ascontiguousarray(e.image[..., chosen])) for e in self.layers)
+        )
 
 
-def _check_inputs(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Inputs:
-    check_image(picture)
+def _given(image: Any, blur_radius: Any, layers: Sequence[tuple[Any, Any]]) -> tuple[list[str], list[Any]]:
+    """Arrays of all layers, or of one image, and their names for messages."""
+    if bool(layers) != (image is None and blur_radius is None):
+        raise ArgumentError("layers: must be given in place of image and blur_radius; got both or none of them")
+    if len(layers) > MOST_IMAGES:
+        raise ArgumentError(f"layers: must be at most {MOST_IMAGES}; got {len(layers)}")
+    begins = [f"layers[{number}]: " for number in range(len(layers))] or [""]
+    names = [f"{begin}{array}" for begin in begins for array in ("image", "blur_radius")]
+    return names, [array for pair in layers or [(image, blur_radius)] for array in pair]
+
+
+def _shares(linear: NDArray[Any], factor: float, alpha: bool) -> NDArray[np.float32]:
+    """Factor of each channel; alpha: True if the last one is alpha, which stays."""
+    shares = np.full(linear.shape[2:], factor, np.float32)
+    if alpha:
+        shares[-1] = 1.0
+    return shares
+
+
+def _joined(results: list[NDArray[np.float32]], alpha: bool) -> NDArray[np.float32]:
+    """The blurred colors as channels of one image; alpha, if each color has it, is that of green."""
+    if not alpha:
+        return np.stack(results, axis=-1)
+    return np.concatenate([*(result[..., :1] for result in results), results[GREEN][..., 1:]], axis=-1)
+
+
+def _near_to_far(layers: list[_Layer]) -> tuple[_Layer, ...]:
+    """Layers from near to far. Those with the same radii are parts of one surface, and become one."""
+    joined: list[_Layer] = []
+    for layer in sorted(layers, key=_Layer.mean_radius):
+        if joined and joined[-1].continues_in(layer):
+            near = joined.pop()
+            image = near.image + (1.0 - near.image[..., -1:]) * layer.image
+            layer = _Layer(image, np.where(near.covered, near.coc, layer.coc), alpha=True)
+        joined.append(layer)
+    return tuple(joined)
+
+
+def _check_layer(
+    name: str, picture: NDArray[Any], radii: NDArray[Any], shape: tuple[int, ...], alpha: bool
+) -> None:  # fmt: skip
+    """Raise ArgumentError for an image with its radii that cannot be blurred, or that has not the first one's shape."""
+    check_image(picture, name)
+    if alpha and (picture.shape != shape or picture.ndim != 3 or picture.shape[2] < 2):
+        rule = f"must have the shape {shape} of the first one" if picture.shape != shape else "must have alpha"
+        raise ArgumentError(f"{name}image: {rule}; got {picture.shape}")
     if radii.shape != picture.shape[:2]:
         rule = f"must have the rows and columns of the image, {picture.shape[:2]}"
-        raise ArgumentError(f"blur_radius: {rule}; got {radii.shape}")
+        raise ArgumentError(f"{name}blur_radius: {rule}; got {radii.shape}")
     ends = []
-    for name, array in (("image", picture), ("blur_radius", radii)):
+    for what, array in (("image", picture), ("blur_radius", radii)):
         if array.dtype.kind not in "fiu":
-            raise ArgumentError(f"{name}: must hold real numbers; got {array.dtype}")
+            raise ArgumentError(f"{name}{what}: must hold real numbers; got {array.dtype}")
         ends.append((float(array.min()), float(array.max())))  # not finite if a value is not; needs no mask
         if not np.isfinite(ends[-1]).all():
-            raise ArgumentError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
+            bad = int((~np.isfinite(array)).sum())
+            raise ArgumentError(f"{name}{what}: must be finite; got {bad} values that are not")
     if picture.dtype.kind != "f":
-        raise ArgumentError(f"image: must be floats, uint8 or uint16; got {picture.dtype}")
-    brightest, largest = (max(abs(low), abs(high)) for low, high in ends)
+        kinds = "floats" if alpha else "floats, uint8 or uint16"
+        raise ArgumentError(f"{name}image: must be {kinds}; got {picture.dtype}")
+    if alpha and not 0.0 <= picture[..., -1].min() <= picture[..., -1].max() <= 1.0:
+        raise ArgumentError(f"{name}image: alpha must be from 0 to 1; got {picture[..., -1].max():.4g}")
+    largest = max(map(abs, ends[1]))
     if largest > LARGEST_BLUR:
-        raise ArgumentError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-    low, high = ends[1]
-    smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # 0: lower bound without a search
-    steepest = 0.0 if low == high else steepest_step(radii.astype(np.float64) if radii.dtype.kind != "f" else radii)
-    return _Inputs(picture, radii, smallest, largest, steepest, float(np.float32(brightest)), mirrored)
+        raise ArgumentError(f"{name}blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
 
 
-def _assign_edges(inputs: _Inputs) -> tuple[_Inputs, int]:
+def _assign_edges(layers: list[_Layer]) -> tuple[list[_Layer], int]:
     """Assign pixels with a radius between those of two surfaces to one of them; also returns their number."""
-    coc_floats = inputs.coc if inputs.coc.dtype in (np.float32, np.float64) else inputs.coc.astype(np.float64)
-    pixels, radii = assign_soft_edges(coc_floats, None, lambda: inputs.image)
-    if not len(pixels):
-        return inputs, 0
-    coc = inputs.coc.astype(np.float64)
-    coc.flat[pixels] = radii
-    coc = coc.astype(np.promote_types(inputs.coc.dtype, np.float16), copy=False)
-    return replace(inputs, coc=coc, steepest=steepest_step(coc)), len(pixels)
+    new, count = [], 0
+    for layer in layers:
+        pixels = np.zeros(0, np.intp)
+        if layer.steepest >= LEAST_STEEPEST:
+            coc = layer.coc if layer.coc.dtype in (np.float32, np.float64) else layer.coc.astype(np.float64)
+            coc = np.where(layer.covered, coc, np.nan) if layer.alpha else coc
+            pixels, radii = assign_soft_edges(coc, None, lambda image=layer.image: image)
+        if len(pixels):
+            assigned = layer.coc.astype(np.float64)
+            assigned.flat[pixels] = radii
+            kind = np.promote_types(layer.coc.dtype, np.float16)
+            layer = replace(layer, coc=assigned.astype(kind, copy=False))
+        new.append(layer)
+        count += len(pixels)
+    return new, count
 
 
 def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: DeviceFacts) -> BlurSpec:
-    check_waves(psf, inputs.largest)
-    one_radius = inputs.smallest == inputs.largest and model.border == "lose"
-    blur = choose_blur(method, psf, device, inputs.largest, inputs.channels, one_radius).value
-    layered = model.occlusion == "layered" and blur != "convolve" and inputs.steepest > DISCONTINUITY
+    smallest, largest = inputs.ends
+    check_waves(psf, largest)
+    one_radius = smallest == largest and model.border == "lose" and not inputs.images
+    # Images that lie over each other are blurred even if all is in focus.
+    most = max(largest, 1.0) if inputs.images else largest
+    blur = choose_blur(method, psf, device, most, inputs.channels, one_radius).value
+    layered = model.occlusion == "layered" and blur != "convolve" and inputs.layers[0].steepest > DISCONTINUITY
     return BlurSpec(
-        psf, blur, inputs.smallest, inputs.largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
-        layered=layered,
+        psf, blur, smallest, largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
+        layered=layered or inputs.images > 0, images=inputs.images,
     )  # fmt: skip
 
 
 def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
     """Blur the image in as few strips as the memory limit allows."""
     if spec.method == "none":
-        return inputs.image.astype(np.float32)
+        return inputs.layers[0].image.astype(np.float32)
     lanes, guard = 2 * TAP_LANES if spec.method == "convolve" else 0, 0
     if inputs.mirrored or spec.layered:  # sheets go on beyond the border, with coverage 0 where it is black
-        guard = guard_band(spec.psf, spec.border, inputs.largest)
+        guard = guard_band(spec.psf, spec.border, spec.largest)
     elif lanes:
-        guard = spec.psf.reach(inputs.largest)
-    rows, columns = inputs.coc.shape
+        guard = spec.psf.reach(spec.largest)
+    rows, columns = inputs.layers[0].coc.shape
     plan = ImagePlan(spec, session.device, rows, columns, inputs.channels, guard + lanes)
     memory = Shrinking(session, limit, lambda smaller: fit_strips(plan, smaller), device_bytes)
     return memory.run(lambda fitting: _blur_strips(session, inputs, fitting))
@@ -289,11 +415,12 @@ def _blur_image(session: Session, inputs: _Inputs, spec: BlurSpec, limit: Limit)
 
 def _blur_strips(session: Session, inputs: _Inputs, plan: ImagePlan) -> NDArray[np.float32]:
     """Blur the image in the strips of a plan."""
-    spec, shape = plan.spec, inputs.image.shape if plan.channels > 1 else inputs.coc.shape
+    spec, first = plan.spec, inputs.layers[0]
+    shape = first.image.shape if plan.channels > 1 else first.coc.shape
     real: Real = "double" if session.device.has_fp64 else "float"
     # If the image is blurred in one strip, kernels read the caller's arrays, unless they would write to them.
     lends = len(plan.strips) == 1 and not plan.guard_px and spec.border == "lose"
-    floats = lends and not spec.layered and np.can_cast(inputs.coc.dtype, np.float32)
+    floats = lends and not spec.layered and np.can_cast(first.coc.dtype, np.float32)
     buffers = shared_buffers(session, plan, ("value", "coc", "valid") if floats else ("value", "coc") if lends else ())
     grids = (grid_struct(plan.rows, plan.columns, plan.guard_px, real, strip) for strip in plan.strips)
     jobs = [Job(strip=s, grid=grid, events=[]) for s, grid in zip(plan.strips, grids, strict=True)]
@@ -303,27 +430,28 @@ def _blur_strips(session: Session, inputs: _Inputs, plan: ImagePlan) -> NDArray[
     for job in jobs:
         outputs = space.run(plan.passes, replace(job, bounds=bounds or None))  # keeps lent arrays alive
         outputs["plane"].read(session, out[job.strip.inside])
-    return out.reshape(inputs.image.shape)
+    return out.reshape(first.image.shape)
 
 
 class _Source(HostImage):
-    """Supplies strips of the image and of its radii; dtype: type of the radii on the device."""
+    """Supplies strips of an image and of its radii; dtype: type of the radii on the device."""
 
-    def __init__(self, session: Session, inputs: _Inputs, plan: ImagePlan, dtype: Any) -> None:
-        super().__init__(session, inputs.image, plan.guard_px, "symmetric" if inputs.mirrored else "constant")
-        self.inputs, self.dtype, self.one_radius = inputs, dtype, plan.spec.method == "convolve"
+    def __init__(self, session: Session, layer: _Layer, mirrored: bool, plan: ImagePlan, dtype: Any) -> None:
+        super().__init__(session, layer.image, plan.guard_px, "symmetric" if mirrored else "constant")
+        self.layer, self.dtype, self.one_radius = layer, dtype, plan.spec.method == "convolve"
+        self.masked = layer.alpha or (plan.guard_px > 0 and not mirrored)
 
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
         if self.one_radius:
             return {}
-        planes = {"coc": self._around(self.inputs.coc, strip).astype(self.dtype, "C", copy=False)}
-        if self.guard and not self.inputs.mirrored:
-            planes["valid"] = self._around(np.ones(self.inputs.coc.shape, np.uint8), strip)
+        planes = {"coc": self._around(self.layer.coc, strip).astype(self.dtype, "C", copy=False)}
+        if self.masked:
+            planes["valid"] = self._around(self.layer.covered.view(np.uint8), strip)
         return planes
 
 
 class _ImageWorkspace(BlurWorkspace):
-    """Runs all passes of an image with its map of radii."""
+    """Runs all passes of an image, or of several that lie over each other, with its map of radii."""
 
     def __init__(
         self, session: Session, inputs: _Inputs, plan: ImagePlan, grid: Struct, buffers: Mapping[str, cl.Buffer],
@@ -331,10 +459,16 @@ class _ImageWorkspace(BlurWorkspace):
     ) -> None:  # fmt: skip
         maps: Maps = "float" if floats else "wide"
         super().__init__(session, buffers, plan.spec, plan.grid, grid, real, maps)
-        self.source = _Source(session, inputs, plan, np.float32 if floats else REAL[real])
+        dtype = np.float32 if floats else REAL[real]
+        self.uploads = [_Source(session, layer, inputs.mirrored, plan, dtype) for layer in inputs.layers]
+        others = allocate(session, image_buffers(plan.spec, plan.grid))
+        names = ("value", "coc", "valid")
+        self.planes = [buffers, *({n: others[f"{n} {k}"] for n in names} for k in range(2, plan.spec.images + 1))]
         if "valid" in buffers:
             cl.enqueue_fill_buffer(session.queue, buffers["valid"], np.ones(1, np.uint8), 0, buffers["valid"].size)
 
-    def static_image(self, job: Job, _: Pass) -> tuple[Image | Sources]:
-        image, inputs = self.source.image(job, self.buffers), self.source.inputs
-        return (Sources(None, image.value, radius=inputs.largest) if self.source.one_radius else image,)
+    def static_image(self, job: Job, _: Pass) -> tuple[Image | Sources | tuple[Image, ...]]:
+        images = tuple(source.image(job, planes) for source, planes in zip(self.uploads, self.planes, strict=True))
+        if self.uploads[0].one_radius:
+            return (Sources(None, images[0].value, radius=self.spec.largest),)
+        return (images if self.spec.images else images[0],)

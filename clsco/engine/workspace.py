@@ -130,7 +130,8 @@ class BlurWorkspace(Workspace):
             from clsco.passes.clusters import Clusters, layered_program
             from clsco.passes.layered import DepthLayers
 
-            self._clusters = Clusters(layered_program(session, tallest.channels, real), spec, tallest)
+            kernels = layered_program(session, tallest.channels, real, alpha=spec.images > 0)
+            self._clusters = Clusters(kernels, spec, tallest)
             self._composite = DepthLayers(self._blurred, self._clusters, tallest, behind_rims)
 
     def find_layers(self, passes: Iterable[Pass], jobs: Iterable[Any]) -> tuple[tuple[int, ...], ...]:
@@ -142,7 +143,7 @@ class BlurWorkspace(Workspace):
             return ()
         before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
         for job in jobs:
-            self._clusters.find(job, self.run(before, job)["image"])
+            self._clusters.find(job, _all_of(self.run(before, job)["image"]))
         return (self._clusters.read_bounds(),)
 
     def sources(self, job: Job, _: Pass, image: Image) -> Outputs:
@@ -158,15 +159,20 @@ class BlurWorkspace(Workspace):
         self._blurred.add(sources, job.events)
         return (self._blurred.plane(job.events),)
 
-    def cluster(self, job: Job, step: Pass, image: Image) -> Outputs:
+    def cluster(self, job: Job, step: Pass, image: Image | tuple[Image, ...]) -> Outputs:
+        images = _all_of(image)
         if job.bounds is not None:
-            return (self._clusters.divide(job, image, job.bounds[step.color or 0]),)
-        self._clusters.find(job, image)
-        return (self._clusters.divide(job, image, self._clusters.read_bounds()),)
+            return (self._clusters.divide(job, images, job.bounds[step.color or 0]),)
+        self._clusters.find(job, images)
+        return (self._clusters.divide(job, images, self._clusters.read_bounds()),)
 
     def depth_layers(self, job: Job, _: Pass, layers: Layers) -> Outputs:
         self._blurred.begin(job.grid)
         return self._composite.add(job, layers), layers.count
+
+
+def _all_of(image: Image | tuple[Image, ...]) -> tuple[Image, ...]:
+    return image if isinstance(image, tuple) else (image,)
 
 
 @dataclass(frozen=True)

@@ -47,9 +47,11 @@ def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(array)
 
 
-def check_image(image: NDArray[Any]) -> None:
-    """Raise ArgumentError unless the shape is (rows, columns) or (rows, columns, 1 to MOST_CHANNELS), not empty."""
+def check_image(image: NDArray[Any], where: str = "") -> None:
+    """Raise ArgumentError unless the shape is (rows, columns) or (rows, columns, 1 to MOST_CHANNELS), not empty.
+
+    where: beginning of the message.
+    """
     if image.ndim not in (2, 3) or 0 in image.shape or (image.ndim == 3 and image.shape[2] > MOST_CHANNELS):
-        raise ArgumentError(
-            f"image: must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS}); got {image.shape}"
-        )
+        rule = f"must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS})"
+        raise ArgumentError(f"{where}image: {rule}; got {image.shape}")

@@ -46,7 +46,7 @@ def reaches_of(psf: PointSpread, radii: NDArray[np.float64]) -> NDArray[np.int64
 
 
 def level_count(deep: int) -> int:
-    """Number of levels of a pyramid above the finest, so that what is known reaches all pixels within `deep` px of it."""
+    """Number of levels of a pyramid above the finest: what is known reaches all pixels within `deep` px of it."""
     return max((deep - 1).bit_length() + 1, 1)
 
 

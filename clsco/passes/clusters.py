@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pyopencl as cl
@@ -17,13 +17,13 @@ from clsco.opencl.session import Session
 from clsco.optics.depth_layers import bins_of, layer_bounds, levels_of, most_deep, reaches_of
 from clsco.passes.blur import PIXELS, Image
 from clsco.passes.job import Job
-from clsco.plan.buffers import cluster_buffers
+from clsco.plan.buffers import cluster_buffers, label_buffers
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct
 
 LINES = (8,)  # local size of kernels with a work-item per row or column
 TILES = (8, 1)  # local size of kernels with a work-item per tile
-ZERO = np.zeros(1, np.uint32)
+ZERO, ONE = np.zeros(1, np.uint32), np.ones(1, np.uint32)
 NONE = np.full(1, -1, np.int32)
 
 
@@ -54,8 +54,9 @@ class Layers:
     sheets : iterator of Sheet
         The layers from near to far. Each sheet is computed when requested and may overwrite the previous one. Empty if
         there is only one layer.
-    image : Image
-        The whole image, blurred without occlusion away from edges; overwritten with border = "renormalize".
+    image : Image or None
+        The whole image, blurred without occlusion away from edges; overwritten with border = "renormalize". None for
+        images with alpha.
     marked, to_plain : Buffer
         int of each tile: 1 where `sheets` are used, 0 where `image` is used, and the distance in px to a tile of the
         latter kind; not read if there is one layer.
@@ -63,20 +64,20 @@ class Layers:
 
     count: int
     sheets: Iterator[Sheet]
-    image: Image
+    image: Image | None
     marked: cl.Buffer
     to_plain: cl.Buffer
 
 
-def layered_program(session: Session, channels: int, real: Real) -> Target:
-    """Target with the kernels of layered.cl, for images of `channels` channels. The kernels have a program of their
-    own, because they depend on few features.
+def layered_program(session: Session, channels: int, real: Real, alpha: bool = False) -> Target:
+    """Target with the kernels of layered.cl, for images of `channels` channels, the last of which may be alpha. The
+    kernels have a program of their own, because they depend on few features.
     """
-    return Target.build(session, ["layered/layered.cl"], {"CHANNELS": channels}, real)
+    return Target.build(session, ["layered/layered.cl"], {"CHANNELS": channels - alpha, "ALPHA": int(alpha)}, real)
 
 
 class Clusters:
-    """Splits an image into depth layers by its signed blur radii.
+    """Splits an image, or several with alpha that lie over each other, into depth layers by their signed blur radii.
 
     For a frame in strips, call `find` for all strips first.
 
@@ -93,6 +94,8 @@ class Clusters:
     ----------
     buffers : dict
         Buffers named as in `clsco.plan.buffers.cluster_buffers`, and described in layered.cl.
+    labels : list of dict
+        The same for `clsco.plan.buffers.label_buffers`, for each image.
 
     Raises
     ------
@@ -107,7 +110,7 @@ class Clusters:
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid) -> None:
-        self.target, self.psf, self.channels = target, spec.psf, tallest.channels
+        self.target, self.alpha, self.colors = target, spec.images > 0, tallest.channels - (spec.images > 0)
         self.low, self.bins = bins_of(spec.largest)
         self.gap = 2 * spec.psf.reach(spec.largest) + 1
         self.deep = most_deep(spec.psf, spec.largest)
@@ -116,14 +119,17 @@ class Clusters:
         self.near = np.int32(self.deep + 2 * LAYER_TILE)
         self.spread = real_pair(spec.psf.extent, spec.psf.pupil.margin, target.real)
         self.buffers = allocate(target.session, cluster_buffers(spec, tallest))
+        sizes = label_buffers(spec, tallest)
+        self.labels = [allocate(target.session, sizes) for _ in range(max(spec.images, 1))]
         self._fill(ZERO, "latest")
 
-    def find(self, job: Job, image: Image) -> None:
-        """Record the depth discontinuities in the image of a time sample, or of one of its strips."""
+    def find(self, job: Job, images: Sequence[Image]) -> None:
+        """Record the depth discontinuities in the images of a time sample, or of one of its strips."""
         head = (job.grid, real_scalar(self.low, self.target.real), np.int32(self.bins), np.int32(self.gap))
         width, height = size_of(job.grid)
-        args = (*head, *image.maps, self.buffers["latest"])
-        self.target.run("find_discontinuities", (height + width,), LINES, job.events, *args)
+        for image in images:
+            args = (*head, *image.maps, self.buffers["latest"])
+            self.target.run("find_discontinuities", (height + width,), LINES, job.events, *args)
 
     def read_bounds(self) -> tuple[int, ...]:
         """First bins of all depth layers but the nearest, from all strips passed to `find` since the last call. Waits
@@ -134,38 +140,51 @@ class Clusters:
         self._fill(ZERO, "latest")
         return tuple(layer_bounds(latest))
 
-    def divide(self, job: Job, image: Image, bounds: tuple[int, ...]) -> Layers:
-        """Split an image, or one of its strips, into the depth layers between `bounds`."""
-        planes, count = (self.buffers["marked"], self.buffers["to_plain"]), len(bounds) + 1
-        if count == 1:
-            return Layers(1, iter(()), image, *planes)
-        self._label(job, image, bounds)
-        return Layers(count, (self._sheet(job, image, number) for number in range(1, count + 1)), image, *planes)
+    def divide(self, job: Job, images: Sequence[Image], bounds: tuple[int, ...]) -> Layers:
+        """Split images, or one of their strips, into the depth layers between `bounds`. Of images in the same layer,
+        the first is the nearest.
+        """
+        tiles, count = self._named("marked", "to_plain"), len(bounds) + 1
+        if count == 1 and not self.alpha:
+            return Layers(1, iter(()), images[0], *tiles)
+        for image, labels in zip(images, self.labels, strict=True):
+            self._label(job, image, labels, bounds)
+        self._mark(job)
+        pairs = product(range(1, count + 1), zip(images, self.labels, strict=True))
+        sheets = (self._sheet(job, image, labels, number) for number, (image, labels) in pairs)
+        return Layers(count, sheets, None if self.alpha else images[0], *tiles)
 
-    def _label(self, job: Job, image: Image, bounds: tuple[int, ...]) -> None:
-        """Compute the depth layer of each pixel, the surfaces in pixels at edges, and the tiles in which edges matter."""
+    def _label(self, job: Job, image: Image, labels: Mapping[str, cl.Buffer], bounds: tuple[int, ...]) -> None:
+        """Compute the depth layer of each pixel, and the surfaces in pixels at edges."""
         run, size, (coc, valid) = self.target.run, size_of(job.grid), image.maps
-        layer, sides, mixed, reach, edge, marked = self._named("layer", "sides", "mixed", "reach", "edge", "marked")
+        layer, sides, mixed = labels.values()
         padded = (*bounds, *(0,) * (8 - len(bounds)))  # at most MOST_LAYERS - 1
         packed = cl.cltypes.make_int8(*padded)  # type: ignore[attr-defined]
         head = (job.grid, real_scalar(self.low, self.target.real), np.int32(self.bins), np.int32(len(bounds)), packed)
         run("label_depth_layers", size, PIXELS, job.events, *head, coc, valid, layer)
-        run("find_edges", tiles_of(job.grid), TILES, job.events, job.grid, self.spread, coc, layer, sides, reach, edge)
+        args = (job.grid, self.spread, image.value, coc, layer, sides, *self._named("reach", "edge"))
+        run("find_edges", tiles_of(job.grid), TILES, job.events, *args)
         run("unmix", size, PIXELS, job.events, job.grid, image.value, layer, sides, mixed)
-        self._run_tiles(job, "mark_tiles", reach, edge, marked)
+
+    def _mark(self, job: Job) -> None:
+        """Mark the tiles in which edges matter, or with alpha all."""
+        marked, left = self._named("marked", "left")
+        if self.alpha:
+            self._fill(ONE, "marked")
+        else:
+            self._run_tiles(job, "mark_tiles", *self._named("reach", "edge"), marked)
         for name, which in (("to_plain", 0), ("to_marked", 1)):
             self._run_tiles(job, "measure_tiles", np.int32(which), marked, self.buffers[name])
-        queue = self.target.session.queue
-        cl.enqueue_copy(queue, self.buffers["left"], marked)
+        cl.enqueue_copy(self.target.session.queue, left, marked)
 
-    def _sheet(self, job: Job, image: Image, index: int) -> Sheet:
+    def _sheet(self, job: Job, image: Image, labels: Mapping[str, cl.Buffer], index: int) -> Sheet:
         """The sheet of depth layer number `index`, from 1."""
         run, number, (width, height) = self.target.run, np.int32(index), size_of(job.grid)
         pyramid, left, to_left = self._named("pyramid", "left", "to_left")
         sheet_reach, wanted, to_wanted = self._named("sheet_reach", "wanted", "to_wanted")
         value, coc, valid = self._named("value", "coc", "valid")
-        planes = (image.value, image.maps[0], *self._named("layer", "sides", "mixed"), pyramid)
-        levels = levels_of(height, width, self.deep, self.channels + 4)
+        planes = (image.value, image.maps[0], *labels.values(), pyramid)
+        levels = levels_of(height, width, self.deep, self.colors + 4)
         rows, columns, _ = levels[0]
         head, marked = (job.grid, number, np.int32(rows), np.int32(columns)), (self.near, self.buffers["to_marked"])
         self._run_tiles(job, "measure_tiles", np.int32(1), left, to_left)
@@ -179,7 +198,8 @@ class Clusters:
             run("pull", fine[1::-1], PIXELS, job.events, *args)
         self._fill(NONE, "sheet_reach")
         out = (to_left, value, coc, valid, sheet_reach)
-        run("take_sheet", (tiles_of(job.grid)[0], height), TILES, job.events, *head, np.int32(self.far), self.spread, *planes, *out)
+        head = (*head, np.int32(self.far), self.spread)
+        run("take_sheet", (tiles_of(job.grid)[0], height), TILES, job.events, *head, *planes, *out)
         self._run_tiles(job, "want_tiles", sheet_reach, left, wanted)
         self._run_tiles(job, "measure_tiles", np.int32(1), wanted, to_wanted)
         self._fill(ZERO, "still_left")

@@ -51,7 +51,7 @@ class DepthLayers:
     def __init__(
         self, blur: BlurredPlane, clusters: Clusters, tallest: Grid, behind_rims: BehindRims | None = None
     ) -> None:  # fmt: skip
-        kernels, spec, planes = clusters.target, sheet_spec(blur.spec), tallest.channels + 2
+        kernels, spec, planes = clusters.target, sheet_spec(blur.spec), clusters.colors + 2
         session, real = kernels.session, kernels.real
         target = blur_target(session, spec, planes, real)
         self.outer, self.inner = blur, make_blur(target, spec, replace(tallest, channels=planes), blur.grid)
@@ -66,19 +66,22 @@ class DepthLayers:
         behind: dict[str, Any] = {}
         if self.depth is not None and self.behind_rims is not None:
             behind = self.behind_rims(job) | {"depth": self.depth}
-        if layers.count > 1:
+        several = layers.count > 1 or layers.image is None
+        if several:
             self._begin(job, behind)
         for sheet in layers.sheets:
             self._lay(job, sheet, behind)
-        sources = self._sources(job, self.outer, layers.image, behind)
-        if layers.count > 1:
-            self._keep(job, layers.image, 0, layers.marked, layers.to_plain)
-        # Last, since border = "renormalize" overwrites the radiance of the image.
-        self.outer.add(sources, job.events)
+        if layers.image is not None:
+            sources = self._sources(job, self.outer, layers.image, behind)
+            if several:
+                self._keep(job, layers.image, 0, layers.marked, layers.to_plain)
+            # Last, since border = "renormalize" overwrites the radiance of the image.
+            self.outer.add(sources, job.events)
         plane = self.outer.plane(job.events)
-        if layers.count > 1:
-            args = (job.grid, np.int32(self.outer.pitch), np.int32(self.outer.pad), layers.marked, self.light)
-            self.target.run("put_layers", self.outer.size, PIXELS, job.events, *args, plane.buffer)
+        if several:
+            args = (job.grid, np.int32(self.outer.pitch), np.int32(self.outer.pad), layers.marked)
+            out = (self.light, self.room, plane.buffer)
+            self.target.run("put_layers", self.outer.size, PIXELS, job.events, *args, *out)
         return plane
 
     def _begin(self, job: Job, behind: dict[str, Any]) -> None:

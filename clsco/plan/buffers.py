@@ -223,28 +223,29 @@ def sheet_spec(spec: BlurSpec) -> BlurSpec:
 
 
 TILE_PLANES = (
-    "reach", "edge", "marked", "to_marked", "to_plain", "left", "still_left", "to_left", "sheet_reach", "wanted", "to_wanted",
+    "reach", "edge", "marked", "to_marked", "to_plain", "left", "still_left", "to_left", "sheet_reach", "wanted",
+    "to_wanted",
 )  # fmt: skip
 
 
+def label_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
+    """Buffers that assign the pixels of one image to depth layers, in the order of kernel arguments."""
+    pixels, colors = grid.sources, grid.channels - (spec.images > 0)
+    return {"layer": pixels, "sides": pixels, "mixed": 4 * (2 * colors + 1) * pixels}
+
+
 def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Buffers for splitting an image into depth layers (`clsco.passes.clusters.Clusters`). These are the planes that
-    assign pixels to layers, those of tiles, and the planes of one sheet with its pyramid. spec: specification of the
-    frame's blur.
+    """Buffers for splitting images into depth layers (`clsco.passes.clusters.Clusters`) that all images share. These
+    are the planes of tiles, and the planes of one sheet with its pyramid. spec: specification of the frame's blur.
     """
-    pixels, planes = (
-        grid.sources,
-        grid.channels + 4,
-    )  # of the pyramid: also radius, coverage, and how far these are known
+    pixels, colors = grid.sources, grid.channels - (spec.images > 0)
+    planes = colors + 4  # of the pyramid: also radius, coverage, and where both are known
     rows, columns, start = levels_of(grid.height, grid.width, most_deep(spec.psf, spec.largest), planes)[-1]
     tiles = 4 * ceil(grid.height / LAYER_TILE) * ceil(grid.width / LAYER_TILE)
     return {
         "latest": 4 * DISCONTINUITY_CLASSES * bins_of(spec.largest)[1],
-        "layer": pixels,
-        "sides": pixels,
-        "mixed": 4 * (2 * grid.channels + 1) * pixels,
         "pyramid": 4 * (start + planes * rows * columns),
-        "value": 4 * (grid.channels + 2) * pixels,  # with coverage and ones
+        "value": 4 * (colors + 2) * pixels,  # with coverage and ones
         "coc": REAL_BYTES * pixels,
         "valid": pixels,
     } | dict.fromkeys(TILE_PLANES, tiles)
@@ -256,9 +257,9 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     They hold sources, the light of all sheets so far, the room behind them, and the blur of a sheet, for which names
     begin with "blur ". spec: specification of the frame's blur.
     """
-    pixels, layer = grid.rows * grid.columns, sheet_spec(spec)
-    sizes = source_buffers(spec, grid) | {"room": 4 * pixels, "light": 4 * grid.channels * pixels}
-    inner = blur_buffers(layer, replace(grid, channels=grid.channels + 2), device)
+    pixels, layer, colors = grid.rows * grid.columns, sheet_spec(spec), grid.channels - (spec.images > 0)
+    sizes = source_buffers(spec, grid) | {"room": 4 * pixels, "light": 4 * colors * pixels}
+    inner = blur_buffers(layer, replace(grid, channels=colors + 2), device)
     span, layer_span = (rounded_span(each.psf, each.smallest, each.largest, 0) for each in (spec, layer))
     if span == layer_span:  # one table serves both
         inner = {name: size for name, size in inner.items() if name not in TABLES}
@@ -369,6 +370,12 @@ def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
     """
     pixels, planes = grid.sources, grid.channels + mapped
     return {"value": 4 * planes * pixels, "depth": REAL_BYTES * pixels, "label": pixels}
+
+
+def image_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
+    """Buffers of images with alpha after the first one, which `map_buffers` has."""
+    each = map_buffers(grid)
+    return {f"{name} {number}": size for number in range(2, spec.images + 1) for name, size in each.items()}
 
 
 def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:

@@ -15,6 +15,8 @@ from clsco.plan.buffers import (
     Sizes,
     blur_buffers,
     cluster_buffers,
+    image_buffers,
+    label_buffers,
     layered_buffers,
     map_buffers,
     sensor_buffers,
@@ -54,6 +56,8 @@ def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Par
     if spec.layered:
         sizes = prefix_names("depth layer", layered_buffers(spec, grid, device)) | blur
         clusters = prefix_names("depth layer", cluster_buffers(spec, grid))
+        for number in range(max(spec.images, 1)):
+            clusters |= prefix_names(f"depth layer {number + 1}", label_buffers(spec, grid))
         yield Pass("cluster", CLUSTERED, clusters, ("image",), ("layers",))
         yield Pass("depth layers", parameters, sizes, ("layers",), ("plane", "depth_layers"))
         return
@@ -130,7 +134,7 @@ class ImagePlan:
     @cached_property
     def passes(self) -> tuple[Pass, ...]:
         """Passes that blur a strip, in the order in which they run."""
-        sizes, light = map_buffers(self.grid), light_of(self.spec)
+        sizes, light = map_buffers(self.grid) | image_buffers(self.spec, self.grid), light_of(self.spec)
         if light == "sources":
             sizes = {"value": sizes["value"]}
         return Pass("static image", (), sizes, (), (light,)), *blur_passes(self.spec, self.grid, self.device)

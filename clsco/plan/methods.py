@@ -68,6 +68,7 @@ class BlurSpec:
     brightest: float = 1.0  # largest |radiance|, which determines the unit of integer sums
     border: Literal["lose", "renormalize"] = "lose"  # light beyond the frame is lost, or returned to the frame
     layered: bool = False  # True if sources are in depth layers, with nearer ones hiding farther ones
+    images: int = 0  # number of images with alpha that lie over each other, 0 for one image without alpha
     curved: int = 0  # feature CURVED of the lens if visibility tests or ellipses need it, else 0
     shared: bool = False  # True if sub-pixel sources of fine textures may share the visibility test of their pixel
     small: bool = False  # True if small surfaces have their own slots of sub-pixel sources

@@ -7,7 +7,7 @@
 // psf.occlusion = "layered".
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
-//   value    float (CHANNELS, height, width): radiance
+//   value    float (CHANNELS, height, width): radiance; with ALPHA, times alpha, which is one more plane
 //   coc      real: signed blur radius in px
 //   valid    uchar: 1 where there is a surface
 //   layer    uchar: 1 is the nearest, 0 no surface
@@ -37,6 +37,7 @@
 #define MASK_REACH 2      // px, last offset of MASK
 #define NOISE 5.0f        // weight of the surfaces' variance against the color of a mixed pixel
 #define LEAST_DEVIATION 0.02f  // least standard deviation of a surface, as a share of its color
+#define OPAQUE 0.999f     // least alpha of pixels whose color may be that of two surfaces
 #define UNEVEN 0.1f       // px, least step of the radius that changes the brightness of an even surface
 #define SAME 0.25f        // px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 #define GAIN 4.0f         // steepness of a hidden outline
@@ -127,14 +128,19 @@ static int sides_of(const grid_t grid, int x, int y, int own, __global const rea
     return before ? before << 4 | own : behind ? own << 4 | behind : 0;
 }
 
+// Share of pixel `at` that its surface covers.
+static float alpha_of(__global const float *value, int plane, int at) {
+    return ALPHA ? value[CHANNELS * plane + at] : 1;
+}
+
 // True if sources of two neighbors do not add up to even light: their radii differ, or the focus is between them.
 static bool is_uneven(real coc, real other) {
     return ABS(other - coc) > UNEVEN || (coc < 0) != (other < 0);
 }
 
-// One tile per work-item. In: coc, layer. Out: sides, reach, edge.
-__kernel void find_edges(const grid_t grid, const real2 spread, __global const real *coc,
-                         __global const uchar *layer, __global uchar *sides, __global int *reach,
+// One tile per work-item. In: value, coc, layer. Out: sides, reach, edge.
+__kernel void find_edges(const grid_t grid, const real2 spread, __global const float *value,
+                         __global const real *coc, __global const uchar *layer, __global uchar *sides, __global int *reach,
                          __global int *edge) {
     const int left = get_global_id(0) * LAYER_TILE, top = get_global_id(1) * LAYER_TILE;
     if (left >= grid.width || top >= grid.height)
@@ -151,6 +157,8 @@ __kernel void find_edges(const grid_t grid, const real2 spread, __global const r
             const bool same = inside && layer[at - 1] == own && layer[at + 1] == own &&
                               layer[at - grid.width] == own && layer[at + grid.width] == own;
             sides[at] = same || !own ? 0 : sides_of(grid, x, y, own, coc, layer, &edges);
+            if (alpha_of(value, grid.width * grid.height, at) < OPAQUE)
+                sides[at] = 0;
             edges |= sides[at];
             if (own && x + 1 < grid.width && layer[at + 1])
                 edges |= is_uneven(coc[at], coc[at + 1]);
@@ -183,7 +191,7 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
     for (int dy = MAX(-MIXED_AROUND, -y); dy <= MIN(MIXED_AROUND, grid.height - 1 - y); ++dy)
         for (int dx = MAX(-MIXED_AROUND, -x); dx <= MIN(MIXED_AROUND, grid.width - 1 - x); ++dx) {
             const int there = at + dy * grid.width + dx, own = layer[there];
-            if (own != near && own != far)
+            if ((own != near && own != far) || alpha_of(value, plane, there) < OPAQUE)
                 continue;
             const bool behind = own == far;
             if (MAX(ABS(dx), ABS(dy)) <= MASK_REACH)
@@ -277,27 +285,28 @@ static void raise(__global int *entry, int value) {
         atomic_max(entry, value);
 }
 
-// What a pixel shows of a sheet. light: its radiance, planes apart; share: its coverage; known: 1 if radiance and
-// radius are known; settled: 1 if its coverage is known, 0 behind a nearer layer.
+// What a pixel shows of a sheet. light: its radiance, planes apart, to be multiplied by scale; share: its coverage;
+// known: weight of its radiance and radius; settled: 1 if its coverage is known, 0 behind a nearer layer.
 typedef struct {
     __global const float *light;
-    float share, known, settled;
+    float scale, share, known, settled;
 } part_t;
 
 // The part of sheet `which` in pixel `at`.
 static part_t part_of(int which, int at, int plane, __global const float *value, __global const uchar *layer,
                       __global const uchar *sides, __global const float *mixed) {
     const int own = layer[at], near = sides[at] >> 4, far = sides[at] & 15;
-    part_t part = {value + at, own == which, own == which, own == 0 || own >= which};
+    const float alpha = own == which ? alpha_of(value, plane, at) : 0;
+    part_t part = {value + at, 1, alpha, alpha, own == 0 || own >= which};
     if (near == which) {
         part.light = mixed + at;
-        part.share = mixed[2 * CHANNELS * plane + at];
+        part.share = part.scale = mixed[2 * CHANNELS * plane + at];
     } else if (own == which && far == which)
         part.light = mixed + CHANNELS * plane + at;
     return part;
 }
 
-// Means of a pixel of the pyramid, `plane` apart. known, settled: numbers of pixels in the sums.
+// Means of a pixel of the pyramid, `plane` apart. known, settled: weights of the pixels in the sums.
 static void put_means(float known, float settled, const float *sum, __global float *to, int plane) {
     for (int c = 0; c <= RADIUS; ++c)
         to[c * plane] = known > 0 ? sum[c] / known : 0;
@@ -327,10 +336,10 @@ __kernel void open_sheet(const grid_t grid, const int which, const int rows, con
             sum[COVERAGE] += part.settled * part.share;
             if (part.known == 0)
                 continue;
-            known += 1;
+            known += part.known;
             for (int c = 0; c < CHANNELS; ++c)
                 sum[c] += part.light[c * plane];
-            sum[RADIUS] += (float)coc[at];
+            sum[RADIUS] += part.known * (float)coc[at];
         }
     put_means(known, settled, sum, pyramid + y * columns + x, rows * columns);
 }
@@ -413,25 +422,24 @@ __kernel void pull(const grid_t grid, const int fine_rows, const int fine_column
     }
 }
 
-// A pixel of a sheet that another layer shows: its radius and coverage, and the pixels of the pyramid around it.
+// A pixel of a sheet that another layer shows, and the pixels of the pyramid around it; shown: the pixel has its light.
 typedef struct {
     around_t near;
     float coverage;
     real radius;
-    bool same;
+    bool shown;
 } hidden_t;
 
-static hidden_t hidden_at(const grid_t grid, part_t part, real coc, int rows, int columns, int y, int x,
+// alpha: of the pixel; coc: its radius, which the sheet has, too, if it is one surface with the pixel.
+static hidden_t hidden_at(part_t part, float alpha, real coc, int rows, int columns, int y, int x,
                           __global const float *pyramid) {
     const int plane = rows * columns;
-    hidden_t hidden;
-    hidden.near = around(pyramid + KNOWN * plane, rows, columns, y, x);
-    hidden.radius = between(pyramid + RADIUS * plane, hidden.near);
-    hidden.coverage = part.share;
-    hidden.same = !part.settled && ABS(hidden.radius - coc) <= SAME;
-    if (hidden.same) {
+    const around_t near = around(pyramid + KNOWN * plane, rows, columns, y, x);
+    hidden_t hidden = {near, part.share, between(pyramid + RADIUS * plane, near), part.share > 0};
+    if (!part.settled && ABS(hidden.radius - coc) <= SAME) {
         hidden.radius = coc;
-        hidden.coverage = 1;
+        hidden.coverage = alpha;
+        hidden.shown = true;
     } else if (!part.settled) {
         const around_t open = around(pyramid + SETTLED * plane, rows, columns, y, x);
         hidden.coverage = MIN(MAX(GAIN * (between(pyramid + COVERAGE * plane, open) - 0.5f) + 0.5f, 0.0f), 1.0f);
@@ -462,15 +470,16 @@ __kernel void take_sheet(const grid_t grid, const int which, const int rows, con
         real radius = coc[at];
         if (layer[at] == which)
             for (int c = 0; c < CHANNELS; ++c)
-                sheet[c * plane + at] = coverage * part.light[c * plane];
+                sheet[c * plane + at] = part.scale * part.light[c * plane];
         else {
-            const hidden_t hidden = hidden_at(grid, part, radius, rows, columns, y, x, pyramid);
+            const float alpha = alpha_of(value, plane, at);
+            const hidden_t hidden = hidden_at(part, alpha, radius, rows, columns, y, x, pyramid);
             coverage = hidden.coverage;
             radius = hidden.radius;
             for (int c = 0; c < CHANNELS; ++c)
-                sheet[c * plane + at] =
-                    coverage == 0 ? 0 : coverage * (part.share > 0 || hidden.same ? part.light[c * plane] :
-                                                    between(pyramid + c * rows * columns, hidden.near));
+                sheet[c * plane + at] = coverage == 0 ? 0 :
+                                        hidden.shown ? part.scale * part.light[c * plane] :
+                                        coverage * between(pyramid + c * rows * columns, hidden.near);
         }
         sheet[CHANNELS * plane + at] = coverage;
         sheet[(CHANNELS + 1) * plane + at] = 1;
@@ -526,10 +535,10 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
         raise(still_left + tile, 1);
 }
 
-// Puts the light of all sheets in place of that without occlusion, in marked tiles. In: marked, light. In and out: total
-// float (CHANNELS, rows, pitch), with `pad` scratch columns as in blur.cl.
+// Puts the light of all sheets in place of that without occlusion, in marked tiles; with ALPHA, and what they cover. In:
+// marked, light, room. In and out: total float (CHANNELS + ALPHA, rows, pitch), with `pad` scratch columns as in blur.cl.
 __kernel void put_layers(const grid_t grid, const int pitch, const int pad, __global const int *marked,
-                         __global const float *light, __global float *total) {
+                         __global const float *light, __global const float *room, __global float *total) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;
@@ -537,6 +546,8 @@ __kernel void put_layers(const grid_t grid, const int pitch, const int pad, __gl
         return;
     for (int c = 0; c < CHANNELS; ++c)
         total[(c * grid.rows + row) * pitch + column + pad] = light[(c * grid.rows + row) * grid.columns + column];
+    if (ALPHA)
+        total[(CHANNELS * grid.rows + row) * pitch + column + pad] = 1 - room[row * grid.columns + column];
 }
 
 #pragma OPENCL FP_CONTRACT OFF

@@ -96,13 +96,13 @@ class Device:
         """The frame (rows, columns, channels), and its number of layers."""
         image = Image(upload(self.session, flat(self.view.radiance, np.float32)), self.maps)
         self.blur.clear()
-        self.clusters.find(self.job, image)
-        layers = self.clusters.divide(self.job, image, self.clusters.read_bounds())
+        self.clusters.find(self.job, [image])
+        layers = self.clusters.divide(self.job, [image], self.clusters.read_bounds())
         plane = self.layers.add(self.job, layers).read(self.session)
         return plane.reshape(*self.view.shape, -1), layers.count
 
     def read(self, name: str, dtype: Any, shape: tuple[int, ...] = ()) -> Array:
-        return download(self.session, self.clusters.buffers[name], shape or self.view.coc.shape, dtype)
+        return download(self.session, (self.clusters.buffers | self.clusters.labels[0])[name], shape or self.view.coc.shape, dtype)
 
 
 VIEWS = {

@@ -120,9 +120,9 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
     """Radiance (H, W, C) of the near and of the far surface, and share (H, W) of the near one, in pixels at edges.
 
     Only pixels with `near` > 0 are filled. The mean colors of both surfaces, from pixels up to MIXED_AROUND px away
-    that are not at edges, give the share that explains the pixel's color best; the variances of the surfaces say how much
-    that counts against the share of the near layer under a Gaussian of MASK_WIDTH px. What is left of the color is
-    given to both surfaces, so that the pixel's color is kept.
+    that are not at edges, give the share that explains the pixel's color best; the variances of the surfaces say how
+    much that counts against the share of the near layer under a Gaussian of MASK_WIDTH px. What is left of the color
+    is given to both surfaces, so that the pixel's color is kept.
     """
     place = np.nonzero(near > 0)
     colors, count = radiance[place], len(place[0])
