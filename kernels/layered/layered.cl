@@ -205,6 +205,13 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
                 sum->square[c] += weight * color * color;
             }
         }
+    const bool alone = sums[0].weight + sums[2].weight == 0 || sums[1].weight + sums[3].weight == 0;
+    for (int c = 0; c < 2 * CHANNELS && alone; ++c)  // the other surface is not opaque: its color is not known
+        mixed[c * plane + at] = value[c % CHANNELS * plane + at];
+    if (alone) {
+        mixed[2 * CHANNELS * plane + at] = layer[at] == near;
+        return;
+    }
     const float by_mask = mask[0] / (mask[0] + mask[1]);
     float noise = 0, squares = 0, by_color = 0, apart = 0, mean[2][CHANNELS];
     for (int c = 0; c < CHANNELS; ++c) {
