@@ -37,10 +37,8 @@ def layered_before_black(
 ) -> tuple[NDArray[np.float64], int]:
     """`layered` of an image (rows, columns, C) with nothing beyond its border."""
     guard = guard_band(spec.psf, "lose", spec.largest)
-    light, radii, there = (
-        np.pad(plane, ((guard, guard), (guard, guard), (0, 0))[: plane.ndim])
-        for plane in (image, coc, np.ones(coc.shape, np.bool_))
-    )
+    light, radii = np.pad(image, ((guard, guard), (guard, guard), (0, 0))), np.pad(coc, guard)
+    there = np.pad(np.ones(coc.shape, np.bool_), guard)
     return layered(spec, light, radii, there, (coc.shape[0], coc.shape[1]), guard)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
 import numpy as np
@@ -182,8 +182,8 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     """
     for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):
         if value not in get_args(kinds):
-            names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
-            raise SceneError(f"{name}: must be {names}; got {value!r}")
+            rule = " or ".join(f'"{kind}"' for kind in get_args(kinds))
+            raise SceneError(f"{name}: must be {rule}; got {value!r}")
     model = psf_of(psf).of_images()
     opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
     names, arrays = _given(image, blur_radius, layers)
@@ -373,7 +373,7 @@ def _assign_edges(layers: list[_Layer]) -> tuple[list[_Layer], int]:
         if layer.steepest >= LEAST_STEEPEST:
             coc = layer.coc if layer.coc.dtype in (np.float32, np.float64) else layer.coc.astype(np.float64)
             coc = np.where(layer.covered, coc, np.nan) if layer.alpha else coc
-            pixels, radii = assign_soft_edges(coc, None, lambda image=layer.image: image)
+            pixels, radii = assign_soft_edges(coc, None, partial(np.asarray, layer.image))
         if len(pixels):
             assigned = layer.coc.astype(np.float64)
             assigned.flat[pixels] = radii

@@ -131,8 +131,8 @@ def _soft_edges(radius: Array, shapes: list[Array], line: Indices, column: Indic
     parts = [_edges(radius[:1], radius[:1], line[:0], column[:0], 0)]
     for k in np.flatnonzero(np.diff(ends)):
         places, strip = slice(ends[k], ends[k + 1]), slice(k * ROWS, (k + 1) * ROWS)
-        args = line[places] - k * ROWS, column[places], k * ROWS
-        parts += [_edges(radius[strip], shape[strip], *args) for shape in shapes]
+        at = line[places] - k * ROWS, column[places]
+        parts += [_edges(radius[strip], shape[strip], *at, int(k) * ROWS) for shape in shapes]
     joined = (np.concatenate([getattr(part, name) for part in parts]) for name in _Edges.__dataclass_fields__)
     return _supported(_Edges(*joined), radius.shape[1])
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY_CLASSES, LAYER_TILE
 from clsco.frame.strips import Grid
@@ -198,8 +200,8 @@ class Clusters:
             run("pull", fine[1::-1], PIXELS, job.events, *args)
         self._fill(NONE, "sheet_reach")
         out = (to_left, value, coc, valid, sheet_reach)
-        head = (*head, np.int32(self.far), self.spread)
-        run("take_sheet", (tiles_of(job.grid)[0], height), TILES, job.events, *head, *planes, *out)
+        reach = (np.int32(self.far), self.spread)
+        run("take_sheet", (tiles_of(job.grid)[0], height), TILES, job.events, *head, *reach, *planes, *out)
         self._run_tiles(job, "want_tiles", sheet_reach, left, wanted)
         self._run_tiles(job, "measure_tiles", np.int32(1), wanted, to_wanted)
         self._fill(ZERO, "still_left")
@@ -216,7 +218,7 @@ class Clusters:
     def _named(self, *names: str) -> tuple[cl.Buffer, ...]:
         return tuple(self.buffers[name] for name in names)
 
-    def _fill(self, pattern: object, name: str) -> None:
+    def _fill(self, pattern: NDArray[Any], name: str) -> None:
         buffer = self.buffers[name]
         cl.enqueue_fill_buffer(self.target.session.queue, buffer, pattern, 0, buffer.size)
 

@@ -14,7 +14,9 @@ from clsco.engine.defocus import defocus
 from clsco.errors import ClscoError
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
+from clsco.optics.resolved_view import guard_band
 from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.layered.layered import over
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
 from tests.slow import mostly_slow
@@ -269,3 +271,62 @@ def test_alpha_of_codes_is_linear(dtype: type[np.unsignedinteger[Any]], channels
     alone = clsco.defocus(image[..., :-1], radius, aperture=aperture)
     np.testing.assert_allclose(blurred[..., :-1].astype(int), alone, atol=1)
     assert blurred[..., 0].max() < 0.72 * top  # 0.74 of white has half the light, less what five blades hold back
+
+
+def images(rows: int, columns: int) -> list[tuple[Any, Any]]:
+    """A partly clear foreground with a step of radius, and two walls, the nearer one with a hole."""
+    i, j = np.mgrid[0:rows, 0:columns]
+    rng, veil = np.random.default_rng(8), np.clip((14 - np.hypot(i - rows / 2, j - columns / 2)) / 6, 0, 1)
+    alphas = veil, (np.hypot(i - 9, j - 12) > 6) * 1.0, np.ones(i.shape)
+    radii = np.where(j < columns / 2, -4.0, -1.5), np.full(i.shape, 1.8), 3.0 + 0.01 * j
+    layers = []
+    for alpha, coc in zip(alphas, radii, strict=True):
+        image = np.dstack([rng.random((rows, columns, 3)) * alpha[..., None], alpha])
+        layers.append((image.astype(np.float32), coc))
+    return layers
+
+
+@pytest.mark.parametrize("outside", ["mirror", "black"])
+def test_images_over_each_other(outside: Any) -> None:
+    layers, psf = images(40, 56), Psf()
+    spec = spec_of(psf, 4.0)
+    guard = guard_band(spec.psf, "lose", 4.0)
+    mode: Any = {"mirror": "symmetric", "black": "constant"}[outside]
+    padded = [
+        (np.pad(image, ((guard, guard), (guard, guard), (0, 0)), mode).astype(np.float64), np.pad(coc, guard, mode))
+        for image, coc in layers
+    ]
+    expected = over(spec, padded, (40, 56), guard)
+    found = defocus(layers=layers, psf=psf, outside=outside)
+    assert np.abs(found - expected).max() < FIGURE
+    assert np.array_equal(defocus(layers=layers[::-1], psf=psf, outside=outside), found)
+    if outside == "mirror":
+        np.testing.assert_allclose(found[..., 3], 1.0, rtol=0, atol=1e-6)
+
+
+def test_an_opaque_image_hides_what_is_behind_and_parts_of_one_surface_join() -> None:
+    image, _ = picture(40, 56, channels=3)
+    i, j = np.mgrid[0:40, 0:56]
+    coc = np.where(np.hypot(i - 18, j - 30) < 11, -3.0, 2.0)
+    whole = np.dstack([image, np.ones(coc.shape)]).astype(np.float32), coc
+    plain = defocus(whole[0][..., :3], coc)
+    np.testing.assert_allclose(defocus(layers=[whole])[..., :3], plain, rtol=0, atol=1e-6)
+    farther = defocus(layers=[whole, (whole[0] * np.float32(0.5), coc + 4.0)])
+    np.testing.assert_allclose(farther[..., :3], defocus(layers=[whole])[..., :3], rtol=0, atol=1e-6)
+    mask = (np.random.default_rng(2).random(coc.shape) < 0.5)[..., None]
+    parts = defocus(layers=[(whole[0] * mask, coc), (whole[0] * ~mask, coc)])
+    assert np.array_equal(parts, defocus(layers=[whole]))
+
+
+def test_wrong_layers_are_named() -> None:
+    (image, coc), *_ = images(8, 9)
+    for layers, text in (
+        ([(image, coc)] * 9, "layers: must be at most 8; got 9"),
+        ([(image, coc), (image[:4], coc[:4])], r"layers\[1\]: image: must have the shape \(8, 9, 4\) of the first one"),
+        ([(image, coc), (image, coc[:4])], r"layers\[1\]: blur_radius: must have the rows and columns of the image"),
+        ([(2 * image, coc)], r"layers\[0\]: image: alpha must be from 0 to 1; got 2"),
+        ([(image[..., :1], coc)], r"layers\[0\]: image: must have alpha; got \(8, 9, 1\)"),
+        ([], "layers: must be given in place of image and blur_radius; got both or none of them"),
+    ):
+        with pytest.raises(clsco.ArgumentError, match=text):
+            defocus(layers=layers)

@@ -102,7 +102,9 @@ class Device:
         return plane.reshape(*self.view.shape, -1), layers.count
 
     def read(self, name: str, dtype: Any, shape: tuple[int, ...] = ()) -> Array:
-        return download(self.session, (self.clusters.buffers | self.clusters.labels[0])[name], shape or self.view.coc.shape, dtype)
+        return download(
+            self.session, (self.clusters.buffers | self.clusters.labels[0])[name], shape or self.view.coc.shape, dtype
+        )
 
 
 VIEWS = {
@@ -159,7 +161,8 @@ def test_the_last_sheet_is_that_of_the_twin(session: Session) -> None:
     near, far, _ = twin.find_edges(view.coc, layer)
     parts = twin.unmix(view.radiance, layer, near, far)
     levels = level_count(most_deep(spec.psf, view.largest))
-    sheet, radius = twin.take_sheet(view.radiance, view.coc, layer, (near, far), parts, int(layer.max()), levels)
+    pixels = view.radiance, np.ones(layer.shape), view.coc, layer
+    sheet, radius = twin.take_sheet(*pixels, (near, far), parts, int(layer.max()), levels)
     found = np.moveaxis(device.read("value", np.float32, (5, *view.coc.shape)), 0, -1)
     assert device.read("valid", np.bool_).all()
     # Means of means: a few roundings of 2^-24 of values up to 4; shares of mixed pixels divide by small differences.

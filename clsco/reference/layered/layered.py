@@ -30,6 +30,7 @@ LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of i
 UNEVEN = 0.1  # px, least step of the radius that changes the brightness of an even surface
 SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 GAIN = 4.0  # steepness of a hidden outline
+OPAQUE = 0.999  # least alpha of pixels whose color may be that of two surfaces
 
 
 def _bin(coc: Array, low: float, bins: int) -> Integers:
@@ -129,7 +130,7 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
     padded, clean = (np.pad(plane, MIXED_AROUND) for plane in (layer, np.where(near > 0, 0, layer)))
     light = np.pad(radiance, ((MIXED_AROUND, MIXED_AROUND), (MIXED_AROUND, MIXED_AROUND), (0, 0)))
     span = range(-MIXED_AROUND, MIXED_AROUND + 1)
-    means, variances, masks = [], [], []
+    means, variances, masks, alone = [], [], [], np.zeros(count, np.bool_)
     for side in (near[place], far[place]):
         sums = np.zeros((2, count, 2 * radiance.shape[2] + 1))
         mask = np.zeros(count)
@@ -143,7 +144,8 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
                 if max(abs(dy), abs(dx)) <= 2:
                     mask += np.exp(-0.5 * (dy * dy + dx * dx) / MASK_WIDTH**2) * (padded[at] == side)
         chosen = np.where(sums[0, :, -1:] > 0, sums[0], sums[1])  # thin things are all edge
-        mean, square = np.split(chosen[:, :-1] / chosen[:, -1:], 2, axis=1)
+        alone |= chosen[:, -1] == 0
+        mean, square = np.split(chosen[:, :-1] / np.maximum(chosen[:, -1:], 1.0), 2, axis=1)
         means.append(mean)
         variances.append(np.maximum(square - mean**2, 0.0).sum(axis=1))
         masks.append(mask)
@@ -152,7 +154,8 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
     doubt = NOISE * (variances[0] + variances[1] + least)
     by_color = ((colors - means[1]) * difference).sum(axis=1)
     share = (by_color + doubt * masks[0] / (masks[0] + masks[1])) / ((difference**2).sum(axis=1) + doubt)
-    share = np.clip(share, 0.0, 1.0)[:, None]
+    share = np.where(alone, layer[place] == near[place], np.clip(share, 0.0, 1.0))[:, None]
+    means = [np.where(alone[:, None], colors, mean) for mean in means]  # the color of the other surface is not known
     left = (colors - share * means[0] - (1.0 - share) * means[1]) / (share**2 + (1.0 - share) ** 2)
     out = np.zeros(radiance.shape), np.zeros(radiance.shape), np.zeros(layer.shape)
     for plane, values in zip(out, (means[0] + share * left, means[1] + (1 - share) * left, share[:, 0]), strict=True):
@@ -161,11 +164,12 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
 
 
 def push(fine: Array) -> Array:
-    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 1): means of the known pixels among 2 x 2."""
-    sums = np.pad(fine * fine[..., -1:], ((0, fine.shape[0] % 2), (0, fine.shape[1] % 2), (0, 0)))
+    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 1): means of 2 x 2 pixels by their weights, then 0 or 1."""
+    sums = np.concatenate([fine[..., :-1] * fine[..., -1:], fine[..., -1:]], axis=-1)
+    sums = np.pad(sums, ((0, fine.shape[0] % 2), (0, fine.shape[1] % 2), (0, 0)))
     sums = sums[::2, ::2] + sums[::2, 1::2] + sums[1::2, ::2] + sums[1::2, 1::2]
     total = sums[..., -1:]
-    return np.concatenate([sums[..., :-1] / np.maximum(total, 1.0), np.minimum(total, 1.0)], axis=-1)
+    return np.concatenate([sums[..., :-1] / np.where(total > 0, total, 1.0), (total > 0) * 1.0], axis=-1)
 
 
 def _between(coarse: Array, count: int, axis: int) -> Array:
@@ -190,10 +194,11 @@ def pull(fine: Array, coarse: Array) -> Array:
     return np.where(fine[..., -1:] > 0, fine, np.concatenate([surrounding, exists * 1.0], axis=-1))
 
 
-def _spread(values: Array, known: Mask, levels: int) -> Array:
-    """Values (H, W, C) where they are not known, by push-pull (Gortler et al. 1996); known: (H, W)."""
-    pyramid = [np.concatenate([values, np.ones((*known.shape, 1))], axis=-1) * known[..., None]]
-    for _ in range(levels):
+def _spread(values: Array, weight: Array, levels: int) -> Array:
+    """Values (H, W, C) where they are not known, by push-pull (Gortler et al. 1996); weight: (H, W), 0 for unknown."""
+    pyramid = [np.concatenate([values, np.ones((*weight.shape, 1))], axis=-1) * (weight[..., None] > 0)]
+    pyramid.append(push(np.concatenate([pyramid[0][..., :-1], weight[..., None]], axis=-1)))
+    for _ in range(levels - 1):
         pyramid.append(push(pyramid[-1]))
     coarse = pyramid[-1]
     for fine in pyramid[-2::-1]:
@@ -202,28 +207,29 @@ def _spread(values: Array, known: Mask, levels: int) -> Array:
 
 
 def take_sheet(
-    radiance: Array, coc: Array, layer: Labels, edges: tuple[Labels, Labels], parts: tuple[Array, Array, Array],
-    which: int, levels: int,
+    radiance: Array, alpha: Array, coc: Array, layer: Labels, edges: tuple[Labels, Labels],
+    parts: tuple[Array, Array, Array], which: int, levels: int,
 ) -> tuple[Array, Array]:  # fmt: skip
     """One sheet for the blur: radiance, coverage and ones (H, W, C + 2), radiance times coverage; and radius (H, W).
 
-    edges, parts: from `find_edges` and `unmix`. The layer covers its own pixels, its share of mixed pixels, and behind
-    nearer layers what its outline on both sides suggests; farther layers it leaves free. Its radiance and radius
-    elsewhere are extrapolated. Where the pixel in front of it has nearly the same radius, the surface is the pixel's.
+    radiance: not yet multiplied by alpha (H, W); edges, parts: from `find_edges` and `unmix`. The layer covers its own
+    pixels, its share of mixed pixels, and behind nearer layers what its outline on both sides suggests; farther layers
+    it leaves free. Its radiance and radius elsewhere are extrapolated. Where the pixel in front of it has nearly the
+    same radius, the surface is the pixel's.
     """
     (near, far), (near_light, far_light, near_share) = edges, parts
     own, shared = layer == which, near == which
-    share = np.where(shared, near_share, np.where(own, 1.0, 0.0))
+    share = np.where(shared, near_share, np.where(own, alpha, 0.0))
     light = np.where(shared[..., None], near_light, np.where((own & (far == which))[..., None], far_light, radiance))
-    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), own, levels)
+    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), np.where(own, alpha, 0.0), levels)
     visible, hidden = share > 0, (layer > 0) & (layer < which)
-    outline = _spread(share[..., None], ~hidden, levels)
+    outline = _spread(share[..., None], ~hidden * 1.0, levels)
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
     light = np.where(visible[..., None], light, spread[..., :-1])
     radius = np.where(own, coc, spread[..., -1])
     same = hidden & (np.abs(radius - coc) <= SAME)
     light, radius = np.where(same[..., None], radiance, light), np.where(same, coc, radius)
-    coverage = np.where(same, 1.0, coverage)[..., None]
+    coverage = np.where(same, alpha, coverage)[..., None]
     return np.concatenate([light * coverage, coverage, np.ones_like(coverage)], axis=-1), radius
 
 
@@ -251,6 +257,26 @@ def layered(
     return spread_depth_layers(spec, radiance, coc, cluster(spec, coc, valid), shape, guard)
 
 
+def over(
+    spec: BlurSpec, layers: list[tuple[Array, Array]], shape: tuple[int, int], guard: int
+) -> Array:  # fmt: skip
+    """Defocused image (m, n, C + 1) of images with alpha (H, W, C + 1) that lie over each other; radii: (H, W).
+
+    Colors are multiplied by alpha. The earlier images are nearer within a depth layer. Arguments as for `layered`.
+    """
+    low, bins = bins_of(spec.largest)
+    gap = 2 * spec.psf.reach(spec.largest) + 1
+    latest = np.max([find_discontinuities(coc, image[..., -1] > 0, low, bins, gap) for image, coc in layers], axis=0)
+    bounds = layer_bounds(latest.astype(np.int32))
+    images = []
+    for image, coc in layers:
+        alpha = image[..., -1]
+        label = label_depth_layers(coc, alpha > 0, low, bins, bounds)
+        images.append((image[..., :-1] / np.where(alpha > 0, alpha, 1.0)[..., None], alpha, coc, label))
+    total, room = _lay(spec, images, shape, guard, np.ones(shape), lambda sources: sources)
+    return np.concatenate([total, 1.0 - room[..., None]], axis=-1)
+
+
 def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> Labels:
     """Depth layers (H, W) of an image, from its radii. See `layered` for the arguments."""
     low, bins = bins_of(spec.largest)
@@ -267,22 +293,45 @@ def spread_depth_layers(
     rims: a function that lets rims cut the light of sources, and the fraction (m, n) of the light that passes them;
     None without rims.
     """
-    behind_rims, most = rims or (lambda sources: sources, 1.0)
-
-    def blurred_sum(value: Array, radius: Array, there: Mask) -> Array:
-        label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
-        sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
-        return scatter(spec, behind_rims(sources), None, shape, guard)
-
-    count, plain = int(layer.max(initial=0)), blurred_sum(radiance, coc, layer > 0)
+    behind_rims, most = rims or (lambda sources: sources, np.ones(shape))
+    count, plain = int(layer.max(initial=0)), _blurred(spec, radiance, coc, layer > 0, shape, guard, behind_rims)
     if count <= 1:
         return plain, count
-    near, far, edge = find_edges(coc, layer)
+    _, _, edge = find_edges(coc, layer)
     marked = mark_tiles(np.where(layer > 0, reaches_of(spec.psf, coc), -1), edge)
-    parts, levels = unmix(radiance, layer, near, far), level_count(most_deep(spec.psf, spec.largest))
-    total, room = np.zeros((*shape, radiance.shape[2])), np.broadcast_to(most, shape)
-    for which in range(1, count + 1):
-        sheet, radius = take_sheet(radiance, coc, layer, (near, far), parts, which, levels)
-        total, room = composite(total, room, blurred_sum(sheet, radius, np.ones(coc.shape, np.bool_)))
+    image = radiance, np.ones(coc.shape), coc, layer
+    total, _ = _lay(spec, [image], shape, guard, most, behind_rims)
     frame = np.ix_(*(np.arange(guard, guard + n) for n in shape))
     return np.where(marked[frame][..., None], total, plain), count
+
+
+def _blurred(
+    spec: BlurSpec, value: Array, radius: Array, there: Mask, shape: tuple[int, int], guard: int,
+    behind_rims: Callable[[Sources], Sources],
+) -> Array:  # fmt: skip
+    label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
+    sources = Sources(value, np.ones(radius.shape), label, radius, gradient, there)
+    return scatter(spec, behind_rims(sources), None, shape, guard)
+
+
+def _lay(
+    spec: BlurSpec, images: list[tuple[Array, Array, Array, Labels]], shape: tuple[int, int], guard: int, room: Array,
+    behind_rims: Callable[[Sources], Sources],
+) -> tuple[Array, Array]:  # fmt: skip
+    """Light (m, n, C) of all sheets, and fraction (m, n) of the lens that they leave free; room: that before them.
+
+    images: radiance, alpha, radius and depth layer of each pixel.
+    """
+    levels, splits = level_count(most_deep(spec.psf, spec.largest)), []
+    for radiance, alpha, coc, layer in images:
+        clear = np.where(alpha < OPAQUE, 0, layer).astype(np.uint8)
+        near, far, _ = find_edges(coc, layer)
+        near, far = np.where(clear > 0, near, 0).astype(np.uint8), np.where(clear > 0, far, 0).astype(np.uint8)
+        splits.append(((near, far), unmix(radiance, clear, near, far)))
+    total = np.zeros((*shape, images[0][0].shape[2]))
+    for which in range(1, max(int(layer.max()) for *_, layer in images) + 1):
+        for (radiance, alpha, coc, layer), (edges, parts) in zip(images, splits, strict=True):
+            sheet, radius = take_sheet(radiance, alpha, coc, layer, edges, parts, which, levels)
+            there = np.ones(coc.shape, np.bool_)
+            total, room = composite(total, room, _blurred(spec, sheet, radius, there, shape, guard, behind_rims))
+    return total, room
