@@ -58,7 +58,7 @@ def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
     if len(distances) > 1:
         return SceneError(f"{path}: focus: goes without several values of the focus; got {len(distances)}")
     try:
-        scenes = tuple(focus_scene(with_resolution(scene), shared_files(), focus) for scene in sweep.scenes)
+        scenes = tuple(focus_scene(with_resolution(scene), shared_files().maps, focus) for scene in sweep.scenes)
     except ClscoError as error:
         return SceneError([f"{path}: {message}" for message in getattr(error, "messages", [error])])
     return replace(sweep, scenes=scenes)

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
+from decimal import Decimal
 from functools import wraps
 from importlib import import_module
 from importlib.util import find_spec
@@ -104,6 +105,19 @@ def parse_pair(text: str, pattern: str, rule: str, ordered: bool = False) -> tup
 
 def parse_span(text: str) -> Span:
     return parse_pair(text, r"(\d{0,9}):(\d{0,9})", "A:B, frames A to B - 1 counted from 0")
+
+
+LENGTHS_MM = {"": "1", "um": "0.001", "mm": "1", "cm": "10", "m": "1000", "in": "25.4", "ft": "304.8"}
+
+
+def parse_length(text: str) -> float:
+    """A length in mm, from a number in mm or with a unit: "3m"."""
+    match = re.fullmatch(r"\s*(.*?[\d.])\s*([a-z]*)\s*", text.replace("\u00b5", "u"), re.ASCII)
+    try:
+        return float(text) if match is None else float(Decimal(match[1]) * Decimal(LENGTHS_MM[match[2]]))
+    except (ArithmeticError, ValueError, KeyError):
+        rule = "must be a length, in mm or with a unit: 35.5, 85mm, 3m (um, mm, cm, m, in, ft)"
+        raise click.BadParameter(f"{rule}; got {text}") from None
 
 
 def parse_memory(text: str) -> int:

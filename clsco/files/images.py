@@ -19,7 +19,7 @@ from clsco.files.color import SRGB, Color
 from clsco.files.decoders import IMAGE_FORMATS, decode_file, open_format, path_of, read_size, read_tags
 from clsco.files.png import Codes, png_parts
 from clsco.files.ranges import first_of
-from clsco.files.transfer import encode
+from clsco.files.transfer import decode, encode, has_alpha
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +65,25 @@ def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: st
         data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
         below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
         return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
+
+
+def read_rgba(path: AnyPath, layer: str | None = None) -> tuple[Picture, NDArray[np.float32] | None]:
+    """Read an image as `read_image`, with its alpha (rows, columns) from 0 to 1 in a PNG or EXR; None if it is opaque.
+
+    An EXR has its overscan, see `clsco.files.decoders.exr_planes`. Floats are premultiplied by alpha, codes are not;
+    values under alpha 0 are 0.
+    """
+    with open_format(path) as (file, kind):
+        data, alpha = decode_file(file, kind, layer, whole=True), None
+        if has_alpha(data):
+            alpha = decode(data[..., -1], "linear").astype(np.float32)
+            if (wrong := ~np.isfinite(alpha)).any():
+                raise_file_error(path_of(file), "alpha must be finite", first_of(alpha, wrong))
+            data = np.where(alpha[..., None] > 0, data[..., :-1], data.dtype.type(0))
+            data = data[..., 0] if data.shape[2] == 1 else data
+            alpha = np.clip(alpha, 0, 1) if alpha.min() < 1 else None
+        data = np.ascontiguousarray(_as_stored(file, data, None))
+        return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3)), alpha
 
 
 def image_size(path: AnyPath) -> tuple[int, int]:
@@ -213,8 +232,11 @@ def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:
 
 
 def write_exr_image(path: AnyPath, image: NDArray[np.floating], color: Color = SRGB) -> None:
-    """Write an image (rows, columns[, 3]) as channels R G B; gray fills all three, because some readers need them."""
-    planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
+    """Write an image (rows, columns[, 3 or 4]) as channels R G B, and A if it has four; gray fills R, G and B, because
+    some readers need them.
+    """
+    names = "RGB" if image.ndim == 2 else "RGBA"[: image.shape[2]]
+    planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate(names)}
     write_exr(path, planes, attributes=[color.exr_attributes()])
 
 
