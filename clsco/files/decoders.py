@@ -9,6 +9,7 @@ import re
 import struct
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -56,6 +57,19 @@ _FIRST_BYTES = {
     "NPZ": (b"PK\x03\x04",),
     "DPT": (b"PIEH",),
 }
+
+
+_DECODED: ContextVar[dict[str, Any] | None] = ContextVar("decoded", default=None)
+
+
+@contextlib.contextmanager
+def decode_once() -> Iterator[None]:
+    """Decode each EXR once in the block, however many of its layers are read."""
+    token = _DECODED.set({})
+    try:
+        yield
+    finally:
+        _DECODED.reset(token)
 
 
 @contextlib.contextmanager
@@ -291,7 +305,10 @@ def exr_planes(
         [(str(part.header.get("name", "")), [c.name for c in part.header["channels"]]) for part in parts]
     )
     chosen = choose([name for names in named for name in names.values()])
-    pages = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
+    decoded = {} if (shared := _DECODED.get()) is None else shared
+    if str(path) not in decoded:
+        decoded[str(path)] = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
+    pages = decoded[str(path)]
     if len(pages) != len(parts):  # OpenEXR omits parts that it cannot decode
         raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
     planes = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.files.color import SRGB, Color
+from clsco.files.decoders import decode_once
 from clsco.files.images import Picture, check_sizes, image_size, read_rgba
 from clsco.inputs.depth_files import read_depth
-from clsco.inputs.depth_maps import FARTHEST, DepthValues, fill_depth, map_values
+from clsco.inputs.depth_maps import FARTHEST, DepthValues, map_values
 from clsco.inputs.focus import Focus, focus_scene, lens_line
 from clsco.inputs.textures import radiance_of
 from clsco.optics.lens import LARGEST_BLUR
@@ -28,7 +29,6 @@ Layer = tuple[NDArray[np.float32], NDArray[np.float64]]
 """Premultiplied linear colors and alpha (rows, columns, 4), and signed R (rows, columns) in px."""
 
 SECTIONS = ("title", "camera", "aperture", "psf", "image", "objects")  # parts of a scene that layers depend on
-REACH = 64  # px: largest distance of a pixel from the covered one whose depth it gets
 SAME = 1e-3  # largest relative difference between depths of the background
 FAR = 1e10  # number that Blender stores for infinitely far
 
@@ -68,14 +68,10 @@ class _Input:
         return np.ones(self.numbers.shape, np.bool_) if self.alpha is None else self.alpha > 0
 
     def depth_values(self, scene: Scene) -> DepthValues:
-        """Depths of all pixels; where nothing is covered, depths around it, or infinite ones if nothing is."""
-        covered = self.covered
-        if not covered.any():
-            return DepthValues(np.full(covered.shape, FARTHEST), {}, 0)
-        values = map_values(scene, self.item.model_copy(update={"soft_edges": "keep"}), self.numbers)
-        if not covered.all():
-            return replace(values, inverse_depth=fill_depth(np.where(covered, values.inverse_depth, 0.0)))
-        return values
+        """Depths of all pixels; infinite if none is covered."""
+        if not self.covered.any():
+            return DepthValues(np.full(self.numbers.shape, FARTHEST), {}, 0)
+        return map_values(scene, self.item.model_copy(update={"soft_edges": "keep"}), self.numbers)
 
     def rgba(self, transfer: str, to_srgb: bool) -> NDArray[np.float32]:
         linear = radiance_of(self.picture, transfer, to_srgb=to_srgb)
@@ -101,7 +97,8 @@ def load_layers(scene: Scene, focus: Focus | None = None, max_blur: float | None
         raise SceneError(f"defocus: {rule}; got {others[0] if others else 'camera.motion'}")
     items = [item for item in scene.objects if isinstance(item, DepthMap)]
     size = image_size(str(items[0].texture))
-    inputs = _read_inputs(items, size)
+    with decode_once():
+        inputs = _read_inputs(items, size)
     shape = inputs[0].numbers.shape
     margin = (shape[0] - size[1]) // 2, (shape[1] - size[0]) // 2
     inside = tuple(slice(more, length - more) for more, length in zip(margin, shape, strict=True))
@@ -197,7 +194,7 @@ def _fit(array: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
 def assign_covered_depths(
     numbers: NDArray[Any], alpha: NDArray[np.float32], zero_is_number: bool = False
 ) -> tuple[NDArray[Any], int]:  # fmt: skip
-    """Replace the depths of partly covered pixels that have the background's, and those under alpha 0.
+    """Replace the depths of partly covered pixels that have the background's, and all under alpha 0.
 
     A partly covered pixel has the background's depth if it has none, an infinite one, or that of a neighbor under alpha
     0, or of such a pixel; it gets the depth of the nearest covered one. numbers: of the depth file, whose unit does not
@@ -207,31 +204,30 @@ def assign_covered_depths(
     z, cover = np.pad(numbers, 1, "edge").astype(np.float64), np.pad(alpha, 1, constant_values=np.nan)
     width, z, cover = z.shape[1], z.ravel(), cover.ravel()
     neighbors = (-1, 1, -width, width, -width - 1, -width + 1, width - 1, width + 1)
-    partly = np.flatnonzero((cover > 0) & (cover < 1))
-    behind = cover == 0
-    behind[partly] = ~np.isfinite(z[partly]) | (z[partly] >= FAR) | ((z[partly] == 0) & (not zero_is_number))
-    rest = partly[~behind[partly]]
-    for _ in range(REACH):
-        alike = np.zeros(len(rest), np.bool_)
+    lacking = ~np.isfinite(z) | (z >= FAR) | ((z == 0) & (not zero_is_number))
+    partly = (cover > 0) & (cover < 1)
+    behind = (cover == 0) | (partly & lacking)
+    front = np.flatnonzero(behind)
+    while front.size:
+        reached = []
         for step in neighbors:
+            at = front + step
             with np.errstate(invalid="ignore", over="ignore"):
-                alike |= behind[rest + step] & (np.abs(z[rest + step] - z[rest]) <= SAME * np.abs(z[rest]))
-        if not alike.any():
-            break
-        behind[rest[alike]] = True
-        rest = rest[~alike]
-    known, left, count = (cover > 0) & ~behind, partly[behind[partly]], 0
-    for _ in range(REACH):
-        source = np.full(len(left), -1)
-        for step in reversed(neighbors):
-            source = np.where(known[left + step], left + step, source)
-        reached = source >= 0
-        if not reached.any():
-            break
-        z[left[reached]] = z[source[reached]]
-        known[left[reached]] = True
-        count += int(np.count_nonzero(reached))
-        left = left[~reached]
-    if known.any():
-        z[cover == 0] = z[np.argmax(known)]
+                at = at[partly[at] & ~behind[at] & (np.abs(z[at] - z[front]) <= SAME * np.abs(z[at]))]
+            behind[at] = True
+            reached.append(at)
+        front = np.concatenate(reached)
+    known = (cover > 0) & ~behind
+    count, front = int(np.count_nonzero(behind & partly)), np.flatnonzero(known & ~lacking)
+    if not front.size:  # no depth to copy, unless to pixels under alpha 0
+        z[cover == 0] = z[np.argmax(cover > 0)]
+        count = 0
+    while front.size:
+        reached = []
+        for step in neighbors:
+            at = (front + step)[behind[front + step]]
+            z[at] = z[at - step]
+            behind[at] = False
+            reached.append(at)
+        front = np.concatenate(reached)
     return z.reshape(-1, width)[1:-1, 1:-1].astype(numbers.dtype), count

@@ -1,4 +1,4 @@
-"""Files of pictures with depth as other programs write them: layers and blur radii that `clsco defocus` makes of them."""
+"""Pictures with depth as other programs write them: the layers and blur radii that `clsco defocus` reads."""
 
 from __future__ import annotations
 
