@@ -43,6 +43,8 @@ def scenes_from_files(layers: Sequence[Files], options: Mapping[str, Any], overr
     """
     keys = {key: value for key, value in options.items() if value is not None}
     width, angle = keys.pop("sensor_width", None), keys.pop("fov", None)
+    if [width, angle, keys.get("pixel_pitch")].count(None) < 2:
+        raise SceneError("--pixel-pitch, --sensor-width, --fov: must be only one of them; got more")
     if angle is not None:
         width = 2.0 * keys.get("focal_length", Camera().focal_length) * math.tan(math.radians(angle) / 2.0)
     if width is not None:
@@ -84,9 +86,7 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     prepare_file(out, named, "the image or the depth")
 
 
-def write_color(
-    out: Path, image: NDArray[np.float32], bits: int, transfer: str, color: Color = SRGB
-) -> None:  # fmt: skip
+def write_color(out: Path, image: NDArray[np.float32], bits: int, transfer: str, color: Color = SRGB) -> None:
     """Write linear radiance to a file, in the format of its extension, with the color space of the source image.
 
     bits: bits per value of the source image, 8, 16 or 32. A file of codes has as many bits, or the most that the format

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from clsco.cli import options
-from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, parse_focus
+from clsco.cli.focus import focus_at_option, focus_depth_option, focus_distance_option, focus_files, parse_focus
 from clsco.cli.inputs import paired_files, report_inputs, report_loss, report_notes
 from clsco.cli.options import PATH, Command, Computation, Names, option, require_device
 from clsco.cli.output import echo
 from clsco.cli.render import render_to_folders, request_for
 
 if TYPE_CHECKING:
-    from clsco.cli.focus import Loaded
     from clsco.engine.batch import Span
     from clsco.frame.truth_files import TruthFile
 
@@ -27,22 +26,6 @@ def _ratio(text: str) -> float:
         return float(above) / float(below) if line else float(text)
     except (ValueError, ZeroDivisionError):
         raise click.BadParameter(f"must be a number, like 0.001, or a ratio, like 1/256; got {text}") from None
-
-
-def _angle(text: str) -> float:
-    try:
-        degrees = float(text.removesuffix("deg"))
-    except ValueError:
-        degrees = 0.0
-    if not 0.0 < degrees < 180.0:
-        raise click.BadParameter(f"must be an angle between 0 and 180 degrees, like 40 or 40deg; got {text}")
-    return degrees
-
-
-def _distance(text: str) -> object:
-    from clsco.cli.pictures import parse_focus_distance
-
-    return parse_focus_distance(text)
 
 
 _LAYER = "Of {}, an EXR with several: the layer, such as Combined or ViewLayer.Combined."
@@ -73,13 +56,7 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Command], Comm
     multiple=True,
 )  # fmt: skip
 @option("--layers", "NAME,...", "Layers of IMAGE, an EXR that holds colors, alpha and depth of each.")
-@option(
-    "--frames span",
-    "A:B",
-    "Of a sequence: frames A to B - 1 by the numbers of the files.",
-    options.parse_span,
-    default=":",
-)
+@option("--frames span", "A:B", "Of a sequence: files numbered A to B - 1.", options.parse_span, default=":")
 @option("--image-layer texture_layer", "NAME", _LAYER.format("IMAGE"))
 @option("--depth-layer", "NAME", _LAYER.format("DEPTH"))
 @_depth_option("unit", "UNIT", "Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
@@ -99,22 +76,13 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Command], Comm
 @_depth_option("soft_edges", "METHOD", "Depths between two surfaces at their edge: assign to one (default) or keep.")
 @_length("--focal-length", "f, mm, or like 85mm or 3.5cm, as all lengths.")
 @_number("--f-number", "f / D.")
-@option(
-    "--focus-distance", "LENGTH",
-    "Distance in focus, mm or like 3m; of a sequence also by frame, linear in diopters: 1:3m,48:5m, or a CSV file.",
-    _distance,
-)  # fmt: skip
+@focus_distance_option
 @focus_at_option
 @focus_depth_option
 @_length("--pixel-pitch", "Distance between pixels on the detector, mm.")
 @_length("--sensor-width", "Width of the image on the detector, in place of the pixel pitch, such as 36mm.")
-@option("--fov", "ANGLE", "Horizontal angle of view, in place of the pixel pitch, such as 40deg.", _angle)
-@option(
-    "--max-blur",
-    "PX",
-    "Clamp blur radii to this one, and count the pixels.",
-    click.FloatRange(0.0, 512.0, min_open=True),
-)
+@option("--fov", "ANGLE", "Horizontal angle of view, in place of the pixel pitch, like 40deg.", options.parse_angle)
+@option("--max-blur", "PX", "Clamp blur radii, and count the pixels.", click.FloatRange(0.0, 512.0, min_open=True))
 @options.truth_options
 @options.set_option
 @options.computation_options
@@ -131,32 +99,25 @@ def defocus(
     with this one object; --set sets its other keys. If --set gives a key several values, the frame of each value has a
     folder in OUT.
     """
-    from clsco.cli.defocus import check_pair, is_image_file, layer_files, scenes_from_files
+    from clsco.cli.defocus import check_pair, is_image_file, layer_files, prepare_image, scenes_from_files, write_color
     from clsco.inputs.depth_files import DEPTH_FORMATS
+    from clsco.plan.prepare import prepare_files
 
     alone = is_image_file(out)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
-    if sum(values[key] is not None for key in ("pixel_pitch", "sensor_width", "fov")) > 1:
-        raise click.UsageError("--pixel-pitch, --sensor-width, --fov: must be one of them; got more")
     focus = parse_focus(values.pop("focus_at"), values.pop("focus_depth"))
     if focus is not None and values["focus_distance"] is not None:
         raise click.UsageError("focus: goes without --focus-distance; got both")
-    by_frame = not isinstance(values["focus_distance"], float | None)
-    special = bool(layer or layers) or max_blur is not None or span != (None, None) or by_frame
-    if special and not alone:
-        rule = "--layer, --layers, --frames, --max-blur, distances by frame: OUT must be a file .png, .tif or .exr"
-        raise click.UsageError(f"{rule}; got {click.format_filename(out)}")
-    if alone and (special or depth is None or "#" in out.name or "%" in out.name):
+    special = layer or layers or max_blur or span != (None, None) or isinstance(values["focus_distance"], dict)
+    if special or image is None or (alone and (depth is None or "#" in out.name or "%" in out.name)):
         from clsco.cli.pictures import defocus_frames, picture_frames
 
-        if computation.precision is not None or computation.tolerance is not None:
-            raise click.UsageError("--precision, --tolerance: need DEPTH or a folder OUT, and no layers or sequence")
         frames = picture_frames(image, depth, out, layer, layers, span)
+        if not alone:
+            raise click.UsageError(f"OUT: must end in .png, .tif or .exr with these options; got {out}")
         defocus_frames(frames, values, overrides, focus, max_blur, computation, quiet)
         return
-    if image is None:
-        raise click.UsageError("Missing argument 'IMAGE'.")
     depth = depth or image
     pairs = paired_files(image, depth, DEPTH_FORMATS, out, alone)
     sweeps = [(first, scenes_from_files([layer_files(first, second)], values, overrides)) for first, second, _ in pairs]
@@ -166,16 +127,6 @@ def defocus(
     if not alone:
         render_to_folders(loaded, out, files, computation, quiet)
         return
-    _render_images(out, pairs, loaded, computation, quiet)
-
-
-def _render_images(
-    out: Path, pairs: Sequence[tuple[Path, Path, Path]], loaded: Loaded, computation: Computation, quiet: bool
-) -> None:  # fmt: skip
-    """Render the scene of each image and depth map, and write the image to the third file."""
-    from clsco.cli.defocus import prepare_image, write_color
-    from clsco.plan.prepare import prepare_files
-
     planned = prepare_files(loaded, request_for((), computation))
     for (*_, file), (_, _, prepared) in zip(pairs, planned, strict=True):
         prepare_image([each.scene for each in prepared], file)
@@ -190,9 +141,8 @@ def _render_images(
 
     with progress(len(scenes), quiet) as advance:
         for k, frame in render_prepared(session_for(computation.device), scenes):
-            write_color(
-                pairs[k][-1], frame.color, frame.metadata["bits"], scenes[k].scene.image.transfer, scenes[k].color
-            )
+            scene, bits = scenes[k], frame.metadata["bits"]
+            write_color(pairs[k][-1], frame.color, bits, scene.scene.image.transfer, scene.color)
             advance()
     if len(scenes) > 1 and not quiet:
         echo(f"{click.format_filename(out)}: {len(scenes)} images")

@@ -338,23 +338,25 @@ def _overscan(parts: Sequence[Any]) -> tuple[int, int]:
     return rows, columns
 
 
+def mirrored(at: NDArray[np.intp], length: int) -> NDArray[np.intp]:
+    """Indices into an array of a length that is continued by its mirror images."""
+    at = at % (2 * length)
+    return np.minimum(at, 2 * length - 1 - at)
+
+
 def _in_display(
     header: Mapping[str, Any], plane: NDArray[Any], outside: float, margin: tuple[int, int]
 ) -> NDArray[Any]:  # fmt: skip
     """A plane of the data window, cropped and padded with `outside` to the display window, and extended by a margin."""
     for axis, ((a, b, first, last), more) in enumerate(zip(_sides(header), margin, strict=True)):
+        if (a - more, b + more) == (first, last):
+            continue
         begin, end = min(a, max(first, a - more)), max(b, min(last, b + more)) + 1  # display window and overscan
-        low = min(max(first, begin), end)
-        high = min(max(last + 1, low), end)
-        plane = np.moveaxis(plane, axis, 0)
-        if (low, high) != (first, last + 1):
-            plane = plane[low - first : high - first]
-        if (low, high) != (begin, end):
+        at = begin + mirrored(np.arange(a - more, b + more + 1) - begin, end - begin)
+        plane = plane.take(np.clip(at - first, 0, last - first), axis)
+        if (beyond := (at < first) | (at > last)).any():
             plane = plane if plane.dtype.kind == "f" else plane.astype(np.float64)
-            plane = np.pad(plane, ((low - begin, end - high), (0, 0)), constant_values=outside)
-        if more:
-            plane = np.pad(plane, ((begin - a + more, b + more + 1 - end), (0, 0)), "symmetric")
-        plane = np.moveaxis(plane, 0, axis)
+            np.moveaxis(plane, axis, 0)[beyond] = outside
     return plane
 
 

@@ -67,21 +67,21 @@ def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: st
         return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
-def read_rgba(path: AnyPath, layer: str | None = None) -> tuple[Picture, NDArray[np.float32] | None]:
-    """Read an image as `read_image`, with its alpha (rows, columns) from 0 to 1 in a PNG or EXR; None if it is opaque.
+def read_rgba(path: AnyPath, layer: str | None = None) -> tuple[Picture, NDArray[np.float32]]:
+    """Read an image as `read_image`, and the alpha (rows, columns) from 0 to 1 of a PNG or EXR; 1 if it has none.
 
     An EXR has its overscan, see `clsco.files.decoders.exr_planes`. Floats are premultiplied by alpha, codes are not;
     values under alpha 0 are 0.
     """
     with open_format(path) as (file, kind):
-        data, alpha = decode_file(file, kind, layer, whole=True), None
+        data = decode_file(file, kind, layer, whole=True)
+        alpha = np.ones(data.shape[:2], np.float32)
         if has_alpha(data):
-            alpha = decode(data[..., -1], "linear").astype(np.float32)
-            if (wrong := ~np.isfinite(alpha)).any():
-                raise_file_error(path_of(file), "alpha must be finite", first_of(alpha, wrong))
+            alpha = np.clip(decode(data[..., -1], "linear"), 0, 1).astype(np.float32)
+            if (wrong := np.isnan(alpha)).any():
+                raise_file_error(path_of(file), "alpha must be a number", first_of(alpha, wrong))
             data = np.where(alpha[..., None] > 0, data[..., :-1], data.dtype.type(0))
             data = data[..., 0] if data.shape[2] == 1 else data
-            alpha = np.clip(alpha, 0, 1) if alpha.min() < 1 else None
         data = np.ascontiguousarray(_as_stored(file, data, None))
         return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3)), alpha
 

@@ -23,7 +23,7 @@ DEPTH_FORMATS = IMAGE_FORMATS | {".npz": "NPZ", ".dpt": "DPT"}
 
 
 def read_depth(
-    path: str | os.PathLike[str], layer: str | None = None, image: str | os.PathLike[str] | None = None
+    path: str | os.PathLike[str], layer: str | None = None, image: tuple[str, str | None] | None = None
 ) -> NDArray[Any]:  # fmt: skip
     """Read the numbers of a depth file as stored; `inverse_depth` interprets them.
 
@@ -31,10 +31,10 @@ def read_depth(
     `depth`, or the only one with two dimensions) and EXR (a channel of the layer, chosen by
     `clsco.files.layers.depth_channels`; pixels outside of its data window are NaN). Three equal channels count as one.
     The scale in a PFM's header is not applied; readers of Middlebury's files do not apply it either. TIFF and 16-bit
-    color PNG need the extra `formats`, EXR needs `exr`. image: the image of the map, for an EXR with its overscan as
-    by `clsco.files.images.read_rgba`; if it is the same file, the channels of the image are no depth. Returns an array
-    (rows, columns) with row 0 on top, integers as stored or float64, which may include zero, negative numbers, NaN and
-    infinity.
+    color PNG need the extra `formats`, EXR needs `exr`. image: file and layer of the map's image, for an EXR with the
+    overscan of `clsco.files.images.read_rgba`; if it is the same file, the channels of the image are no depth. Returns
+    an array (rows, columns) with row 0 on top, integers as stored or float64, which may include zero, negative numbers,
+    NaN and infinity.
 
     Raises FileError if the file does not hold exactly one depth map: it is unreadable or damaged, has the wrong
     extension, over 2^27 pixels or 65536 a side (rejected from the header), or channels that differ. Validated against
@@ -72,12 +72,12 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(data, np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("="))
 
 
-def _decode_exr(file: BinaryIO, layer: str | None, image: str | os.PathLike[str] | None) -> NDArray[Any]:
+def _decode_exr(file: BinaryIO, layer: str | None, image: tuple[str, str | None] | None) -> NDArray[Any]:
     path = Path(file.name)
-    is_image = image is not None and os.fspath(image) == file.name
+    is_image = image is not None and image[0] == str(path)
 
     def choose(names: list[str]) -> list[str]:
-        colors = image_channels(names, getattr(image, "layer", None)) if is_image else ()
+        colors = image_channels(names, image[1]) if image is not None and is_image else ()
         channels = depth_channels(names, layer, colors)
         if not channels:
             rule = "an EXR must hold one depth: a channel Z, V, R or Y, or Z or V of a layer"

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
-from clsco.engine.defocus import DefocusReport
 from clsco.files.images import read_image, write_png
 from clsco.files.transfer import decode
 from clsco.scene.model import Camera
@@ -53,9 +52,9 @@ class Engine:
         self.calls: list[list[tuple[Array, Array]]] = []
         monkeypatch.setattr(clsco, "defocus", self)
 
-    def __call__(self, image: Any = None, radius: Any = None, layers: Any = None, **_: Any) -> tuple[Array, Any]:
+    def __call__(self, image: Any = None, radius: Any = None, layers: Any = None, **_: Any) -> Array:
         self.calls.append(list(layers or [(image, radius)]))
-        return self.calls[-1][0][0], DefocusReport(0)
+        return self.calls[-1][0][0]
 
 
 @pytest.fixture
@@ -184,12 +183,12 @@ def test_bad_files_give_one_line(tmp_path: Path, engine: Engine) -> None:
         ([alpha], 1, "a.png: must end in .exr, which holds alpha, as no layer is opaque; got '.png'"),
         ([good, "--set", "sensor={}"], 1, "use the sections camera, aperture, psf and image alone; got sensor"),
         ([good, "--focus-distance", "3"], 1, "must be greater than focal_length = 50 mm; got 3 mm (3 m?)"),
-        ([good, "--focus-distance", "1:3m"], 2, "a track needs a sequence"),
+        ([good, "--focus-distance", "1:3m"], 2, "distances by frame need a sequence"),
         ([good, "--focus-distance", "3 parsec"], 2, "must be a length, in mm or with a unit"),
-        ([good, "--focus-distance", "2:3m,1:3m"], 2, "by increasing frame"),
-        ([good, "--fov", "40deg", "--sensor-width", "36mm"], 2, "must be one of them"),
+        ([good, "--focus-distance", "1:3m,3m"], 2, "like 1:3m,48:5m, or a CSV file of these; got 1:3m,3m"),
+        ([good, "--fov", "40deg", "--sensor-width", "36mm"], 1, "must be only one of them"),
         ([good, "--layer", flat], 2, "must be IMAGE [DEPTH], or --layer"),
-        ([tmp_path / "s_#.exr"], 1, "a sequence must have a number in IMAGE or a layer and in OUT"),
+        ([tmp_path / "s_#.exr"], 1, "a sequence needs numbers in OUT and in IMAGE or a layer"),
         ([tmp_path / "s_#.exr", "--frames", "1:4", "-o", tmp_path / "b_#.exr"], 1, "for each frame; got none for 2 3"),
     ]
     for words, status, message in cases:
