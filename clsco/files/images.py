@@ -83,7 +83,8 @@ def read_rgba(path: AnyPath, layer: str | None = None) -> tuple[Picture, NDArray
             data = np.where(alpha[..., None] > 0, data[..., :-1], data.dtype.type(0))
             data = data[..., 0] if data.shape[2] == 1 else data
         data = np.ascontiguousarray(_as_stored(file, data, None))
-        return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3)), alpha
+        color = read_tags(file, kind).color(1 if data.ndim == 2 else 3)
+        return Picture(data, color, int(np.count_nonzero(data < 0))), alpha
 
 
 def image_size(path: AnyPath) -> tuple[int, int]:

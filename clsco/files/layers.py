@@ -38,9 +38,10 @@ def list_names(names: Iterable[str]) -> str:
     return " ".join(shown) + (f" and {len(ordered) - SHOWN} more" if len(ordered) > SHOWN else "")
 
 
-def list_layers(names: Iterable[str]) -> str:
-    """The layers of channels, and the channels without one, for a message."""
-    return list_names({name.rpartition(".")[0] or name for name in names}) or "none"
+def list_layers(names: Sequence[str]) -> str:
+    """Channels for a message; if there are many, their layers."""
+    many = len(names) > SHOWN
+    return list_names({name.rpartition(".")[0] or name for name in names} if many else names) or "none"
 
 
 def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:

@@ -65,8 +65,9 @@ def load_layers(scene: Scene, focus: Focus | None = None, max_blur: float | None
     inside = tuple(slice(more, length - more) for more, length in zip(margin, shape, strict=True))
     alphas = [_fit(alpha, shape) for alpha in alphas]
     wide, framed = (scene.replace("camera.resolution", list(pair)) for pair in (shape[::-1], size))
-    pinhole = {"aperture_diameter": MIN_LENGTH_MM} if (focus or max_blur) and items[0].unit != "coc" else {}
-    of_depths = wide.model_copy(update={"camera": wide.camera.model_copy(update=pinhole)})  # so that none is too near
+    of_lens = (focus is None and max_blur is None) or any(item.unit == "coc" for item in items)
+    pinhole = {} if of_lens else {"aperture_diameter": MIN_LENGTH_MM}  # so that no depth is too near
+    of_depths = wide.model_copy(update={"camera": wide.camera.model_copy(update=pinhole)})
     values, notes = [], []
     for item, picture, alpha, depths in zip(items, pictures, alphas, numbers, strict=True):
         zero_is_number = item.unit == "coc" or item.near is not None

@@ -47,6 +47,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[list[tuple[Array, Array]]]:
 
 COLORS = layer("", RGB)
 OTHERS = layer("View.Normal.", RGB, "XYZ") | layer("View.DiffCol.", RGB[::-1]) | layer("View.UV.", RGB, "UVA")
+MANY = {f"L{n}.{name}": Z for n in range(5) for name in "XY"}
 BLENDER = layer("View.Combined.", np.dstack([RGB, Z > 0]), "RGBA") | {"View.Mist.Z": Z / 9} | OTHERS
 KINDS: dict[str, Any] = {
     "Blender 4": (BLENDER | {"View.Depth.Z": Z},),
@@ -141,10 +142,12 @@ def test_a_sequence_with_a_focus_track(tmp_path: Path, calls: list[Any]) -> None
 
 
 def test_bad_files_give_one_line(tmp_path: Path, calls: list[Any]) -> None:
-    flat, small = save(tmp_path / "flat.exr", COLORS | OTHERS), save(tmp_path / "small.exr", {"Z": Z[:4]})
+    flat, small = save(tmp_path / "flat.exr", COLORS | OTHERS | MANY), save(tmp_path / "small.exr", {"Z": Z[:4]})
     two = save(tmp_path / "two.exr", layer("a.", RGB) | layer("b.", RGB) | {"Z": Z})
     good, numbered = save(tmp_path / "s_1.exr", layer("", RGBA, "RGBA") | {"Z": Z}), tmp_path / "s_#.exr"
-    rule = "must hold a channel Z or Pz, or a layer with depth in its name; got B G R View.DiffCol View.Normal View.UV"
+    rule = (
+        "must hold a channel Z or Pz, or a layer with depth in its name; got B G L0 L1 L2 L3 L4 R View.DiffCol View.N"
+    )
     cases: list[tuple[list[Any], int, str]] = [
         ([flat], 1, f"{flat}: an EXR of image and depth {rule}"),
         ([two], 1, f"{two}: an EXR must hold one image, or its layer must be named; got layers a b"),

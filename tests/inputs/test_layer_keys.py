@@ -105,7 +105,7 @@ def test_scenes_come_back(folder: Path) -> None:
 def test_what_is_wrong_is_said_as_by_the_commands(folder: Path) -> None:
     write_png(folder / "a.png", np.zeros((12, 16), np.uint8))
     render = folder / "render.exr"
-    listed = "View.Albedo View.Beauty far near"
+    listed = "View.Albedo.B View.Albedo.G View.Albedo.R View.Beauty.B View.Beauty.G View.Beauty.R far.Z near.Z"
     in_layer = f"{render}: an EXR must hold the channels R G B or Y in a layer sky; got {listed}"
     of_depth = f"{render}: an EXR must hold one depth: a channel Z, V, R or Y, or Z or V of a layer sky; got {listed}"
     no_exr = f"{folder / 'a.png'}: only an EXR has layers, such as near; got PNG"
