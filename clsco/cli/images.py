@@ -111,7 +111,7 @@ def defocus(
         raise click.UsageError("focus: goes without --focus-distance; got both")
     special = layer or layers or max_blur or span != (None, None) or isinstance(values["focus_distance"], dict)
     if special or image is None or (alone and (depth is None or "#" in out.name or "%" in out.name)):
-        from clsco.cli.pictures import defocus_frames, picture_frames
+        from clsco.cli.defocus import defocus_frames, picture_frames
 
         frames = picture_frames(image, depth, out, layer, layers, span)
         if not alone:

@@ -62,9 +62,7 @@ def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: st
     the scale of a PFM is ignored.
     """
     with open_format(path) as (file, kind):
-        data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
-        below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
-        return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
+        return _picture(file, kind, decode_file(file, kind, layer), hidden)
 
 
 def read_rgba(path: AnyPath, layer: str | None = None) -> tuple[Picture, NDArray[np.float32]]:
@@ -82,9 +80,7 @@ def read_rgba(path: AnyPath, layer: str | None = None) -> tuple[Picture, NDArray
                 raise_file_error(path_of(file), "alpha must be a number", first_of(alpha, wrong))
             data = np.where(alpha[..., None] > 0, data[..., :-1], data.dtype.type(0))
             data = data[..., 0] if data.shape[2] == 1 else data
-        data = np.ascontiguousarray(_as_stored(file, data, None))
-        color = read_tags(file, kind).color(1 if data.ndim == 2 else 3)
-        return Picture(data, color, int(np.count_nonzero(data < 0))), alpha
+        return _picture(file, kind, data, None), alpha
 
 
 def image_size(path: AnyPath) -> tuple[int, int]:
@@ -134,6 +130,12 @@ def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[i
             orientations.append((read_tags(file, kind).orientation, path))
     (least, untagged), (orientation, turned) = sorted(orientations)
     return (orientation, turned, untagged) if least == 1 < orientation else (1, "", "")
+
+
+def _picture(file: BinaryIO, kind: str, decoded: NDArray[Any], hidden: NDArray[np.bool_] | None) -> Picture:
+    data = np.ascontiguousarray(_as_stored(file, decoded, hidden))
+    below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
+    return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:

@@ -100,10 +100,9 @@ def load_layers(scene: Scene, focus: Focus | None = None, max_blur: float | None
         light = np.atleast_3d(light) * (1 if picture.is_float else alpha[..., None])
         rgba = np.concatenate([np.broadcast_to(light, (*shape, 3)), alpha[..., None]], axis=2)
         layers.append((rgba, np.clip(radius, -most, most)))
-    return PictureLayers(
-        layers, margin, framed, any(alpha.min() == 1 for alpha in alphas), is_gray,
-        max(picture.bits for picture in pictures), colors[0] if fits else SRGB, notes,
-    )  # fmt: skip
+    covering = [layer for layer in layers if layer[0][..., 3].any()] or layers[:1]
+    is_opaque, bits = any(alpha.min() == 1 for alpha in alphas), max(picture.bits for picture in pictures)
+    return PictureLayers(covering, margin, framed, is_opaque, is_gray, bits, colors[0] if fits else SRGB, notes)
 
 
 def _read_layer(item: DepthMap, size: tuple[int, int]) -> tuple[Picture, NDArray[np.float32], NDArray[Any]]:
