@@ -228,13 +228,18 @@ def _scene_of(scene: Scene, frame: FrameFiles, track: FocusTrack | None) -> Scen
 
 def _blur(loaded: PictureLayers, computation: Computation) -> NDArray[np.float32]:
     """The image of layers: gray, RGB, or premultiplied RGB and alpha if no layer is opaque."""
-    scene, defocus = loaded.scene, cast("Callable[..., NDArray[np.float32]]", clsco.defocus)
+    scene, defocus = loaded.scene, cast("Callable[..., Any]", clsco.defocus)
     options: dict[str, Any] = {"device": computation.device, "memory": computation.memory}
     options |= {"psf": scene.psf, "aperture": scene.aperture, "camera": scene.camera}
-    options["soft_edges"] = next(item.soft_edges for item in scene.objects if isinstance(item, DepthMap))
+    item = next(item for item in scene.objects if isinstance(item, DepthMap))
+    options["soft_edges"] = item.soft_edges
     if loaded.is_opaque and len(loaded.layers) == 1:
         ((rgba, radius),) = loaded.layers
-        image = defocus(rgba[..., : 1 if loaded.is_gray else 3], radius, **options)
+        light = rgba[..., : 1 if loaded.is_gray else 3]
+        image, report = defocus(light, radius, return_report=True, **options)
+        if report.soft_edges:
+            note = f"{report.soft_edges} of {radius.size} pixels at soft edges get the depth of one side"
+            report_notes(str(item.depth), [note])
     else:
         image = defocus(layers=loaded.layers, **options)
     rows, columns = (slice(more, length - more) for more, length in zip(loaded.margin, image.shape, strict=False))

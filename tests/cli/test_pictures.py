@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
+from clsco.engine.defocus import DefocusReport
 from clsco.files.images import read_image, write_png
 from clsco.files.transfer import decode
 from tests.command import clsco_, done
@@ -37,9 +38,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[list[tuple[Array, Array]]]:
     """Layers of each call of `clsco.defocus`, whose place is taken by a function that returns the first layer."""
     layers_of_calls: list[list[tuple[Array, Array]]] = []
 
-    def defocus(image: Any = None, radius: Any = None, layers: Any = None, **_: Any) -> Array:
+    def defocus(image: Any = None, radius: Any = None, layers: Any = None, **_: Any) -> Any:
         layers_of_calls.append(list(layers or [(image, radius)]))
-        return layers_of_calls[-1][0][0]
+        return layers[0][0] if layers else (image, DefocusReport(0))
 
     monkeypatch.setattr(clsco, "defocus", defocus)
     return layers_of_calls
