@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 import clsco
 from clsco.cli.inputs import paired_files, prepare_file, report_loss, report_notes
 from clsco.cli.options import Computation, require_device
+from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.errors import FileError, SceneError
 from clsco.files.atomic import raise_file_error
@@ -168,8 +169,9 @@ def frames_of(layers: Sequence[Files], out: Path, span: Span) -> list[FrameFiles
         matches = (pattern.fullmatch(file.name) for file in path.parent.iterdir())
         numbers = sorted(n for m in matches if m and (first or 0) <= (n := int(m[1])) and (end is None or n < end))
     for name in numbered:
-        if missing := [str(n) for n in numbers if not path_of_frame(name, n).exists()] or ([] if numbers else ["any"]):
-            raise_file_error(name, "must have a file for each frame", f"none for {list_names(missing)}")
+        missing = [str(number) for number in numbers if not path_of_frame(name, number).exists()]
+        if missing or not numbers:
+            raise_file_error(name, "must have a file for each frame", f"none for {list_names(missing) or 'any'}")
 
     def files_of(files: Files, number: int) -> Files:
         return {k: str(path_of_frame(v, number)) if v in numbered else v for k, v in files.items()}
@@ -211,6 +213,8 @@ def defocus_frames(
                 report_loss(frame.out, loaded.color)
             write_color(frame.out, _blur(loaded, computation), loaded.bits, scenes[0].image.transfer, loaded.color)
             advance()
+    if len(frames) > 1 and not quiet:
+        echo(f"{click.format_filename(frames[0].out.parent)}: {len(frames)} images")
 
 
 def distance_at(track: FocusTrack, frame: FrameFiles) -> float:

@@ -64,7 +64,7 @@ _DECODED: ContextVar[dict[str, Any] | None] = ContextVar("decoded", default=None
 
 @contextlib.contextmanager
 def decode_once() -> Iterator[None]:
-    """Decode each EXR once in the block, however many of its layers are read."""
+    """Decode an EXR once in the block if its layers are read one after another."""
     token = _DECODED.set({})
     try:
         yield
@@ -307,6 +307,7 @@ def exr_planes(
     chosen = choose([name for names in named for name in names.values()])
     decoded = {} if (shared := _DECODED.get()) is None else shared
     if str(path) not in decoded:
+        decoded.clear()
         decoded[str(path)] = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
     pages = decoded[str(path)]
     if len(pages) != len(parts):  # OpenEXR omits parts that it cannot decode
