@@ -128,7 +128,7 @@ def picture_frames(
     """Frames of the arguments and options of `clsco defocus`; layer, names: values of --layer and --layers."""
     if (image is None) != bool(layer) or (names is not None and (image is None or depth is not None)):
         raise click.UsageError("must be IMAGE [DEPTH], or --layer without both, or IMAGE with --layers; got others")
-    if image is not None and image.is_dir():
+    if image is not None and image.is_dir() and names is None and span == (None, None):
         pairs = paired_files(image, depth or image, DEPTH_FORMATS, out)
         return [FrameFiles(None, [layer_files(first, second)], file) for first, second, file in pairs]
     if image is None:
@@ -166,7 +166,7 @@ def frames_of(layers: Sequence[Files], out: Path, span: Span) -> list[FrameFiles
     if first is None or end is None:
         path = Path(numbered[0])
         pattern = re.compile(r"(\d+)".join(map(re.escape, NUMBER.sub("\0", path.name).split("\0"))))
-        matches = (pattern.fullmatch(file.name) for file in path.parent.iterdir())
+        matches = (pattern.fullmatch(file.name) for file in path.parent.glob("*"))
         numbers = sorted(n for m in matches if m and (first or 0) <= (n := int(m[1])) and (end is None or n < end))
     for name in numbered:
         missing = [str(number) for number in numbers if not path_of_frame(name, number).exists()]

@@ -36,10 +36,12 @@ def _distance(text: str) -> float | FocusTrack:
         rows = Path(text).read_text().split("\n") if is_file else text.split(",")
         keys = [re.split(r"[:,;\s]+", row.strip()) for row in rows if row.strip()]
         first = int(is_file and not keys[0][0].isdecimal())  # after a heading
-        return {int(frame): parse_length(distance) for frame, distance in keys[first:]}
+        track = {int(frame): parse_length(distance) for frame, distance in keys[first:]}
+        if min(track.values()) > 0.0:
+            return track
     except (OSError, ValueError, IndexError) as error:
-        got = f"{text}: {error.strerror}" if isinstance(error, OSError) else text
-        raise click.BadParameter(f"{rule}; got {got}") from None
+        text += f": {error.strerror}" if isinstance(error, OSError) else ""
+    raise click.BadParameter(f"{rule}; got {text}")
 
 
 focus_distance_option = option(

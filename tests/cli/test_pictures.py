@@ -159,8 +159,11 @@ def test_bad_files_give_one_line(tmp_path: Path, calls: list[Any]) -> None:
         ([good, "--focus-distance", "1:3m"], 2, "distances by frame need a sequence"),
         ([good, "--focus-distance", "3 parsec"], 2, "must be a length, in mm or with a unit"),
         ([good, "--focus-distance", "1:3m,3m"], 2, "like 1:3m,48:5m, or a CSV file of these; got 1:3m,3m"),
+        ([good, "--focus-distance", "1:0m"], 2, "a CSV file of these; got 1:0m"),
+        ([good, "--focus-distance", "no.csv"], 2, "a CSV file of these; got no.csv: No such file or directory"),
         ([good, "--fov", "40deg", "--sensor-width", "36mm"], 1, "must be only one of them"),
         ([good, "--layer", flat], 2, "must be IMAGE [DEPTH], or --layer"),
+        ([tmp_path / "no" / "s_#.exr", "-o", tmp_path / "b_#.exr"], 1, "a file for each frame; got none for any"),
         ([numbered], 1, "a sequence needs numbers in OUT and in IMAGE or a layer"),
         ([numbered, "--frames", "1:4", "-o", tmp_path / "b_#.exr"], 1, "for each frame; got none for 2 3"),
     ]
