@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from clsco.errors import FileError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.files.decoders import decode_once, mirrored
-from clsco.files.images import Picture, check_sizes, image_size, read_rgba
-from clsco.inputs.depth_files import read_depth
+from clsco.files.images import Picture, check_same_size, check_sizes, image_size, read_rgba
+from clsco.inputs.depth_files import DEPTH_FORMATS, read_depth
 from clsco.inputs.depth_maps import FARTHEST, DepthValues, map_values
 from clsco.inputs.focus import Focus, focus_scene, lens_line
 from clsco.inputs.textures import radiance_of
@@ -112,7 +112,7 @@ def _read_layer(item: DepthMap, size: tuple[int, int]) -> tuple[Picture, NDArray
     picture, alpha = read_rgba(image, item.texture_layer)
     numbers = read_depth(depth, item.depth_layer, (image, item.texture_layer))
     is_exr = depth.lower().endswith(".exr")  # whose numbers may have overscan
-    check_sizes(image, size, depth, image_size(depth) if is_exr else (numbers.shape[1], numbers.shape[0]))
+    check_same_size(image, depth, image_size(depth) if is_exr else numbers.shape[::-1], DEPTH_FORMATS)
     return picture, alpha, numbers
 
 
