@@ -109,9 +109,8 @@ def write_color(out: Path, image: NDArray[np.float32], bits: int, transfer: str,
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)
-    writer.save(
-        out, image if as_floats else encode(image, min(bits, writer.code_bits), color.transfer(transfer)), color
-    )
+    codes = None if as_floats else encode(image, min(bits, writer.code_bits), color.transfer(transfer))
+    writer.save(out, image if codes is None else codes, color)
 
 
 class FrameFiles(NamedTuple):
@@ -203,7 +202,12 @@ def defocus_frames(
     require_device(computation.device)
     with progress(len(frames), quiet) as advance:
         for frame in frames:
-            loaded = load_layers(_scene_of(scenes[0], frame, track), focus, max_blur)
+            pairs = zip(scenes[0].objects, frame.layers, strict=True)
+            items = tuple(item.model_copy(update=dict(files)) for item, files in pairs)
+            scene = scenes[0].model_copy(update={"objects": items})
+            if track:
+                scene = scene.replace("camera.focus_distance", distance_at(track, frame))
+            loaded = load_layers(scene, focus, max_blur)
             for path, line in loaded.notes:
                 report_notes(path, [line])
             if not loaded.is_opaque and frame.out.suffix.lower() != ".exr":
@@ -221,13 +225,6 @@ def distance_at(track: FocusTrack, frame: FrameFiles) -> float:
     """Distance in focus of a frame in mm: linear in 1 / distance between frames of the track, constant outside."""
     power = float(np.interp(frame.number or 0, sorted(track), [1.0 / track[number] for number in sorted(track)]))
     return 1.0 / power if power else np.inf
-
-
-def _scene_of(scene: Scene, frame: FrameFiles, track: FocusTrack | None) -> Scene:
-    """The scene of a frame, from that of the first one."""
-    items = [item.model_copy(update=dict(files)) for item, files in zip(scene.objects, frame.layers, strict=True)]
-    scene = scene.model_copy(update={"objects": tuple(items)})
-    return scene.replace("camera.focus_distance", distance_at(track, frame)) if track else scene
 
 
 def _blur(loaded: PictureLayers, computation: Computation) -> NDArray[np.float32]:

@@ -167,11 +167,8 @@ def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
     alpha = data[..., -1]
     seen_through = alpha != (1 if alpha.dtype.kind == "f" else np.iinfo(alpha.dtype).max)
     if seen_through.any():
-        raise_file_error(
-            path_of(file),
-            "alpha must be opaque everywhere, except for clsco defocus --layer",
-            f"{int(seen_through.sum())} other pixels",
-        )
+        rule = "alpha must be opaque everywhere, except for clsco defocus --layer"
+        raise_file_error(path_of(file), rule, f"{int(seen_through.sum())} other pixels")
     return data[..., 0] if data.shape[2] == 2 else data[..., :-1]
 
 
