@@ -61,11 +61,6 @@ OCCLUSION_SCENES = {
     "passing": "ball passing behind a pillar", "card": "card before a plane",
     "wire": "wire, thinner than its blur", "tube": "tube, seen inside", "alone": "one sphere, nothing overlaps",
 }  # fmt: skip
-SOFT_DEPTHS = {
-    "averaged": "averaged", "blurred by 2 px": "blurred by 2 px", "halved, bicubic": "halved, enlarged bicubically",
-    "codes halved, bicubic, then JPEG": "8 bits, halved, bicubic, JPEG of quality 90",
-    "codes, JPEG": "8 bits, hard, JPEG of quality 90",
-}  # fmt: skip
 CARD_CASES = (
     ("sphere, 512 x 512", "H100", "sphere, 512 x 512"),
     ("sphere, 1920 x 1080, R to 15 px", "H100", "sphere, 1920 x 1080"),
@@ -172,19 +167,6 @@ def occlusion() -> str:
     return table(columns, map(cells, result_rows("occlusion.md")))
 
 
-def soft_depths() -> str:
-    rows = {(row["scene"], row["depth"]): row for row in result_rows("soft_depths.md") if row["textures"] == "plain"}
-    scenes = ("near blurred", "far blurred", "both blurred")
-
-    def cells(depth: str) -> list[str]:
-        figures = [rows[scene, depth][name] for scene in scenes for name in ("RMS as it is", "RMS assigned")]
-        return [SOFT_DEPTHS[depth], *(f"{float(figure):.2g}" for figure in figures)]
-
-    hard = [f"{float(rows[scene, 'averaged']['RMS hard']):.2g}" for scene in scenes for _ in range(2)]
-    heads = (f"{scene}: {way}" for scene in ("near blurred", "far", "both") for way in ("as it is", "assigned"))
-    return table(("depth", *heads), [["hard", *hard], *map(cells, SOFT_DEPTHS)])
-
-
 def memory() -> str:
     most = {row[""]: row["peak MiB"] for row in result_rows("sizes.md") if row["size, px"] == "8192"}
     return table(("8192 x 8192 px", "MiB"), ((label, f"{float(most[name]):.0f}") for label, name in MEMORY.items()))
@@ -272,7 +254,6 @@ def inpainting() -> str:
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "still": ("accuracy.md", still), "moving": ("accuracy.md", moving), "textures": ("accuracy.md", textures),
     "judged": ("accuracy.md", judged), "occlusion": ("occlusion.md", occlusion),
-    "soft depths": ("depth_maps.md", soft_depths),
     "memory": ("speed.md", memory), "photographic": ("speed.md", photographic), "mitsuba": ("speed.md", mitsuba),
     "numba": ("speed.md", numba), "cards": ("speed.md", cards), "presets": ("video.md", video),
     "methods": ("inpainting.md", inpainting),

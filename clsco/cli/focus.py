@@ -1,15 +1,16 @@
-"""The options `--focus-at` and `--focus-depth`."""
+"""The options `--focus-distance`, `--focus-at` and `--focus-depth`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from clsco.cli.options import option, parse_pair
+from clsco.cli.options import option, parse_length, parse_pair
 from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
@@ -18,11 +19,36 @@ if TYPE_CHECKING:
 
     Loaded = Sequence[tuple[Path, Sweep | SceneError]]
 
+FocusTrack = Mapping[int, float]
+"""Distances in focus in mm, by the number of a frame."""
+
 
 def _point(text: str) -> tuple[int, int]:
     return parse_pair(text, r"(\d{1,5}),(\d{1,5})", "X,Y, a pixel's column and row counted from 0")
 
 
+def _distance(text: str) -> float | FocusTrack:
+    is_file = text.lower().endswith(".csv")
+    if not is_file and ":" not in text:
+        return parse_length(text)
+    rule = "must be a distance, like 3m, or distances by frame, like 1:3m,48:5m, or a CSV file of these"
+    try:
+        rows = Path(text).read_text().split("\n") if is_file else text.split(",")
+        keys = [re.split(r"[:,;\s]+", row.strip()) for row in rows if row.strip()]
+        first = int(is_file and not keys[0][0].isdecimal())  # after a heading
+        track = {int(frame): parse_length(distance) for frame, distance in keys[first:]}
+        if min(track.values()) > 0.0:
+            return track
+    except (OSError, ValueError, IndexError) as error:
+        text += f": {error.strerror}" if isinstance(error, OSError) else ""
+    raise click.BadParameter(f"{rule}; got {text}")
+
+
+focus_distance_option = option(
+    "--focus-distance", "LENGTH",
+    "Distance in focus, mm or like 3m; of a sequence also by frame, linear in diopters: 1:3m,48:5m, or a CSV file.",
+    _distance,
+)  # fmt: skip
 focus_at_option = option(
     "--focus-at", "X,Y",
     "Focus on what is in this pixel, column and row counted from 0, in place of a distance in focus.", _point,
@@ -58,7 +84,7 @@ def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
     if len(distances) > 1:
         return SceneError(f"{path}: focus: goes without several values of the focus; got {len(distances)}")
     try:
-        scenes = tuple(focus_scene(with_resolution(scene), shared_files(), focus) for scene in sweep.scenes)
+        scenes = tuple(focus_scene(with_resolution(scene), shared_files().maps, focus) for scene in sweep.scenes)
     except ClscoError as error:
         return SceneError([f"{path}: {message}" for message in getattr(error, "messages", [error])])
     return replace(sweep, scenes=scenes)

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
+from decimal import Decimal
 from functools import wraps
 from importlib import import_module
 from importlib.util import find_spec
@@ -104,6 +105,26 @@ def parse_pair(text: str, pattern: str, rule: str, ordered: bool = False) -> tup
 
 def parse_span(text: str) -> Span:
     return parse_pair(text, r"(\d{0,9}):(\d{0,9})", "A:B, frames A to B - 1 counted from 0")
+
+
+def quantity(rule: str, **units: str) -> Callable[[str], float]:
+    """Make a parser of a number with or without a unit. units: what each is worth in that of a number without one."""
+
+    def parse(text: str) -> float:
+        number, unit = re.sub(r"[a-z\s]+$", "", text), text.strip().lstrip("+-.0123456789e").strip()
+        try:
+            return float(text) if text.strip() in ("inf", number) else float(Decimal(number) * Decimal(units[unit]))
+        except (ArithmeticError, ValueError, KeyError):
+            raise click.BadParameter(f"{rule}; got {text}") from None
+
+    return parse
+
+
+parse_length = quantity(
+    "must be a length, in mm or with a unit: 35.5, 85mm, 3m (um, mm, cm, m, in, ft)",
+    um="0.001", mm="1", cm="10", m="1000", ft="304.8", **{"in": "25.4"},
+)  # fmt: skip
+parse_angle = quantity("must be an angle in degrees, like 40 or 40deg", deg="1")
 
 
 def parse_memory(text: str) -> int:

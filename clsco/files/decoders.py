@@ -9,6 +9,7 @@ import re
 import struct
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,7 +21,7 @@ from clsco.files.archives import image_shape, npy_header
 from clsco.files.atomic import AnyPath, raise_file_error
 from clsco.files.decoder_process import run_decoder
 from clsco.files.layers import full_names, image_channels, list_names
-from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, check_png, png_size
+from clsco.files.png import GRAY, PALETTE, SIGNATURE, check_png, png_size
 from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, turn_upright
 from clsco.resources import DEVICE, open_regular
 
@@ -29,6 +30,7 @@ MAX_SIDE = 65536
 LARGEST_EXR = 2**29  # largest number of values in all channels of an EXR, which are decoded together
 DENSEST_EXR = 2**15  # most values per byte of an EXR; DWAB, the densest compression, reaches half of it for one color
 MOST_WINDOW = 4  # most pixels in the data window of a part of an EXR, as a multiple of those in the display window
+MOST_OVERSCAN = 512  # most pixels beyond each border of the display window that are read, the largest blur radius
 LONGEST_PFM = 256  # largest header of a PFM, bytes
 MOST_SCANS = 100  # most scans of a JPEG, each of which processes all pixels; encoders make about 20 at most
 PIXEL_BYTES = 32  # largest size of a file per pixel: four float64
@@ -55,6 +57,19 @@ _FIRST_BYTES = {
     "NPZ": (b"PK\x03\x04",),
     "DPT": (b"PIEH",),
 }
+
+
+_DECODED: ContextVar[dict[str, Any] | None] = ContextVar("decoded", default=None)
+
+
+@contextlib.contextmanager
+def decode_once() -> Iterator[None]:
+    """Decode an EXR once in the block if its layers are read one after another."""
+    token = _DECODED.set({})
+    try:
+        yield
+    finally:
+        _DECODED.reset(token)
 
 
 @contextlib.contextmanager
@@ -129,18 +144,21 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
         raise_file_error(path, rule, f"{columns} x {rows}")
 
 
-def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
+def decode_file(file: BinaryIO, kind: str, layer: str | None = None, whole: bool = False) -> NDArray[Any]:
     """Decode an open file within the limits; returns stored values (rows, columns[, channels]), turned upright.
 
-    layer: layer of an EXR, as for `clsco.files.layers.image_channels`. `open_format` turns errors into FileError.
+    layer: layer of an EXR, as for `clsco.files.layers.image_channels`. whole: True for the alpha of PNG and EXR as the
+    last channel, and for the overscan of an EXR (`exr_planes`). `open_format` turns errors into FileError.
     """
     columns, rows = _stored_size(file, kind)
     orientation = read_tags(file, kind).orientation
     if layer is not None and kind != "EXR":
         raise_file_error(path_of(file), f"only an EXR has layers, such as {list_names([layer])}", kind)
-    data: NDArray[Any] = _CODECS[kind][1](file) if layer is None else _decode_exr(file, layer)
-    if data.shape[:2] != (rows, columns):
+    data: NDArray[Any] = _decode_exr(file, layer, whole) if kind == "EXR" else _CODECS[kind][1](file)
+    if data.shape[:2] != (rows, columns) and not (whole and kind == "EXR"):
         raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
+    if data.ndim == 3 and data.shape[2] in (2, 4) and not whole:
+        data = _without_alpha(file, data)
     return turn_upright(data, orientation)
 
 
@@ -149,7 +167,8 @@ def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
     alpha = data[..., -1]
     seen_through = alpha != (1 if alpha.dtype.kind == "f" else np.iinfo(alpha.dtype).max)
     if seen_through.any():
-        raise_file_error(path_of(file), "alpha must be opaque everywhere", f"{int(seen_through.sum())} other pixels")
+        rule = "alpha must be opaque everywhere, except for clsco defocus --layer"
+        raise_file_error(path_of(file), rule, f"{int(seen_through.sum())} other pixels")
     return data[..., 0] if data.shape[2] == 2 else data[..., :-1]
 
 
@@ -163,7 +182,7 @@ def _decode_png(file: BinaryIO) -> NDArray[Any]:
         data = data.astype(np.uint8) * np.uint8(255)
     if transparency is not None and (count := _keyed(png, data, depth, color, transparency)):
         raise_file_error(path_of(file), "pixels must be opaque", f"{count} of a transparent color (chunk tRNS)")
-    return _without_alpha(file, data) if color in (GRAY_ALPHA, RGB_ALPHA) else data
+    return data
 
 
 def _keyed(png: bytes, data: NDArray[Any], depth: int, color: int, transparency: bytes) -> int:
@@ -273,48 +292,77 @@ def _window(corners: Sequence[Any]) -> tuple[int, int]:
     return right - left + 1, bottom - top + 1
 
 
-def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
+def exr_planes(
+    file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float, overscan: bool = False
+) -> dict[str, NDArray[Any]]:
     """Decode channels of an EXR, which may be in several parts: (rows, columns) of the display window, by name.
 
     choose: function that takes the names of all channels, and returns the names of those to decode. outside: value of
-    pixels outside of the data window.
+    pixels outside of the data window. overscan: True to extend the planes as far as a data window extends beyond a
+    border of the display window, but equally on opposite sides, where the planes are mirrored if they have no data.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(
         [(str(part.header.get("name", "")), [c.name for c in part.header["channels"]]) for part in parts]
     )
     chosen = choose([name for names in named for name in names.values()])
-    pages = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
+    decoded = {} if (shared := _DECODED.get()) is None else shared
+    if str(path) not in decoded:
+        decoded.clear()
+        decoded[str(path)] = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
+    pages = decoded[str(path)]
     if len(pages) != len(parts):  # OpenEXR omits parts that it cannot decode
         raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
     planes = {}
+    used = [part for part, names in zip(parts, named, strict=True) if {*names.values()} & {*chosen}]
+    margin = _overscan(used) if overscan else (0, 0)
     for part, names, page in zip(parts, named, pages, strict=True):
         for own, name in names.items():
             if name in chosen:
                 plane = page.channels[own].pixels
                 if plane.shape != _window(part.header["dataWindow"])[::-1]:
                     raise ValueError(f"channel {list_names([name])} of shape {plane.shape}")
-                planes[name] = _in_display(part.header, plane, outside)
+                planes[name] = _in_display(part.header, plane, outside, margin)
     return {name: planes[name] for name in chosen}
 
 
-def _in_display(header: Mapping[str, Any], plane: NDArray[Any], outside: float) -> NDArray[Any]:
-    """A plane of the data window, cropped and padded with `outside` to the display window."""
-    (left, top), (right, bottom) = (corner.tolist() for corner in header["displayWindow"])
-    (first, above), (last, below) = (corner.tolist() for corner in header["dataWindow"])
-    if (left, top, right, bottom) == (first, above, last, below):
-        return plane
-    kind = plane.dtype if plane.dtype.kind == "f" else np.float64
-    shown = np.full((bottom - top + 1, right - left + 1), outside, kind)
-    rows = slice(max(top, above), min(bottom, below) + 1)
-    columns = slice(max(left, first), min(right, last) + 1)
-    if rows.start < rows.stop and columns.start < columns.stop:
-        inside = plane[rows.start - above : rows.stop - above, columns.start - first : columns.stop - first]
-        shown[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = inside
-    return shown
+def _sides(header: Mapping[str, Any]) -> list[tuple[int, int, int, int]]:
+    """First and last row of the display window and of the data window, and the same of the columns."""
+    corners = [corner.tolist() for window in ("displayWindow", "dataWindow") for corner in header[window]]
+    (left, top), (right, bottom), (first, above), (last, below) = corners
+    return [(top, bottom, above, below), (left, right, first, last)]
 
 
-def _decode_exr(file: BinaryIO, layer: str | None = None) -> NDArray[Any]:
+def _overscan(parts: Sequence[Any]) -> tuple[int, int]:
+    """Rows and columns by which data windows extend at most beyond a border of the display window."""
+    beyond = [[max(a - first, last - b, 0) for a, b, first, last in _sides(part.header)] for part in parts]
+    rows, columns = (min(max(side), MOST_OVERSCAN) for side in zip(*beyond, strict=True))
+    return rows, columns
+
+
+def mirrored(at: NDArray[np.intp], length: int) -> NDArray[np.intp]:
+    """Indices into an array of a length that is continued by its mirror images."""
+    at = at % (2 * length)
+    return np.minimum(at, 2 * length - 1 - at)
+
+
+def _in_display(
+    header: Mapping[str, Any], plane: NDArray[Any], outside: float, margin: tuple[int, int]
+) -> NDArray[Any]:  # fmt: skip
+    """A plane of the data window, cropped and padded with `outside` to the display window, and extended by a margin."""
+    for axis, ((a, b, first, last), more) in enumerate(zip(_sides(header), margin, strict=True)):
+        if (a - more, b + more) == (first, last):
+            continue
+        begin, end = min(a, max(first, a - more)), max(b, min(last, b + more)) + 1  # display window and overscan
+        at = begin + mirrored(np.arange(a - more, b + more + 1) - begin, end - begin)
+        plane = plane.take(np.clip(at - first, 0, last - first), axis)
+        if (beyond := (at < first) | (at > last)).any():
+            plane = plane if plane.dtype.kind == "f" else plane.astype(np.float64)
+            np.moveaxis(plane, axis, 0)[beyond] = outside
+    return plane
+
+
+def _decode_exr(file: BinaryIO, layer: str | None = None, whole: bool = False) -> NDArray[Any]:
     def choose(names: list[str]) -> list[str]:
         try:
             return image_channels(names, layer)
@@ -322,13 +370,11 @@ def _decode_exr(file: BinaryIO, layer: str | None = None) -> NDArray[Any]:
             rule, got = error.args
             raise_file_error(path_of(file), rule, got)
 
-    planes = exr_planes(file, choose, 0.0)
+    planes = exr_planes(file, choose, 0.0, whole)
     for name, plane in planes.items():
         if plane.dtype.kind != "f":
             raise_file_error(path_of(file), "EXR pixels must be floats", f"{plane.dtype} in {list_names([name])}")
     data = np.stack(list(planes.values()), axis=-1)
-    if len(planes) in (2, 4):
-        return _without_alpha(file, data)
     return data[..., 0] if len(planes) == 1 else data
 
 

@@ -19,7 +19,7 @@ from clsco.files.color import SRGB, Color
 from clsco.files.decoders import IMAGE_FORMATS, decode_file, open_format, path_of, read_size, read_tags
 from clsco.files.png import Codes, png_parts
 from clsco.files.ranges import first_of
-from clsco.files.transfer import encode
+from clsco.files.transfer import decode, encode, has_alpha
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +62,25 @@ def read_image(path: AnyPath, hidden: NDArray[np.bool_] | None = None, layer: st
     the scale of a PFM is ignored.
     """
     with open_format(path) as (file, kind):
-        data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
-        below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
-        return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
+        return _picture(file, kind, decode_file(file, kind, layer), hidden)
+
+
+def read_rgba(path: AnyPath, layer: str | None = None) -> tuple[Picture, NDArray[np.float32]]:
+    """Read an image as `read_image`, and the alpha (rows, columns) from 0 to 1 of a PNG or EXR; 1 if it has none.
+
+    An EXR has its overscan, see `clsco.files.decoders.exr_planes`. Floats are premultiplied by alpha, codes are not;
+    values under alpha 0 are 0.
+    """
+    with open_format(path) as (file, kind):
+        data = decode_file(file, kind, layer, whole=True)
+        alpha = np.ones(data.shape[:2], np.float32)
+        if has_alpha(data):
+            alpha = np.clip(decode(data[..., -1], "linear"), 0, 1).astype(np.float32)
+            if (wrong := np.isnan(alpha)).any():
+                raise_file_error(path_of(file), "alpha must be a number", first_of(alpha, wrong))
+            data = np.where(alpha[..., None] > 0, data[..., :-1], data.dtype.type(0))
+            data = data[..., 0] if data.shape[2] == 1 else data
+        return _picture(file, kind, data, None), alpha
 
 
 def image_size(path: AnyPath) -> tuple[int, int]:
@@ -114,6 +130,12 @@ def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[i
             orientations.append((read_tags(file, kind).orientation, path))
     (least, untagged), (orientation, turned) = sorted(orientations)
     return (orientation, turned, untagged) if least == 1 < orientation else (1, "", "")
+
+
+def _picture(file: BinaryIO, kind: str, decoded: NDArray[Any], hidden: NDArray[np.bool_] | None) -> Picture:
+    data = np.ascontiguousarray(_as_stored(file, decoded, hidden))
+    below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
+    return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
@@ -213,8 +235,11 @@ def write_json(path: AnyPath, content: Mapping[str, Any]) -> None:
 
 
 def write_exr_image(path: AnyPath, image: NDArray[np.floating], color: Color = SRGB) -> None:
-    """Write an image (rows, columns[, 3]) as channels R G B; gray fills all three, because some readers need them."""
-    planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
+    """Write an image (rows, columns[, 3 or 4]) as channels R G B, and A if it has four; gray fills R, G and B, because
+    some readers need them.
+    """
+    names = "RGB" if image.ndim == 2 else "RGBA"[: image.shape[2]]
+    planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate(names)}
     write_exr(path, planes, attributes=[color.exr_attributes()])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsco.files.archives import image_shape, member_array, npy_header, open_archive, open_member
 from clsco.files.atomic import raise_file_error
 from clsco.files.decoders import IMAGE_FORMATS, check_limits, decode_file, exr_planes, open_format
-from clsco.files.layers import depth_channels, list_names
+from clsco.files.layers import depth_channels, image_channels, list_layers, list_names
 from clsco.files.ranges import first_of
 
 MOST_ARRAYS = 256  # largest number of arrays in an NPZ file
@@ -22,15 +22,19 @@ MOST_ARRAYS = 256  # largest number of arrays in an NPZ file
 DEPTH_FORMATS = IMAGE_FORMATS | {".npz": "NPZ", ".dpt": "DPT"}
 
 
-def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[Any]:
+def read_depth(
+    path: str | os.PathLike[str], layer: str | None = None, image: tuple[str, str | None] | None = None
+) -> NDArray[Any]:  # fmt: skip
     """Read the numbers of a depth file as stored; `inverse_depth` interprets them.
 
     Formats: PNG (8 or 16 bits; fewer bits become 8), JPEG, TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array
     `depth`, or the only one with two dimensions) and EXR (a channel of the layer, chosen by
     `clsco.files.layers.depth_channels`; pixels outside of its data window are NaN). Three equal channels count as one.
     The scale in a PFM's header is not applied; readers of Middlebury's files do not apply it either. TIFF and 16-bit
-    color PNG need the extra `formats`, EXR needs `exr`. Returns an array (rows, columns) with row 0 on top, integers as
-    stored or float64, which may include zero, negative numbers, NaN and infinity.
+    color PNG need the extra `formats`, EXR needs `exr`. image: file and layer of the map's image, for an EXR with the
+    overscan of `clsco.files.images.read_rgba`; if it is the same file, the channels of the image are no depth. Returns
+    an array (rows, columns) with row 0 on top, integers as stored or float64, which may include zero, negative numbers,
+    NaN and infinity.
 
     Raises FileError if the file does not hold exactly one depth map: it is unreadable or damaged, has the wrong
     extension, over 2^27 pixels or 65536 a side (rejected from the header), or channels that differ. Validated against
@@ -38,7 +42,7 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
     """
     with open_format(path, DEPTH_FORMATS) as (file, kind):
         if kind == "EXR":
-            data = _decode_exr(file, layer)
+            data = _decode_exr(file, layer, image)
         elif layer is not None:
             raise_file_error(Path(file.name), f"only an EXR has layers, such as {list_names([layer])}", kind)
         elif kind == "NPZ":
@@ -68,17 +72,21 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(data, np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("="))
 
 
-def _decode_exr(file: BinaryIO, layer: str | None) -> NDArray[Any]:
+def _decode_exr(file: BinaryIO, layer: str | None, image: tuple[str, str | None] | None) -> NDArray[Any]:
     path = Path(file.name)
+    is_image = image is not None and image[0] == str(path)
 
     def choose(names: list[str]) -> list[str]:
-        channels = depth_channels(names, layer)
+        colors = image_channels(names, image[1]) if image is not None and is_image else ()
+        channels = depth_channels(names, layer, colors)
         if not channels:
             rule = "an EXR must hold one depth: a channel Z, V, R or Y, or Z or V of a layer"
-            raise_file_error(path, f"{rule} {list_names([layer])}" if layer else rule, list_names(names))
+            if is_image:
+                rule = "an EXR of image and depth must hold a channel Z or Pz, or a layer with depth in its name"
+            raise_file_error(path, f"{rule} {list_names([layer])}" if layer else rule, list_layers(names))
         return channels
 
-    first, *others = exr_planes(file, choose, np.nan).items()
+    first, *others = exr_planes(file, choose, np.nan, overscan=image is not None).items()
     name, data = first
     if any(not np.array_equal(data, plane, equal_nan=data.dtype.kind == "f") for _, plane in others):
         rule = "an EXR must hold one depth, or equal ones, or its layer must be named"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.inputs.depth_maps import FARTHEST
-from clsco.inputs.files import InputFiles
 from clsco.optics.lens import SHARP
 from clsco.optics.lens_path import camera_at, lens_at, reference_camera
 from clsco.optics.motion import poses_at
@@ -53,20 +52,20 @@ def _distance(w: float) -> str:
     return f"{1.0 / w:.6g}" if w > FARTHEST else "infinity"
 
 
-def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
+def focus_scene(scene: Scene, load: Callable[[Scene], Sequence[Array | None]], focus: Focus) -> Scene:
     """The scene with its lens focused, at t = 0, on the surface at a point or at a quantile of the depths.
 
-    scene: a scene with a resolution. The lens gets a focus distance or, for infinity, its detector moves to the focal
-    length. Raises SceneError if the point is outside of the picture, shows no surface, or is within the focal length;
-    also if a depth map stores blur radii, because their depths depend on the focus. Raises FileError if a depth map
-    cannot be read. Quantiles use at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of
-    known depth.
+    scene: a scene with a resolution. load: `InputFiles.maps`, or a replacement. The lens gets a focus distance or, for
+    infinity, its detector moves to the focal length. Raises SceneError if the point is outside of the picture, shows no
+    surface, or is within the focal length; also if a depth map stores blur radii, because their depths depend on the
+    focus. Raises FileError if a depth map cannot be read. Quantiles use at most 2^20 pixels at equal steps. Validated
+    on planes, spheres and depth maps of known depth.
     """
     columns, rows = scene.camera.frame_size
     if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):
         raise SceneError('focus: depths must be known; got unit = "coc", whose radii say what is in focus')
     pinhole = scene.camera.model_copy(update={"aperture_diameter": MIN_LENGTH_MM})  # so that no blur is too large
-    maps = files.maps(scene.model_copy(update={"camera": pinhole}))
+    maps = load(scene.model_copy(update={"camera": pinhole}))
     if isinstance(focus, tuple):
         x, y = focus
         if not (0 <= x < columns and 0 <= y < rows):

@@ -134,7 +134,8 @@ class Camera(Strict):
         if value is None or f is None:
             return value
         if value <= f:
-            raise fault(f"must be greater than focal_length = {f:g} mm")
+            hint = f"{value:g} mm ({value:g} m?)" if value < f else None
+            raise fault(f"must be greater than focal_length = {f:g} mm", hint)
         if image_distance(f, value) > MAX_LENGTH_MM:
             raise fault(f"too close to focal_length = {f:g} mm: detector beyond {MAX_LENGTH_MM:g} mm")
         return value

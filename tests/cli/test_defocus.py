@@ -13,10 +13,9 @@ import OpenEXR
 import pytest
 import tifffile
 
-from clsco.cli.defocus import is_image_file, prepare_image, scenes_from_files, write_color
+from clsco.cli.defocus import is_image_file, layer_files, prepare_image, scenes_from_files, write_color
 from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.files.images import read_image, write_png
-from clsco.frame.frame import Frame
 from clsco.scene.file import parse_scene
 from clsco.scene.model import DepthMap, Scene, Stereo
 from tests.command import clsco_
@@ -34,7 +33,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def scene_of(image: Path, depth: Path, options: dict[str, Any] | None = None, overrides: Sequence[str] = ()) -> Scene:
-    (scene,) = scenes_from_files(image, depth, options or {}, overrides).scenes
+    (scene,) = scenes_from_files([layer_files(image, depth)], options or {}, overrides).scenes
     return scene
 
 
@@ -129,7 +128,7 @@ def test_one_image_is_written_and_read_back(
 ) -> None:
     color = np.random.default_rng(5).random((9, 12, *channels)).astype(np.float32)
     out = tmp_path / f"out{suffix}"
-    write_color(out, Frame(index=0, color=color, metadata={}), bits, "linear")
+    write_color(out, color, bits, "linear")
     data = READERS[suffix.lower()](out)
     assert data.dtype == np.dtype(dtype)
     top = 1 if dtype == "f4" else np.iinfo(dtype).max
@@ -143,7 +142,7 @@ def test_one_image_is_written_and_read_back(
 def test_codes_have_the_transfer_of_the_image(tmp_path: Path) -> None:
     color = np.full((2, 2), 0.2158605, np.float32)  # ((128 / 255 + 0.055) / 1.055)^2.4, by IEC 61966-2-1
     for name in ("a.png", "a.tif"):
-        write_color(tmp_path / name, Frame(index=0, color=color, metadata={}), 8, "srgb")
+        write_color(tmp_path / name, color, 8, "srgb")
         np.testing.assert_array_equal(read_image(tmp_path / name).data, np.full((2, 2), 128))
 
 

@@ -221,7 +221,7 @@ def test_only_opaque_alpha_is_dropped(tmp_path: Path, kind: str, channels: int) 
     np.testing.assert_array_equal(read_image(path).data, data[..., 0] if channels == 2 else data[..., :3])
     data[2, 3, -1] = 0
     save()
-    assert refusal(path) == "alpha must be opaque everywhere; got 1 other pixels"
+    assert refusal(path) == "alpha must be opaque everywhere, except for clsco defocus --layer; got 1 other pixels"
 
 
 def test_jpeg_markers_may_be_padded(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_a_line_says_what_the_lens_does(depths: list[list[float]], camera: Camer
 
 
 def focus_of(scene: Scene, on: Focus) -> float | None:
-    return focus_scene(scene, InputFiles(), on).camera.focus_distance
+    return focus_scene(scene, InputFiles().maps, on).camera.focus_distance
 
 
 def depth_map(**keys: Any) -> DepthMap:
@@ -56,7 +56,7 @@ def test_a_point_of_a_depth_map_is_in_focus() -> None:
     assert focus_of(scene, 0.0) == pytest.approx(300.0, rel=1e-12)
     assert focus_of(scene, 0.25) == pytest.approx(350.0, abs=0.1)  # depths are 0.065 mm apart
     assert focus_of(scene, 1.0) == pytest.approx(500.0, rel=1e-12)
-    assert focus_scene(scene, InputFiles(), (0, 0)).objects == scene.objects
+    assert focus_scene(scene, InputFiles().maps, (0, 0)).objects == scene.objects
 
 
 def test_a_lens_that_would_blur_too_much_is_focused() -> None:
@@ -77,7 +77,7 @@ def test_the_nearest_surface_of_a_pixel_counts() -> None:
 def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
     for item in (Background(texture="bricks"), depth_map(depth=np.full((48, 64), np.inf))):
         scene = scene_of(Plane(distance=300.0, bounds=((-1, 1), (-1, 1), (-1, 1))), item)
-        camera = focus_scene(scene, InputFiles(), (0, 0)).camera
+        camera = focus_scene(scene, InputFiles().maps, (0, 0)).camera
         assert (camera.focus_distance, camera.sensor_distance) == (None, camera.focal_length)
 
 
@@ -93,4 +93,4 @@ def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
      FAR + "350 mm; got a depth of 300 mm (is it in another unit, such as m?)"),
 ])  # fmt: skip
 def test_what_cannot_be_in_focus_is_refused(scene: Scene, focus: Focus, message: str) -> None:
-    assert refusals(focus_scene, scene, InputFiles(), focus) == (message,)
+    assert refusals(focus_scene, scene, InputFiles().maps, focus) == (message,)

@@ -193,7 +193,7 @@ camera.f_number = {from = 1, to = 9, steps = 99} ; sequence.frames = {from = 1, 
     -> camera.f_number, sequence.frames: must give at most 4096 scenes in all; got 9801
 image.transfer = ['srgb', 'linear'] -> image.transfer: must be srgb or linear; got ["srgb", "linear"]
 """)
-TOO_NEAR = "camera.focus_distance[0]: must be greater than focal_length = 30 mm; got 25"
+TOO_NEAR = "camera.focus_distance[0]: must be greater than focal_length = 30 mm; got 25 mm (25 m?)"
 BAD_SWEEPS += [[
     "camera.focal_length = [20, 30]\ncamera.focus_distance = [25, 200, 300]",
     f"{TOO_NEAR} (with camera.focal_length[1], camera.focus_distance[0])",
