@@ -278,5 +278,4 @@ def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
         _, status = convert_set(
             source, target, form, resume, lambda count: stack.enter_context(progress(count, quiet, "shards"))
         )
-    place = click.format_filename(out)
-    echo(f"{place}: {status.made} samples in {len(status.done)} shards, {status.failed} failed, as {form}")
+    echo(f"{_line(out, status)}, as {form}")

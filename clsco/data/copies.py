@@ -141,7 +141,7 @@ def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
         by_file.setdefault(row["file"], []).append(row)
     scratch, files = new_set.storage.scratch(), dict[str, Path]()
     described: dict[str, tuple[int, str]] = {}
-    for file, own in by_file.items():
+    for file, own in sorted(by_file.items(), key=lambda item: item[1][0]["split"]):  # the order of a made shard
         key = f"{file.removesuffix(old.suffix)}{new.suffix}"
         path, local = scratch / key.replace("/", "_"), source_set.storage.local(file)
         remove_path(path)
