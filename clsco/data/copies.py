@@ -79,7 +79,7 @@ def remake(
             color="color" in identity.arrays, types=dict(identity.types), splits=identity.splits or None,
             format=identity.format, shard_size=identity.shard_size, precision=identity.precision, devices=devices,
             workers=workers, folder=folder, license=original.about.get("license", ""), progress=progress,
-            allow_failures=len(original.samples),
+            split_by=original.about.get("split_by", ""), allow_failures=len(original.samples),
         )  # fmt: skip
         remade = open_storage(target)
         stack.callback(remade.close)

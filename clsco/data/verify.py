@@ -69,7 +69,7 @@ def drawn_again(data_set: DataSet, name: str, folder: Path) -> ScriptedDistribut
         raise SceneError(f"draw: must be MODULE:FUNCTION that Python can import; got {name}: {error!r}") from error
     if not callable(function):
         raise SceneError(f"draw: must be MODULE:FUNCTION that Python can import; got {name}")
-    drawn = scripted(function, data_set.identity.splits or None, folder)
+    drawn = scripted(function, data_set.identity.splits or None, folder, data_set.about.get("split_by", ""))
     if drawn.digest != data_set.identity.distribution:
         raise SceneError(f"draw: must be the function that made the set, from the same source; got {name}")
     return drawn
