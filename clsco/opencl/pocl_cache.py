@@ -33,6 +33,7 @@ LOCK = "clsco.lock"
 LIST = "clsco.json"
 MOST_LIST = 2**26  # largest size of the list of checksums, bytes
 ROOM = 16 * 2**20  # free disk space required for compilation, bytes; the largest program takes some 2 MB
+HANDLES = 64  # least limit of open files with which PoCL's compiler and the linker work
 _LARGEST = 64 * 2**20  # bytes of a cache beyond which it is emptied, as PoCL never removes files of older kernels
 _SETTLED = 2 * 10**9  # ns: two changes of a folder this far apart have different times on any file system
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # opening a pipe does not block
@@ -84,7 +85,7 @@ def has_room(folder: Path | None = None) -> bool:
 
 
 def shortage() -> str:
-    """Text on why PoCL would abort the process when it compiles: no disk space, or a limit of file sizes; else ""."""
+    """Text on why PoCL would abort the process when it compiles: no disk space, or a limit; else ""."""
     if not has_room():
         return "a full disk"
     with suppress(ImportError):  # as on Windows
@@ -92,6 +93,8 @@ def shortage() -> str:
 
         if 0 <= (limit := resource.getrlimit(resource.RLIMIT_FSIZE)[0]) < ROOM:
             return f"a limit of {limit} bytes a file (ulimit -f)"
+        if 0 <= (limit := resource.getrlimit(resource.RLIMIT_NOFILE)[0]) < HANDLES:
+            return f"a limit of {limit} open files (ulimit -n)"
     return ""
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -181,12 +183,18 @@ def test_no_room_to_compile_is_reported_before_the_compiler_aborts(monkeypatch: 
     session = session_on(choose("pocl"))
     full = shutil.disk_usage("/")._replace(free=poclcache.ROOM - 1)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
-    with pytest.raises(DeviceError, match=r"must have 16 MiB for kernels; got a full disk"):
+    with pytest.raises(DeviceError, match=r"kernels need 16 MiB in the folder .*; got a full disk"):
         session.compiling()
     monkeypatch.undo()
-    monkeypatch.setattr("resource.getrlimit", lambda _: (2**16, 2**16))
-    with pytest.raises(DeviceError, match=r"got a limit of 65536 bytes a file \(ulimit -f\)") as caught:
-        session.compiling()
+    for kind, limit, got in (
+        (resource.RLIMIT_FSIZE, 2**16, "65536 bytes a file (ulimit -f)"),
+        (resource.RLIMIT_NOFILE, 12, "12 open files (ulimit -n)"),
+    ):
+        monkeypatch.setattr(
+            "resource.getrlimit", lambda each, kind=kind, limit=limit: (limit if each == kind else -1, 0)
+        )
+        with pytest.raises(DeviceError, match=re.escape(f"got a limit of {got}")) as caught:
+            session.compiling()
     assert failure_of(caught.value, "DATA")[0] == "fatal"  # no failure of samples
     environ = {"XDG_CACHE_HOME": os.devnull + "/none"}
     poclcache.prepare(environ)
