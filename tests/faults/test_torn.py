@@ -190,9 +190,8 @@ def test_no_room_to_compile_is_reported_before_the_compiler_aborts(monkeypatch: 
         (resource.RLIMIT_FSIZE, 2**16, "65536 bytes a file (ulimit -f)"),
         (resource.RLIMIT_NOFILE, 12, "12 open files (ulimit -n)"),
     ):
-        monkeypatch.setattr(
-            "resource.getrlimit", lambda each, kind=kind, limit=limit: (limit if each == kind else -1, 0)
-        )
+        limits = {kind: (limit, limit)}
+        monkeypatch.setattr("resource.getrlimit", lambda each, limits=limits: limits.get(each, (-1, -1)))
         with pytest.raises(DeviceError, match=re.escape(f"got a limit of {got}")) as caught:
             session.compiling()
     assert failure_of(caught.value, "DATA")[0] == "fatal"  # no failure of samples
