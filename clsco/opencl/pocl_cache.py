@@ -35,6 +35,7 @@ MOST_LIST = 2**26  # largest size of the list of checksums, bytes
 ROOM = 16 * 2**20  # free disk space required for compilation, bytes; the largest program takes some 2 MB
 HANDLES = 64  # least limit of open files with which PoCL's compiler and the linker work
 _LARGEST = 64 * 2**20  # bytes of a cache beyond which it is emptied, as PoCL never removes files of older kernels
+ABANDONED_S = 600.0  # s after which a temporary file of PoCL is abandoned
 _SETTLED = 2 * 10**9  # ns: two changes of a folder this far apart have different times on any file system
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # opening a pipe does not block
 
@@ -254,4 +255,5 @@ def _write_record(folder: Path) -> None:
             temporary.replace(folder / LIST)
     for leftover in folder.glob("tempfile_*"):
         with suppress(OSError):
-            leftover.unlink()
+            if time.time() - leftover.stat().st_mtime > ABANDONED_S:  # a process with another lock file may link others
+                leftover.unlink()

@@ -10,6 +10,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -221,5 +222,9 @@ def test_a_list_of_the_cache_that_cannot_be_written(tmp_path: Path, monkeypatch:
             (folder / "AB" / "one").mkdir(parents=True)
             (folder / "AB" / "one" / "program.bc").write_bytes(bytes(100))
     os.mkfifo(folder / "AB" / "one" / "pipe")
+    for name, seconds in (("tempfile_left.so.o", 10**6), ("tempfile_linked.so.o", 10)):
+        (folder / name).touch()
+        os.utime(folder / name, (0, time.time() - seconds))
     assert poclcache.check() == 1  # what is not recorded may be damaged
     assert list(folder.rglob("program.bc")) == []
+    assert [path.name for path in folder.glob("tempfile_*")] == ["tempfile_linked.so.o"]
