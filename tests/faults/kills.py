@@ -19,7 +19,6 @@ import os
 import random
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -28,6 +27,7 @@ from collections import Counter
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from tests.cli.test_dataset import DISTRIBUTION
 
@@ -62,8 +62,10 @@ def main(words: list[str] | None = None) -> int:
         base, rng = Path(name), random.Random(chosen.seed)
         (base / "set.toml").write_text(DISTRIBUTION)
         (base / "scene.toml").write_text(SCENE)
-        finish(start_render(base, base / "frames"))
-        finish(start_make(base, base / "source"))
+        if "video" in ways:
+            finish(start_render(base, base / "frames"))
+        if "convert" in ways:
+            finish(start_make(base, base / "source"))
         undisturbed, seconds, turn = dict[str, dict[str, str]](), dict[tuple[str, str], float](), 0
         while counts["kills"] < chosen.kills:
             way, form = ways[turn % len(ways)], FORMATS[(turn // len(ways) + chosen.seed) % len(FORMATS)]
@@ -110,16 +112,17 @@ def start(words: list[str]) -> subprocess.Popen[bytes]:
 
 
 def said(process: subprocess.Popen[bytes]) -> str:
-    """The text on stderr of a process that has ended."""
+    """The text on stderr of a process that has ended; to be called once."""
     assert process.stderr is not None
-    return os.pread(process.stderr.fileno(), 10**6, 0).decode()
+    with process.stderr as file:
+        return os.pread(file.fileno(), 10**6, 0).decode()
 
 
 def finish(process: subprocess.Popen[bytes]) -> None:
     """Wait for a command that nobody kills any more."""
-    status = process.wait(STUCK_S)
+    status, text = process.wait(STUCK_S), said(process)
     if status != 0:
-        raise RuntimeError(f"a batch ended with the exit status {status}: {said(process)}")
+        raise RuntimeError(f"a batch ended with the exit status {status}: {text}")
 
 
 class Trial:
@@ -133,8 +136,7 @@ class Trial:
         self.base, self.way, self.rng, self.seconds, self.form = base, way, rng, seconds, ("--format", form)
         self.counts, self.problems = counts, problems
         self.out = base / "out"
-        self.cluster: list[subprocess.Popen[bytes]] = []  # the scheduler, then the workers
-        self.port = 0
+        self.cluster: Any = None  # tests.data.test_cluster.Cluster, which needs dask
         self.complete: dict[int, int] = {}  # frames, and when their JSON files were written
 
     def run(self, kills: int) -> None:
@@ -144,9 +146,9 @@ class Trial:
             time.sleep(self.rng.uniform(0.0, self.seconds))
             self.kill(running)
             for process in running:
-                lines = 1 if process.wait(STUCK_S) > 0 else 0
-                if process.returncode not in (0, -signal.SIGKILL) and len(said(process).splitlines()) != lines:
-                    self.problems.append(f"{self.way}: status {process.returncode} with {said(process)!r}")
+                status, text = process.wait(STUCK_S), said(process)
+                if status not in (0, -signal.SIGKILL) and len(text.splitlines()) != (status > 0):
+                    self.problems.append(f"{self.way}: status {status} with {text!r}")
             self.check_parts()
         for process in self.start():
             finish(process)
@@ -167,22 +169,19 @@ class Trial:
             return [start_make(self.base, self.out, *self.form, *options) for options in parts]
         if self.way == "dask":
             self.start_cluster()
-            return [start_make(self.base, self.out, *self.form, "--scheduler", f"tcp://127.0.0.1:{self.port}")]
+            return [start_make(self.base, self.out, *self.form, "--scheduler", self.cluster.address)]
         return [start_make(self.base, self.out, *self.form, "--workers", self.way.split()[1])]
 
     def start_cluster(self) -> None:
         """Start what of the cluster is not alive: a scheduler, and two workers."""
-        if not self.cluster or self.cluster[0].poll() is not None:
+        from tests.data.test_cluster import Cluster
+
+        if self.cluster is None or self.cluster.scheduler.poll() is not None:
             self.end()
-            with socket.socket() as probe:
-                probe.bind(("127.0.0.1", 0))
-                self.port = probe.getsockname()[1]
-            words = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
-            self.cluster = [start([sys.executable, "-m", "dask", *words])]
-        self.cluster = [process for process in self.cluster if process.poll() is None]
-        while len(self.cluster) < 3:
-            words = ["worker", f"tcp://127.0.0.1:{self.port}", "--nthreads", "1", "--no-nanny", "--no-dashboard"]
-            self.cluster.append(start([sys.executable, "-m", "dask", *words]))
+            self.cluster = Cluster()
+        self.cluster.workers = [process for process in self.cluster.workers if process.poll() is None]
+        while len(self.cluster.workers) < 2:
+            self.cluster.add()
 
     def kill(self, running: list[subprocess.Popen[bytes]]) -> None:
         """Kill something of what runs."""
@@ -192,9 +191,9 @@ class Trial:
         self.counts["kills"] += 1
         self.counts[f"kills of a {victim}" if victim != "all processes" else "kills of all processes"] += 1
         if victim == "scheduler":
-            self.cluster[0].kill()
+            self.cluster.scheduler.kill()
         elif victim == "worker" and self.way == "dask":
-            self.rng.choice(self.cluster[1:]).kill()
+            self.rng.choice(self.cluster.workers).kill()
             self.start_cluster()  # another one comes
         elif victim == "worker":
             with contextlib.suppress(ProcessLookupError):
@@ -229,10 +228,8 @@ class Trial:
 
     def end(self) -> None:
         """End the cluster, where there is one."""
-        for process in self.cluster:
-            process.kill()
-            process.wait()
-        self.cluster = []
+        if self.cluster is not None:
+            self.cluster.end()
 
 
 def children(parent: int) -> list[int]:
