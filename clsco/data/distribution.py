@@ -65,10 +65,6 @@ class _Distribution(ABC):
     splits: Splits
     split_by: str  # name of the parameter that decides the split of a sample; "" if its number does
 
-    def __post_init__(self) -> None:
-        if self.split_by and not self.splits:
-            raise SceneError(f"split_by: must be with splits, among which it divides; got {shown(self.split_by)} alone")
-
     def draw(self, seed: int, number: int) -> Sample:
         """Draw a sample; seed: 0 to 2^64 - 1; number: 0 to 2^63 - 1.
 
@@ -83,8 +79,8 @@ class _Distribution(ABC):
         try:
             drawn = self._draw(seed, number, position, noise_seed)
             if self.split_by:
-                if self.split_by not in drawn[1]:
-                    raise SceneError(f"split_by: must be a parameter of the sample; got {shown(self.split_by)}")
+                if not self.splits or self.split_by not in drawn[1]:
+                    raise SceneError(f"split_by: must be a parameter of samples in splits; got {shown(self.split_by)}")
                 position = split_of_value(self.splits, seed, drawn[1][self.split_by])
         except ClscoError as error:
             messages = [f"{message} (sample {number}, seed {seed})" for message in str(error).splitlines()]

@@ -121,9 +121,8 @@ def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
     if number not in failures:
         raise SceneError(f"sample {number}: its shard must be made; got no part {part_key(shard)}")
     if (table := failures[number]["scene"]) is None:
-        raise SceneError(
-            f"sample {number}: has no scene, as none could be drawn; got {failures[number]['error'][:SHORT]}"
-        )
+        got = failures[number]["error"][:SHORT]
+        raise SceneError(f"sample {number}: has no scene, as none could be drawn; got {got}")
     return dict(table)
 
 
