@@ -12,6 +12,7 @@ import json
 import logging
 import os
 import shutil
+import signal
 import stat
 import time
 import zlib
@@ -132,12 +133,27 @@ def check() -> int:
 def exclusive() -> Iterator[None]:
     """Lock the cache folder against other processes in the block, where PoCL may write to it, and record new files."""
     folder = _folder()
-    with _lock(folder):
+    with _lock(folder), held_signals():
         try:
             yield
         finally:
             if _is_ours(folder):
                 _write_record(folder)
+
+
+@contextmanager
+def held_signals() -> Iterator[None]:
+    """Hold back Ctrl-C and SIGTERM in the block, also from threads that start in it and from programs that these run.
+
+    Otherwise Ctrl-C in a terminal would end PoCL's linker, too, and PoCL would abort the process.
+    """
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows, where PoCL is not shipped
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        if hasattr(signal, "pthread_sigmask"):
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _folder() -> Path:
