@@ -54,16 +54,13 @@ def device_tables(
     devices: Sequence[Device], used: Device | None, checks: Mapping[Device, Sequence[Check]]
 ) -> list[RenderableType]:
     """Tables of devices and their features, and of the results of self-tests if they ran."""
-
-    def yes(has: bool) -> str:
-        return "yes" if has else "no"
-
+    yes = {True: "yes", False: "no"}
     columns = ("", "device", "platform", "kind", "units", "memory", "double", "64-bit atomics", "exact division")
     rows = [
         (
             "*" if device == used else "", device.name, f"{device.platform} {device.driver}", device.kind,
-            f"{device.compute_units}", f"{device.global_mem / 2**30:.1f} GiB", yes(device.has_fp64),
-            yes(device.has_int64_atomics), yes(device.correctly_rounded),
+            f"{device.compute_units}", f"{device.global_mem / 2**30:.1f} GiB", yes[device.has_fp64],
+            yes[device.has_int64_atomics], yes[device.correctly_rounded],
         )
         for device in devices
     ]  # fmt: skip

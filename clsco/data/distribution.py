@@ -136,12 +136,9 @@ def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Para
 
 
 def load_distribution(
-    distribution: str | os.PathLike[str] | Mapping[str, Any],
-    overrides: Sequence[str] = (),
-    splits: SplitsLike = None,
-    folder: Path | None = None,
-    split_by: str = "",
-) -> Distribution:
+    distribution: str | os.PathLike[str] | Mapping[str, Any], overrides: Sequence[str] = (),
+    splits: SplitsLike = None, folder: Path | None = None, split_by: str = "",
+) -> Distribution:  # fmt: skip
     """Read a distribution: a .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
 
     overrides: as for `clsco.load_scene`; an overridden key no longer varies. folder: base folder of relative paths, if

@@ -228,12 +228,9 @@ def parse_stored(text: str) -> dict[str, str]:
 
 
 def make_record(
-    sample: Sample,
-    seed: int,
-    frames: Sequence[Sequence[Frame]],
-    names: Collection[str],
+    sample: Sample, seed: int, frames: Sequence[Sequence[Frame]], names: Collection[str],
     stored: Mapping[str, str] | None = None,
-) -> Record:
+) -> Record:  # fmt: skip
     """Make the record of a sample from the frames of each variant. In a stereo pair, the left view is first.
 
     names: names of the arrays in files; arrays that a frame does not have, such as `uv` without a texture, are left

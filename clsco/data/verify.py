@@ -76,13 +76,9 @@ def drawn_again(data_set: DataSet, name: str, folder: Path) -> ScriptedDistribut
 
 
 def verify_samples(
-    data_set: DataSet,
-    numbers: Sequence[int],
-    device: str | None,
-    advance: Advance,
-    folder: Path,
+    data_set: DataSet, numbers: Sequence[int], device: str | None, advance: Advance, folder: Path,
     drawn: ScriptedDistribution | None = None,
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """Render samples again, and list the differences from the set, one line each.
 
     folder: folder of the distribution file, where paths of textures begin. drawn: distribution that draws the samples;
