@@ -12,6 +12,7 @@ from typing import Any
 
 from clsco.data.containers import CONTAINERS, container_named
 from clsco.data.creation import DistributionLike, Progress, make
+from clsco.data.failures import failure_of
 from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
 from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, ranges, status_of
@@ -127,7 +128,10 @@ def convert(
     left = [shard for shard in new_set.shards if shard not in done]
     advance = begin(len(left))
     for shard in left:
-        _convert_shard(source_set, new_set, shard)
+        try:
+            _convert_shard(source_set, new_set, shard)
+        except OSError as error:
+            raise FileError(failure_of(error, target.where)[1]) from error
         advance()
     return new_set, finish(new_set)
 
