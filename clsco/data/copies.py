@@ -22,15 +22,10 @@ from clsco.files.atomic import file_digests
 
 
 def remake(
-    data: str | os.PathLike[str],
-    out: str | os.PathLike[str] | None = None,
-    *,
-    distribution: DistributionLike | None = None,
-    folder: str | os.PathLike[str] | None = None,
-    devices: str | Sequence[str] = (),
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> list[str]:
+    data: str | os.PathLike[str], out: str | os.PathLike[str] | None = None, *,
+    distribution: DistributionLike | None = None, folder: str | os.PathLike[str] | None = None,
+    devices: str | Sequence[str] = (), workers: int | None = None, progress: Progress | None = None,
+) -> list[str]:  # fmt: skip
     """Make a data set again from its card, and compare the bytes.
 
     Parameters

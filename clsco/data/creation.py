@@ -54,31 +54,14 @@ class Workers:
 
 
 def make(  # noqa: PLR0913, a parameter for each option
-    distribution: DistributionLike,
-    data: str | os.PathLike[str],
-    *,
-    count: int | None = None,
-    seed: int = 0,
-    truth: str | Iterable[str] = TRUTH,
-    color: bool = True,
-    types: str | Mapping[str, str] = "",
-    splits: SplitsLike = None,
-    split_by: str = "",
-    format: str = DEFAULT,  # noqa: A002
-    shard_size: int = 256,
-    devices: str | Sequence[str] = (),
-    workers: int | None = None,
-    scheduler: str = "",
-    precision: str | None = None,
-    resume: bool = False,
-    only: range | None = None,
-    part: tuple[int, int] | None = None,
-    overrides: Sequence[str] = (),
-    folder: str | os.PathLike[str] | None = None,
-    license: str = "",  # noqa: A002
-    allow_failures: int = 0,
+    distribution: DistributionLike, data: str | os.PathLike[str], *, count: int | None = None, seed: int = 0,
+    truth: str | Iterable[str] = TRUTH, color: bool = True, types: str | Mapping[str, str] = "",
+    splits: SplitsLike = None, split_by: str = "", format: str = DEFAULT, shard_size: int = 256,  # noqa: A002
+    devices: str | Sequence[str] = (), workers: int | None = None, scheduler: str = "", precision: str | None = None,
+    resume: bool = False, only: range | None = None, part: tuple[int, int] | None = None, overrides: Sequence[str] = (),
+    folder: str | os.PathLike[str] | None = None, license: str = "", allow_failures: int = 0,  # noqa: A002
     progress: Progress | None = None,
-) -> Status:
+) -> Status:  # fmt: skip
     """Make a data set of scenes drawn from a distribution.
 
     Parameters

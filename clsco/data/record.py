@@ -265,17 +265,10 @@ def make_record(
     if others and all(other == first for other in others):
         _share(arrays, about)
     meta = {
-        "number": sample.number,
-        "seed": seed,
-        "split": sample.split,
-        "attempts": sample.attempts,
-        "version": __version__,
-        "parameters": sample.parameters,
-        "labels": list(sample.labels),
-        "scene": sample.table,
-        "arrays": about,
-        "frames": described,
-    }
+        "number": sample.number, "seed": seed, "split": sample.split, "attempts": sample.attempts,
+        "version": __version__, "parameters": sample.parameters, "labels": list(sample.labels), "scene": sample.table,
+        "arrays": about, "frames": described,
+    }  # fmt: skip
     return Record(f"{sample.number:09d}", arrays, meta)
 
 
